@@ -1,0 +1,91 @@
+"""`rtec`: puts the commands together; turns errors into one clear message and an exit status.
+
+Exit status: 0 done; 1 a check or limit failed; 2 wrong use or bad input; 130 interrupted.
+"""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from rtec import __version__
+from rtec.cli import log, replay, run
+from rtec.errors import RtecError
+
+app = typer.Typer(
+    name="rtec",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="""Makes machine tools more accurate than they were built.
+
+Reads axis counts and temperatures, works out the tool-tip error from a geometric-thermal model, and corrects each axis.
+
+Begin with `rtec demo`: a machine that needs no hardware, uncorrected and corrected.
+""",
+)
+app.command()(run.run)
+app.command()(replay.replay)
+app.add_typer(log.app, name="log")
+
+
+# Depending on its version typer brings click with it or asks for it; its own exceptions say which one it is.
+USAGE_ERROR: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"rtec {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    del version
+
+
+def main() -> None:
+    """Run the command line and leave with its status."""
+    sys.exit(status(sys.argv[1:]))
+
+
+def status(arguments: list[str]) -> int:
+    """Run one command; give its exit status."""
+    try:
+        code = app(args=arguments, prog_name="rtec", standalone_mode=False)
+    except RtecError as e:
+        return _told(str(e))
+    except USAGE_ERROR as e:
+        return _wrong_use(e)
+    except (KeyboardInterrupt, typer.Abort):
+        typer.echo("interrupted", err=True)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()  # whoever read our output has left; nothing to say to nobody
+        return 0
+    return code if isinstance(code, int) else 0
+
+
+def _told(message: str) -> int:
+    for line in message.splitlines():
+        typer.echo(f"rtec: {line}", err=True)
+    return 2
+
+
+def _wrong_use(error: Exception) -> int:
+    from typer import rich_utils
+
+    if type(error).__name__ == "NoArgsIsHelpError":
+        typer.echo(str(error))
+    else:
+        rich_utils.rich_format_error(error)  # type: ignore[arg-type]
+    return int(getattr(error, "exit_code", 2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""`rtec replay`: a log or a capture through the same step."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rtec.runtime.config import Setup
+
+MORE = "and {} rows more"
+
+
+def replay(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="Run file: machine, model, limits.")],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="A log of `rtec run` (.arrows), or a logic-analyser capture (.sr).")
+    ],
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Compare with the commands in the log, bit for bit; status 1 if any differs."),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Write here; by default beside the log, with 'replay' in its name."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Run a log, or a logic-analyser capture, through the same step as the daemon, as fast as it goes.
+
+    A log gives its commands anew, into a new log; with `--check` they are compared with those that were sent. A
+    capture (sigrok `.sr`) gives a capture with corrected A/B lines that sigrok opens, and a table of counts; the run
+    file's `[capture]` section names the channels.
+
+    Examples: `rtec replay configs/turning-centre-sim.toml logs/run.arrows --check`
+
+    `rtec replay configs/mouse-capture.toml mouse.sr --out corrected.sr`
+    """
+    from rtec.runtime.config import load_setup
+
+    setup = load_setup(config)
+    if log.suffix == ".sr":
+        _capture(setup, log, out, as_json)
+    else:
+        _log(setup, log, out, check, as_json)
+
+
+def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool) -> None:
+    from rtec.cli.progress import bar
+    from rtec.runtime.replay import replay_log
+
+    target = out or (None if check else log.with_name(f"{log.stem}.replay.arrows"))
+    with bar(log.name) as progress:
+        report = replay_log(setup, log, target, check, progress)
+    if as_json:
+        facts = dataclasses.asdict(report) | {"out": str(report.out) if report.out else None, "checked": check}
+        typer.echo(json.dumps(facts, indent=2))
+    else:
+        for note in report.notes:
+            typer.echo(f"note: {note}")
+        if report.torn_bytes:
+            typer.echo(f"note: the log ends torn; {report.torn_bytes} bytes after its last whole batch are left out")
+        for d in report.differences:
+            typer.echo(f"row {d.row}: {d.field} was {d.logged}, is now {d.replayed}")
+        if report.different > len(report.differences):
+            typer.echo(MORE.format(report.different - len({d.row for d in report.differences})))
+        if check:
+            verdict = "all bit-identical" if not report.different else f"{report.different} differ"
+            typer.echo(f"{report.rows} commands checked: {verdict}")
+        if report.out:
+            typer.echo(f"{report.rows} commands written to {report.out}")
+    if report.different:
+        raise typer.Exit(1)
+
+
+def _capture(setup: "Setup", capture: Path, out: Path | None, as_json: bool) -> None:
+    from rtec.cli.progress import bar
+    from rtec.runtime.replay_capture import replay_capture
+
+    target = out or capture.with_name(f"{capture.stem}.replay.sr")
+    with bar(capture.name) as progress:
+        report = replay_capture(setup, capture, target, target.with_suffix(".csv"), progress)
+    if as_json:
+        facts = dataclasses.asdict(report) | {
+            "capture_out": str(report.capture_out),
+            "table_out": str(report.table_out),
+        }
+        typer.echo(json.dumps(facts, indent=2))
+        return
+    typer.echo(f"{report.samples} samples, {report.duration_s:g} s, {report.cycles} cycles")
+    for name, axis in report.axes.items():
+        typer.echo(
+            f"axis {name}: raw {axis.raw_counts:+d}, inserted {axis.inserted_counts:+d}, "
+            f"corrected {axis.corrected_counts:+d} counts"
+        )
+        if axis.illegal:
+            typer.echo(f"  {axis.illegal} illegal transitions in the capture (both lines at once), passed as they are")
+        if axis.waiting_counts:
+            typer.echo(f"  {axis.waiting_counts:+d} counts found no room before the end")
+    typer.echo(f"written: {report.capture_out} and {report.table_out}")

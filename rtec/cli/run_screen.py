@@ -1,0 +1,113 @@
+"""What `rtec run` shows: a live table while it runs, a summary at the end."""
+
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from rtec.runtime.config import Setup
+from rtec.runtime.supervisor import Report, Status
+
+REFRESH_S = 0.2
+
+
+class Screen:
+    """A live table on a terminal; nothing where there is none."""
+
+    def __init__(self, setup: Setup, duration_s: float | None, quiet: bool) -> None:
+        self._setup, self._duration_s = setup, duration_s
+        console = Console(stderr=True)
+        self._live = Live(console=console, refresh_per_second=5, transient=True)
+        self._on = console.is_terminal and not quiet
+        self._shown_s = -1.0
+
+    def __enter__(self) -> Self:
+        if self._on:
+            self._live.start()
+            self._live.update(Text(f"{self._setup.machine.name}: starting (compiling the model, opening devices)…"))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._on:
+            self._live.stop()
+
+    def update(self, status: Status) -> None:
+        """Show a status, not more often than eyes can follow."""
+        if self._on and status.cycles and abs(status.time_s - self._shown_s) >= REFRESH_S:
+            self._shown_s = status.time_s
+            self._live.update(Group(_axes(status), self._foot(status)))
+
+    def _foot(self, status: Status) -> Text:
+        of = f" of {self._duration_s:g}" if self._duration_s else ""
+        text = f"{status.time_s:.0f}{of} s   {status.cycles} cycles, {status.misses} deadlines missed   Ctrl-C ends"
+        why = "   ".join(status.reasons)
+        return Text.assemble(text, ("\n" + why if why else "", "bold yellow"))
+
+
+def show_report(setup: Setup, report: Report) -> None:
+    """Print the summary of a run."""
+    console = Console()
+    summary = report.summary
+    title = f"{setup.machine.name}: {summary['cycles']} cycles at {setup.file.run.rate_hz:g} Hz"
+    table = Table(title=title, title_justify="left")
+    for name in ("", "p50", "p99", "p99.9", "max"):
+        table.add_column(name, justify="left" if not name else "right")
+    for key, label in (("wake_up", "wake-up latency, µs"), ("compute", "cycle time, µs")):
+        times = summary[key]
+        table.add_row(label, *(f"{times[k]:.1f}" for k in ("p50_us", "p99_us", "p99_9_us", "max_us")))
+    console.print(table)
+    console.print(_axes(report.status, report.largest_um))
+    missed = summary["deadline_misses"]
+    console.print(f"deadlines missed: {missed}", style="bold red" if missed else "green", highlight=False)
+    for name, share in report.flags_seen.items():
+        if name != "LIMITED":
+            console.print(f"{name.lower().replace('_', ' ')}: {100 * share:.2g} % of cycles", style="yellow")
+    if summary["driver_errors"]:
+        console.print(f"device errors: {summary['driver_errors']}, the last: {summary['last_error']}", style="bold red")
+    for warning in report.warnings:
+        console.print(f"note: {warning}", style="yellow", highlight=False)
+    if report.overruns:
+        console.print(f"rows that did not reach the log: {report.overruns}", style="bold red")
+    if report.interrupted:
+        console.print("interrupted: correction held, log flushed, devices closed")
+    if report.log:
+        console.print(f"log: {report.log}", highlight=False, soft_wrap=True)
+
+
+def show_dry_run(setup: Setup, found: dict[str, Any]) -> None:
+    """Print what a dry run read."""
+    console = Console()
+    table = Table(title=f"{setup.machine.name}: dry run, nothing was commanded", title_justify="left")
+    for name in ("input", "value", "age"):
+        table.add_column(name, justify="left" if name == "input" else "right")
+    for name, value, age in found["inputs"]:
+        table.add_row(name, value, age)
+    console.print(table)
+    for axis, um in found["requested_um"].items():
+        console.print(f"axis {axis}: the model would ask for {um:+.2f} µm", highlight=False)
+    for reason in found["reasons"]:
+        console.print(f"would hold: {reason}", style="yellow")
+    console.print("ready to run" if not found["reasons"] else "not ready: see above")
+
+
+def _axes(status: Status, largest_um: dict[str, float] | None = None) -> Table:
+    table = Table()
+    table.add_column("axis")
+    for name in ("requested, µm", "applied, µm", "output, units"):
+        table.add_column(name, justify="right")
+    if largest_um:
+        table.add_column("largest applied, µm", justify="right")
+    for axis in status.applied_um:
+        row = [
+            axis,
+            f"{status.requested_um[axis]:+.2f}",
+            f"{status.applied_um[axis]:+.2f}",
+            f"{status.output[axis]:+d}",
+        ]
+        table.add_row(*row, *([f"{largest_um[axis]:.2f}"] if largest_um else []))
+    return table

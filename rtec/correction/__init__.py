@@ -1,0 +1,1 @@
+"""From a wanted correction to counts: guard, ledger, sinks, quadrature, pulse insertion."""

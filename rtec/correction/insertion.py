@@ -1,0 +1,271 @@
+"""Insertion of counts into a live A/B stream: the real-time error corrector between encoder and controller.
+
+    output phase(n) = raw phase(n) + inserted(n)   (mod 4)
+
+A positive inserted count is an edge with A leading B: the controller sees the axis further on than it is, so an axis
+that moves positive stops sooner. A negative one is an edge with B leading A, or a raw edge taken out: it goes further
+[NIST guidelines, section 4.2.1].
+
+Raw edges pass with one fixed latency, never moved against each other. The latency is the look-ahead that lets an
+inserted edge keep its distance from the raw edge that follows it. An inserted count against the motion may swallow a
+raw edge; the distances then only grow. Where the raw edges leave no room, the count waits.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rtec.correction import insertion_kernel as kernel
+from rtec.correction.quadrature import Bytes, DecoderState, Deltas, Ints, decode, lines_of, pack, phase_of, transitions
+from rtec.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class InsertionSettings:
+    """What the controller's counter can follow.
+
+    Attributes:
+        min_edge_separation_samples: least distance of an inserted edge from every other edge, samples, at least 1.
+        min_insertion_interval_samples: rate limit: least distance of two inserted counts, samples, at least 1.
+        mode: "count" inserts single counts; "cycle" whole A/B cycles of four, as the original corrector did:
+            a cycle begins when the target is more than two counts away, and once begun is finished.
+    """
+
+    min_edge_separation_samples: int
+    min_insertion_interval_samples: int
+    mode: Literal["count", "cycle"] = "count"
+
+    def __post_init__(self) -> None:
+        """Check the figures.
+
+        Raises:
+            ConfigError: a figure below 1, or another mode.
+        """
+        for name in ("min_edge_separation_samples", "min_insertion_interval_samples"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"insertion: {name} = {getattr(self, name)}; allowed: 1 or more")
+        if self.mode not in ("count", "cycle"):
+            raise ConfigError(f"insertion: mode = {self.mode!r}; allowed: 'count', 'cycle'")
+
+    @property
+    def latency_samples(self) -> int:
+        """How much later than the raw stream the corrected stream is, samples."""
+        return self.min_edge_separation_samples
+
+
+@dataclass(frozen=True, slots=True)
+class Corrected:
+    """One block of the corrected stream.
+
+    Attributes:
+        a: line A, 0 or 1, (n,).
+        b: line B, (n,).
+        z: index line, as it came, (n,).
+        first_sample: raw sample that the first entry belongs to; negative while the latency fills.
+        insertion_at: raw sample of each inserted count, ascending, (k,).
+        insertion_delta: +1 or -1 for each, (k,).
+    """
+
+    a: Bytes
+    b: Bytes
+    z: Bytes
+    first_sample: int
+    insertion_at: Ints
+    insertion_delta: Deltas
+
+
+class PulseInserter:
+    """Puts counts into a stream of A, B and index samples, block by block; the blocks' lengths change nothing.
+
+    The ledger is `raw_counts + inserted_counts = corrected_counts`, all three at the last sample given out.
+    `corrected_counts` is decoded from the lines that went out, not added up from the other two.
+    """
+
+    def __init__(self, settings: InsertionSettings, raw_counts: int = 0, inserted_counts: int = 0) -> None:
+        """Start, or go on after a stop.
+
+        Args:
+            settings: limits and mode.
+            raw_counts: count of the first raw sample.
+            inserted_counts: counts that the controller already has on top of the raw ones.
+
+        Raises:
+            ConfigError: cycle mode cannot go on from a part of a cycle.
+        """
+        if settings.mode == "cycle" and inserted_counts % 4:
+            raise ConfigError(f"insertion: inserted_counts = {inserted_counts}; cycle mode needs a multiple of 4")
+        self.settings = settings
+        self._state = kernel.new_state(inserted_counts)
+        self._raw_counts = raw_counts
+        self._corrected_counts = raw_counts + inserted_counts
+        self._illegal = 0
+        self._seen = 0
+        self._late_phase = np.zeros(0, np.uint8)
+        self._late_z = np.zeros(0, np.uint8)
+        self._raw_state: DecoderState | None = None
+        self._out_state: DecoderState | None = None
+        self._edges: tuple[Ints, Deltas] = (np.zeros(0, np.int64), np.zeros(0, np.int8))
+        self._targets: tuple[Ints, Ints] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+    @property
+    def raw_counts(self) -> int:
+        """Counts of the raw stream, at the last sample given out."""
+        return self._raw_counts
+
+    @property
+    def inserted_counts(self) -> int:
+        """Counts put in so far."""
+        return int(self._state[kernel.INSERTED])
+
+    @property
+    def corrected_counts(self) -> int:
+        """Counts of the stream given out: what the controller has."""
+        return self._corrected_counts
+
+    @property
+    def illegal_transitions(self) -> int:
+        """Raw transitions of both lines at once, up to the last sample given out; they passed as they were."""
+        return self._illegal
+
+    @property
+    def waiting_counts(self) -> int:
+        """Counts still to be inserted, signed: held back by the rate limit or for want of room between edges.
+
+        In cycle mode only whole cycles count; a target within two counts of a whole cycle is met.
+        """
+        goal, target = int(self._state[kernel.GOAL]), int(self._state[kernel.TARGET])
+        if self.settings.mode == "cycle":
+            further = target - goal
+            goal += (4 if further > 0 else -4) * ((abs(further) + 1) // 4)
+        else:
+            goal = target
+        return goal - self.inserted_counts
+
+    def push(
+        self,
+        a: Bytes,
+        b: Bytes,
+        z: Bytes | None = None,
+        target_at: ArrayLike = (),
+        target_counts: ArrayLike = (),
+    ) -> Corrected:
+        """Take the next raw samples; give as many corrected ones, `latency_samples` late.
+
+        Until the latency has filled, the level of the first sample is held.
+
+        Args:
+            a: raw line A, 0 or 1, (n,).
+            b: raw line B, (n,).
+            z: index line, (n,); None = no index, given out as zeros.
+            target_at: raw samples, counted from the start of the stream, from which a new target holds, ascending
+                over all calls. Entries for later blocks are kept; one for a sample already given out holds at once.
+            target_counts: the absolute inserted counts wanted from each on.
+
+        Raises:
+            ConfigError: lines of unequal length, not bytes or not 0 and 1; a timeline that is not one.
+        """
+        z = np.zeros_like(a) if z is None else z
+        _check_lines(a, b, z)
+        self._add_targets(target_at, target_counts)
+        if len(a) == 0:
+            return Corrected(a, b, z, self._first_sample(), np.zeros(0, np.int64), np.zeros(0, np.int8))
+        phase, z = self._delay(phase_of(a, b), z)
+        self._add_edges(pack(a, b))
+        first = self._first_sample()
+        self._seen += len(a)
+        before = self.inserted_counts
+        at, delta = self._schedule()
+        out_a, out_b = lines_of(kernel.add_inserted(phase, before, at - first, delta))
+        self._account(out_a, out_b)
+        return Corrected(out_a, out_b, z, first, at, delta)
+
+    def _first_sample(self) -> int:
+        """Raw sample that the next sample given out belongs to."""
+        return self._seen - self.settings.latency_samples
+
+    def _add_targets(self, at: ArrayLike, counts: ArrayLike) -> None:
+        new_at, new_counts = np.asarray(at, np.int64), np.asarray(counts, np.int64)
+        if new_at.ndim != 1 or new_at.shape != new_counts.shape:
+            raise ConfigError(f"insertion: {new_at.shape} samples and {new_counts.shape} targets; needed: one each")
+        all_at = np.concatenate((self._targets[0], new_at))
+        if np.any(np.diff(all_at) < 0):
+            raise ConfigError("insertion: the targets' samples do not ascend")
+        self._targets = (all_at, np.concatenate((self._targets[1], new_counts)))
+
+    def _delay(self, phase: Bytes, z: Bytes) -> tuple[Bytes, Bytes]:
+        if self._seen == 0:
+            self._late_phase = np.full(self.settings.latency_samples, phase[0], np.uint8)
+            self._late_z = np.full(self.settings.latency_samples, z[0], np.uint8)
+        n = len(phase)
+        phase, z = np.concatenate((self._late_phase, phase)), np.concatenate((self._late_z, z))
+        self._late_phase, self._late_z = phase[n:].copy(), z[n:].copy()
+        return phase[:n], z[:n]
+
+    def _add_edges(self, samples: Bytes) -> None:
+        at, delta, self._raw_state = transitions(samples, 0, 1, self._raw_state)
+        self._edges = (np.concatenate((self._edges[0], at)), np.concatenate((self._edges[1], delta)))
+
+    def _schedule(self) -> tuple[Ints, Deltas]:
+        """Decide the samples that are now known far enough ahead; drop what is then past."""
+        separation, interval = self.settings.min_edge_separation_samples, self.settings.min_insertion_interval_samples
+        limits = (separation, interval, int(self.settings.mode == "cycle"))
+        self._state[kernel.END] = end = self._first_sample()
+        room = max(0, int(end - self._state[kernel.AT])) // interval + 1
+        out = (np.empty(room, np.int64), np.empty(room, np.int8))
+        ran = bool(end > self._state[kernel.AT])
+        made = kernel.schedule(self._edges, self._targets, limits, self._state, out)
+        past = int(np.searchsorted(self._edges[0], end))
+        self._raw_counts += int(self._edges[1][:past].sum(dtype=np.int64))
+        if past:
+            self._state[kernel.LAST_RAW] = self._edges[0][past - 1]
+        self._edges = (self._edges[0][past:], self._edges[1][past:])
+        due = int(np.searchsorted(self._targets[0], end)) if ran else 0
+        self._targets = (self._targets[0][due:], self._targets[1][due:])
+        return out[0][:made], out[1][:made]
+
+    def _account(self, a: Bytes, b: Bytes) -> None:
+        went_out = decode(pack(a, b), 0, 1, self._out_state)
+        self._out_state = went_out.state
+        self._corrected_counts += went_out.counts
+        self._illegal += went_out.illegal
+
+
+def correct_capture(
+    a: Bytes,
+    b: Bytes,
+    z: Bytes | None,
+    settings: InsertionSettings,
+    *,
+    target_at: ArrayLike = (),
+    target_counts: ArrayLike = (),
+) -> tuple[Corrected, PulseInserter]:
+    """Correct a whole record, with the latency taken off again: entry n of every line belongs to raw sample n.
+
+    Args and errors as for `PulseInserter.push`. The index line comes out as it went in, bit for bit.
+
+    Returns:
+        The corrected record, and the inserter with its ledger at the record's last sample.
+    """
+    inserter = PulseInserter(settings)
+    late = settings.latency_samples
+    z = np.zeros_like(a) if z is None else z
+    most = inserter.push(a, b, z, target_at, target_counts)
+    rest = inserter.push(*(np.repeat(line[-1:], late) for line in (a, b, z)))
+
+    def joined(name: str) -> Bytes:
+        line: Bytes = np.concatenate((getattr(most, name), getattr(rest, name)))
+        return line
+
+    at = np.concatenate((most.insertion_at, rest.insertion_at))
+    delta = np.concatenate((most.insertion_delta, rest.insertion_delta))
+    return Corrected(joined("a")[late:], joined("b")[late:], joined("z")[late:], 0, at, delta), inserter
+
+
+def _check_lines(*lines: Bytes) -> None:
+    if len({line.shape for line in lines}) != 1 or lines[0].ndim != 1:
+        raise ConfigError(f"insertion: lines of shapes {[line.shape for line in lines]}; needed: one length for all")
+    for line in lines:
+        if line.dtype != np.uint8 or (len(line) and line.max() > 1):
+            raise ConfigError(f"insertion: a line of {line.dtype}; needed: uint8, 0 or 1")

@@ -1,0 +1,44 @@
+"""The ledger: how much of the correction stands in the machine, in integers.
+
+A correction of c µm becomes `units_per_um · c` units of the sink. The ledger holds the whole units that were put
+out; what is left over is never lost, because each cycle starts from the whole correction again (the remainder is
+carried). For pulse insertion the units are encoder counts and, at every instant,
+
+    raw counts + inserted counts = corrected counts.
+
+Sign: inserted counts make the controller believe the axis is further on, so the axis stops sooner [G 4.2.1]:
+`inserted = -correction · counts per µm`. Offsets added to a command have the sign of the correction.
+"""
+
+import math
+
+from rtec.jit import njit
+
+DEAD_BAND = 0.75
+"""In quanta: the ledger moves only when it is further off than this, so that noise does not make it chatter."""
+
+
+@njit
+def ledger_update(
+    wanted: float, output: int, allowance: float, dt: float, quantum: int, rate: float
+) -> tuple[int, float]:
+    """Move the ledger towards the wanted units for one cycle.
+
+    Args:
+        wanted: units that the applied correction amounts to, not rounded.
+        output: units in the ledger.
+        allowance: units that may still be put out, saved up at `rate`.
+        dt: length of the cycle, s.
+        quantum: smallest step, units (4: whole encoder cycles).
+        rate: units per second that the sink and the controller can follow.
+
+    Returns:
+        output and allowance after the cycle. Output changes by whole quanta, by at most what the rate allows.
+    """
+    allowance = min(allowance + rate * dt, quantum + rate * dt)
+    left = wanted - output
+    if abs(left) <= DEAD_BAND * quantum:
+        return output, allowance
+    steps = math.floor(abs(left) / quantum + 0.5)
+    moved = min(steps, math.floor(allowance / quantum)) * quantum
+    return output + (moved if left > 0.0 else -moved), allowance - moved

@@ -1,0 +1,98 @@
+"""Sinks: the ways a correction gets into a machine [G 4]. Each is a scale from µm to whole units.
+
+| kind | unit | goes to |
+|---|---|---|
+| pulse | encoder counts | an encoder box that inserts them into A/B |
+| following_error | controller units | the controller's following-error register |
+| phase | steps of an N-bit D/A over ± range | the reference of the phase comparator |
+| origin_offset | controller units | the controller's origin offset |
+
+What differs is the sign, the smallest step, how often and how far; the rest is one code.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rtec.machine import Axis
+from rtec.tomlfile import Strict
+
+UNLIMITED = float(2**52)
+"""Units that no correction reaches; still exact in a float."""
+
+
+@dataclass(frozen=True)
+class SinkScale:
+    """What the ledger needs to know of a sink.
+
+    Attributes:
+        units_per_um: units per µm of correction, with sign.
+        quantum: smallest step, units.
+        rate_per_s: units per second at most.
+        low, high: units that it can hold.
+        period_s: it takes a new value this often; 0: every cycle.
+    """
+
+    units_per_um: float
+    quantum: int
+    rate_per_s: float
+    low: float
+    high: float
+    period_s: float
+
+
+class PulseSink(Strict):
+    """Pulse insertion: `quantum_counts` 1 for single counts, 4 for whole cycles as the original RTEC did."""
+
+    kind: Literal["pulse"] = "pulse"
+    quantum_counts: Literal[1, 4] = 1
+    max_counts_per_s: Annotated[float, Field(gt=0)] = 20000.0
+
+    def scale(self, axis: Axis) -> SinkScale:
+        """Counts; positive ones make the axis stop sooner, hence the sign."""
+        per_um = -axis.counts_per_mm * 1e-3
+        return SinkScale(per_um, self.quantum_counts, self.max_counts_per_s, -UNLIMITED, UNLIMITED, 0.0)
+
+
+class _OffsetSink(Strict):
+    resolution_um: Annotated[float, Field(gt=0)]
+    period_s: Annotated[float, Field(gt=0)] = 0.020
+    max_um: Annotated[float, Field(gt=0)] = 1000.0
+
+    def scale(self, axis: Axis) -> SinkScale:
+        """Controller units, of the correction's own sign."""
+        del axis
+        per_um, most = 1.0 / self.resolution_um, float(int(self.max_um / self.resolution_um))
+        return SinkScale(per_um, 1, UNLIMITED, -most, most, self.period_s)
+
+
+class FollowingErrorSink(_OffsetSink):
+    """Offset added to the following error every `period_s` (20 ms in [G 4])."""
+
+    kind: Literal["following_error"] = "following_error"
+
+
+class OriginOffsetSink(_OffsetSink):
+    """Shift of the controller's origin; slower controllers take it every second or so."""
+
+    kind: Literal["origin_offset"] = "origin_offset"
+    period_s: Annotated[float, Field(gt=0)] = 1.0
+
+
+class PhaseSink(Strict):
+    """An N-bit D/A over ± `range_mm` shifts the phase reference ([G 4.1]: 8 bits over ±0.1 mm)."""
+
+    kind: Literal["phase"] = "phase"
+    bits: Annotated[int, Field(ge=4, le=24)] = 8
+    range_mm: Annotated[float, Field(gt=0)] = 0.1
+    period_s: Annotated[float, Field(ge=0)] = 0.020
+
+    def scale(self, axis: Axis) -> SinkScale:
+        """Steps of 2 · range / 2^bits (0.78 µm for 8 bits over ±0.1 mm), of the correction's own sign."""
+        del axis
+        half = float(2 ** (self.bits - 1))
+        return SinkScale(half / (self.range_mm * 1e3), 1, UNLIMITED, -half, half - 1.0, self.period_s)
+
+
+Sink = Annotated[PulseSink | FollowingErrorSink | OriginOffsetSink | PhaseSink, Field(discriminator="kind")]

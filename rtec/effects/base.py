@@ -1,0 +1,138 @@
+"""What an effect is: arguments, parameters with units, and basis functions of the state."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from pydantic import field_validator
+
+from rtec.effects.state import Channels, Value
+from rtec.errors import ModelError
+from rtec.machine import Axis, Machine
+from rtec.machine.chain import component_unit
+from rtec.tomlfile import Strict, nearest
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an effect.
+
+    Attributes:
+        name: as in model files.
+        unit: as in model files and JSON, for example `um_per_m_degc`.
+        start: where a search begins (non-linear parameters).
+        low, high: bounds of the search.
+    """
+
+    name: str
+    unit: str
+    start: float = 0.0
+    low: float = -float("inf")
+    high: float = float("inf")
+
+
+@dataclass(frozen=True)
+class About:
+    """What people are told about an effect.
+
+    Attributes:
+        title: in the field's words.
+        equation: as text; `e` is the component error.
+        typical: usual size.
+        seen_by: instruments that show it.
+        confused_with: what looks alike, and the experiment that separates.
+        source: where the equation comes from.
+    """
+
+    title: str
+    equation: str
+    typical: str
+    seen_by: str
+    confused_with: str
+    source: str
+
+
+class Effect(Strict, ABC):
+    """One physical cause that feeds one component error.
+
+    A subclass names its arguments as fields, its coefficients and non-linear parameters, and gives one basis
+    function per coefficient in plain numpy arithmetic. The component error is `Σ coefficient · basis`, in µm for
+    translations and µrad for rotations. The same arithmetic is run on arrays and traced into the compiled kernel.
+    """
+
+    about: ClassVar[About]
+
+    effect: str
+    component: str
+
+    @abstractmethod
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """Linear parameters, in the order of `basis`."""
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """Parameters that the basis functions need; none unless the effect says so."""
+        del machine
+        return ()
+
+    @abstractmethod
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Names of the channels that the effect reads."""
+
+    @abstractmethod
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """One value per coefficient: what one unit of it adds to the component error.
+
+        Args:
+            machine: whose travel and pitch the effect may use.
+            channels: the state, as arrays or as symbols.
+            theta: the non-linear parameters by name.
+        """
+
+    @property
+    def unit(self) -> Literal["um", "urad"]:
+        """Unit of the component error."""
+        return "urad" if component_unit(self.component) == "urad" else "um"
+
+    def check(self, machine: Machine, where: str) -> None:
+        """Raise ModelError where an argument names something that this machine does not have."""
+        if self.component not in machine.components:
+            hint = nearest(self.component, machine.components)
+            raise ModelError(f"{where}: component {self.component!r} is none of machine {machine.name!r}{hint}")
+
+    @field_validator("component")
+    @classmethod
+    def _form(cls, value: str) -> str:
+        if len(value) < 3 or value[0] != "E" or value[1] not in "XYZABC":
+            raise ValueError(
+                "a component is E, then X Y Z A B or C, then the axis (EXX) or 0 and the link (EZ0spindle)"
+            )
+        return value
+
+
+class AxisEffect(Effect):
+    """An effect along one axis."""
+
+    axis: str
+
+    def the_axis(self, machine: Machine) -> Axis:
+        """Give the axis that it runs along."""
+        return machine.axis(self.axis)
+
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Read the axis' position."""
+        return (self.the_axis(machine).channel,)
+
+    def check(self, machine: Machine, where: str) -> None:
+        """Check component and axis."""
+        super().check(machine, where)
+        if self.axis not in machine.axis_names:
+            hint = nearest(self.axis, machine.axis_names)
+            raise ModelError(f"{where}: axis {self.axis!r} is none of machine {machine.name!r}{hint}")
+
+
+def check_sensor(machine: Machine, sensor: str, where: str) -> None:
+    """Raise ModelError where the machine has no such temperature sensor."""
+    if sensor not in machine.sensor_names:
+        hint = nearest(sensor, machine.sensor_names)
+        raise ModelError(f"{where}: sensor {sensor!r} is none of machine {machine.name!r}{hint}")

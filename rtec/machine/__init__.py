@@ -1,0 +1,6 @@
+"""The machine: axes, encoder scale, sensors, and the kinematic chain that turns component errors into tip error."""
+
+from rtec.machine.load import load_machine, machine_from
+from rtec.machine.machine import Axis, Link, Machine, Sensor
+
+__all__ = ["Axis", "Link", "Machine", "Sensor", "load_machine", "machine_from"]

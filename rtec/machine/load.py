@@ -1,0 +1,136 @@
+"""Reads a machine from TOML (form in the documentation, `docs/files.md`)."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from rtec.errors import ConfigError
+from rtec.machine.machine import Axis, Link, Machine, Sensor
+from rtec.tomlfile import Strict, nearest, read_toml, validated
+
+Vector = tuple[float, float, float]
+RESERVED = {"time_s", "spindle_rpm", "feed_mm_min", "load_kg", "run", "pi", "e"}
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+class _MachineTable(Strict):
+    name: Annotated[str, Field(min_length=1)]
+    tool_chain: tuple[str, ...]
+    work_chain: tuple[str, ...] = ()
+
+
+class _AxisTable(Strict):
+    kind: Literal["linear"] = "linear"
+    direction: Literal["X", "Y", "Z"]
+    travel_mm: tuple[float, float]
+    counts_per_mm: Annotated[float, Field(gt=0)]
+    pitch_mm: Annotated[float, Field(gt=0)] | None = None
+    offset_mm: Vector = (0.0, 0.0, 0.0)
+    compensate: bool = True
+    dead_band_counts: Annotated[int, Field(ge=0)] = 2
+
+
+class _LinkTable(Strict):
+    offset_mm: Vector = (0.0, 0.0, 0.0)
+
+
+class _SensorTable(Strict):
+    range_degc: tuple[float, float] = (-20.0, 120.0)
+
+
+class _MachineFile(Strict):
+    machine: _MachineTable
+    axis: dict[str, _AxisTable]
+    link: dict[str, _LinkTable] = Field(default_factory=dict)
+    temperature: dict[str, _SensorTable] = Field(default_factory=dict)
+
+
+def load_machine(path: Path) -> Machine:
+    """Read a machine file.
+
+    Raises:
+        ConfigError: file, section, key and what is allowed; all faults of the file at once.
+    """
+    return machine_from(read_toml(path), str(path))
+
+
+def machine_from(data: Mapping[str, Any], source: str) -> Machine:
+    """Build a machine from the tables of its file; `source` names it in messages."""
+    file = validated(_MachineFile, data, source)
+    faults = [f"{source}: {fault}" for fault in _faults(file)]
+    if faults:
+        raise ConfigError("\n".join(faults))
+    named = {*file.machine.tool_chain, *file.machine.work_chain} - set(file.axis)
+    return Machine(
+        name=file.machine.name,
+        tool_chain=file.machine.tool_chain,
+        work_chain=file.machine.work_chain,
+        axes=tuple(Axis(name=name, **table.model_dump()) for name, table in file.axis.items()),
+        links={name: Link(name, file.link.get(name, _LinkTable()).offset_mm) for name in sorted(named)},
+        sensors=tuple(Sensor(name, table.range_degc) for name, table in file.temperature.items()),
+    )
+
+
+def _faults(file: _MachineFile) -> list[str]:
+    chain = [*file.machine.tool_chain, *file.machine.work_chain]
+    return [*_name_faults(file, chain), *_chain_faults(file, chain), *_range_faults(file)]
+
+
+def _name_faults(file: _MachineFile, chain: list[str]) -> list[str]:
+    out = []
+    taken = dict.fromkeys(RESERVED, "a channel of every machine")
+    for kind, names in (("axis", file.axis), ("temperature", file.temperature)):
+        for name in names:
+            channels = [name.lower(), f"d_{name.lower()}"] if kind == "axis" else [name]
+            if not NAME.fullmatch(name):
+                out.append(f"[{kind}.{name}] a name is letters, digits and _, and starts with a letter")
+            for channel in channels:
+                if channel in taken:
+                    out.append(f"[{kind}.{name}] channel {channel!r} is already {taken[channel]}")
+                taken[channel] = f"[{kind}.{name}]"
+    out += [f"[machine] link name {n!r} is letters, digits and _" for n in chain if not NAME.fullmatch(n)]
+    return out
+
+
+def _chain_faults(file: _MachineFile, chain: list[str]) -> list[str]:
+    out = [
+        f"[machine] {name!r} stands twice in the chains" for name in sorted({n for n in chain if chain.count(n) > 1})
+    ]
+    out += [
+        f"[axis.{name}] is in neither tool_chain nor work_chain{nearest(name, chain)}"
+        for name in file.axis
+        if name not in chain
+    ]
+    out += [
+        f"[link.{name}] is in neither tool_chain nor work_chain{nearest(name, chain)}"
+        for name in file.link
+        if name not in chain
+    ]
+    out += [
+        f"[axis.{name}] and [link.{name}]: a link moves or is fixed, not both"
+        for name in file.axis
+        if name in file.link
+    ]
+    if not file.machine.tool_chain:
+        out.append("[machine] tool_chain is empty; it names the links from the base to the tool tip")
+    if not file.axis:
+        out.append("[axis] no axis is described")
+    lines = [table.direction for table in file.axis.values() if table.compensate]
+    for direction in sorted({d for d in lines if lines.count(d) > 1}):
+        names = [n for n, t in file.axis.items() if t.compensate and t.direction == direction]
+        out.append(f"[axis] {' and '.join(names)} both correct {direction}; set compensate = false for all but one")
+    return out
+
+
+def _range_faults(file: _MachineFile) -> list[str]:
+    out = []
+    for name, axis in file.axis.items():
+        if axis.travel_mm[0] >= axis.travel_mm[1]:
+            out.append(f"[axis.{name}] travel_mm {list(axis.travel_mm)}: the first must be below the second")
+    for name, sensor in file.temperature.items():
+        if sensor.range_degc[0] >= sensor.range_degc[1]:
+            out.append(f"[temperature.{name}] range_degc {list(sensor.range_degc)}: the first must be below the second")
+    return out

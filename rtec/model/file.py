@@ -1,0 +1,169 @@
+"""Saves and loads a model: TOML, data only. Loading never runs its text."""
+
+import contextlib
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import Field
+
+from rtec.effects import effect_class
+from rtec.errors import ModelError
+from rtec.machine import Machine
+from rtec.model.model import FittedEffect, Model
+from rtec.tomlfile import Strict, read_toml, validated
+
+FORMAT = 1
+
+
+class _Number(Strict):
+    value: float
+    se: Annotated[float, Field(ge=0)] | None = None
+    unit: str
+
+
+class _ModelTable(Strict):
+    format: Literal[1]
+    name: str
+    machine: str
+    machine_hash: str
+    reference_degc: float
+    noise_um: Annotated[float, Field(ge=0)] | None = None
+
+
+class _ModelFile(Strict):
+    model: _ModelTable
+    effect: list[dict[str, Any]] = Field(default_factory=list)
+    valid_range: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    measurement: dict[str, str] = Field(default_factory=dict)
+    history: list[dict[str, Any]] = Field(default_factory=list)
+
+
+class _Numbers(Strict):
+    coefficient: dict[str, _Number]
+    nonlinear: dict[str, _Number] = Field(default_factory=dict)
+
+
+def load_model(path: Path, machine: Machine) -> Model:
+    """Read a model for a machine.
+
+    Raises:
+        ModelError: the file is broken, made for another machine, or names an effect, argument or parameter that is
+            not there; the message says where and what is allowed.
+    """
+    return model_from(read_toml(path, ModelError), machine, str(path))
+
+
+def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
+    """Build a model from the tables of its file."""
+    file = validated(_ModelFile, data, source, ModelError)
+    if file.model.machine_hash != machine.hash:
+        raise ModelError(
+            f"{source}: [model] machine_hash: made for machine {file.model.machine!r} as it was then, not for "
+            f"{machine.name!r} as its file is now; fit anew, or check which machine file belongs to it"
+        )
+    model = Model(
+        machine=machine,
+        effects=tuple(_read_effect(table, f"{source}: [effect {i + 1}]") for i, table in enumerate(file.effect)),
+        name=file.model.name,
+        reference_degc=file.model.reference_degc,
+        valid_range=file.valid_range,
+        noise_um=file.model.noise_um,
+        measurements=file.measurement,
+        history=tuple(file.history),
+    )
+    model.check(source)
+    _check_units(file, model, source)
+    return model
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write a model; the file appears whole or not at all, an older one of that name is replaced."""
+    text = tomli_w.dumps(tables(model))
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as e:
+        raise ModelError(f"{path}: cannot be written: {e.strerror}") from e
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def tables(model: Model) -> dict[str, Any]:
+    """Give the tables of a model's file."""
+    head: dict[str, Any] = {
+        "format": FORMAT,
+        "name": model.name,
+        "machine": model.machine.name,
+        "machine_hash": model.machine.hash,
+        "reference_degc": model.reference_degc,
+    }
+    if model.noise_um is not None:
+        head["noise_um"] = model.noise_um
+    return {
+        "model": head,
+        "valid_range": {k: list(v) for k, v in model.valid_range.items()},
+        "measurement": dict(model.measurements),
+        "effect": [_effect_table(f, model.machine) for f in model.effects],
+        "history": [dict(entry) for entry in model.history],
+    }
+
+
+def _read_effect(table: Mapping[str, Any], source: str) -> FittedEffect:
+    name = table.get("effect")
+    if not isinstance(name, str):
+        raise ModelError(f"{source}: key 'effect' is missing; it names the effect")
+    source = f"{source[:-1]}, {name}]"
+    numbers = validated(_Numbers, {k: table[k] for k in ("coefficient", "nonlinear") if k in table}, source, ModelError)
+    arguments = {k: v for k, v in table.items() if k not in ("coefficient", "nonlinear")}
+    effect = validated(effect_class(name, source), arguments, source, ModelError)
+    both = {**numbers.coefficient, **numbers.nonlinear}
+    return FittedEffect(
+        effect=effect,
+        values={k: v.value for k, v in numbers.coefficient.items()},
+        theta={k: v.value for k, v in numbers.nonlinear.items()},
+        errors={k: v.se for k, v in both.items() if v.se is not None},
+    )
+
+
+def _check_units(file: _ModelFile, model: Model, source: str) -> None:
+    """Refuse numbers written in another unit than the one in which they are read."""
+    faults = []
+    for i, (table, fitted) in enumerate(zip(file.effect, model.effects, strict=True)):
+        effect = fitted.effect
+        for kind, parameters in (
+            ("coefficient", effect.coefficients(model.machine)),
+            ("nonlinear", effect.nonlinear(model.machine)),
+        ):
+            where = f"{source}: [effect {i + 1}, {effect.effect}] {kind}"
+            faults += [
+                f"{where}.{p.name}: unit {table[kind][p.name]['unit']!r}; it is {p.unit!r}"
+                for p in parameters
+                if table[kind][p.name]["unit"] != p.unit
+            ]
+    if faults:
+        raise ModelError("\n".join(faults))
+
+
+def _effect_table(fitted: FittedEffect, machine: Machine) -> dict[str, Any]:
+    def numbers(parameters: Any, values: Mapping[str, float]) -> dict[str, Any]:
+        out = {}
+        for p in parameters:
+            se = {"se": fitted.errors[p.name]} if math.isfinite(fitted.errors.get(p.name, math.nan)) else {}
+            out[p.name] = {"value": float(values[p.name]), **se, "unit": p.unit}
+        return out
+
+    effect = fitted.effect
+    table = effect.model_dump(mode="json", exclude_none=True)
+    table["coefficient"] = numbers(effect.coefficients(machine), fitted.values)
+    if fitted.theta:
+        table["nonlinear"] = numbers(effect.nonlinear(machine), fitted.theta)
+    return table

@@ -1,0 +1,178 @@
+"""The model: a machine plus fitted effects."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.effects import Effect, Parameter, State
+from rtec.errors import ModelError
+from rtec.machine import Machine
+from rtec.tomlfile import digest, nearest
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FittedEffect:
+    """An effect with its numbers.
+
+    Attributes:
+        effect: the effect and its arguments.
+        values: coefficients by name.
+        theta: non-linear parameters by name.
+        errors: standard errors by name, of either; those not known are not there.
+    """
+
+    effect: Effect
+    values: Mapping[str, float]
+    theta: Mapping[str, float] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Short name for tables: effect, component, and what it depends on."""
+        extra = [
+            str(getattr(self.effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(self.effect, k, None)
+        ]
+        return f"{self.effect.effect}({', '.join([self.effect.component, *extra])})"
+
+
+@dataclass(frozen=True)
+class Model:
+    """A geometric-thermal model.
+
+    Attributes:
+        machine: whose chain turns component errors into tip error.
+        effects: fitted effects; those of one component add up.
+        name: for people.
+        reference_degc: temperature at which a temperature effect is nothing.
+        valid_range: channel to lowest and highest value seen in the fit; the guard holds outside.
+        noise_um: noise floor of the measurements behind the fit.
+        measurements: SHA-256 of those measurements by name.
+        history: one entry a change, as tables.
+    """
+
+    machine: Machine
+    effects: tuple[FittedEffect, ...] = ()
+    name: str = "model"
+    reference_degc: float = 20.0
+    valid_range: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    noise_um: float | None = None
+    measurements: Mapping[str, str] = field(default_factory=dict)
+    history: tuple[Mapping[str, Any], ...] = ()
+
+    def check(self, source: str = "model") -> None:
+        """Check every effect against the machine.
+
+        Raises:
+            ModelError: all faults, one a line.
+        """
+        faults = self._range_faults(source)
+        for i, fitted in enumerate(self.effects):
+            try:
+                check_fitted(fitted, self.machine, f"{source}: [effect {i + 1}, {fitted.effect.effect}]")
+            except ModelError as e:
+                faults.append(str(e))
+        if faults:
+            raise ModelError("\n".join(faults))
+
+    def _range_faults(self, source: str) -> list[str]:
+        known = {*self.machine.sensor_names, "spindle_rpm"}
+        known |= {c for a in self.machine.axes for c in (a.channel, a.direction_channel)}
+        where = f"{source}: [valid_range]"
+        out = [f"{where} {c!r} is no channel{nearest(c, known)}" for c in self.valid_range if c not in known]
+        return out + [
+            f"{where} {channel}: {list(pair)}: need lowest <= highest"
+            for channel, pair in self.valid_range.items()
+            if not pair[0] <= pair[1]
+        ]
+
+    def state(self, time_s: Floats, channels: Mapping[str, Floats]) -> State:
+        """Give a state of this model's machine and reference temperature."""
+        return State(self.machine, time_s, channels, self.reference_degc)
+
+    def effect_components(self, state: State) -> list[Floats]:
+        """What each effect adds to its component, µm or µrad: a list of (n,)."""
+        return [self._contribution(fitted, state) for fitted in self.effects]
+
+    def components(self, state: State) -> Floats:
+        """Component errors, (n, components), µm and µrad, in the order of `machine.components`."""
+        out = np.zeros((len(state), len(self.machine.components)))
+        for fitted, value in zip(self.effects, self.effect_components(state), strict=True):
+            out[:, self.machine.components.index(fitted.effect.component)] += value
+        return out
+
+    def predict(self, state: State) -> Floats:
+        """Tool-tip error, µm, (n, 3): actual minus nominal position of the tool relative to the workpiece."""
+        return self.machine.chain.tip_error_um(state.positions_mm(), self.components(state))
+
+    def explain(self, state: State) -> Floats:
+        """Each effect's own tool-tip error, µm, (effects, n, 3); their sum is `predict`."""
+        arms = self.machine.chain.jacobian(state.positions_mm())
+        columns = [self.machine.components.index(f.effect.component) for f in self.effects]
+        parts = self.effect_components(state)
+        if not parts:
+            return np.zeros((0, len(state), 3))
+        return np.stack([arms[:, :, c] * part[:, None] for c, part in zip(columns, parts, strict=True)])
+
+    def parameter_values(self) -> Floats:
+        """All coefficients and non-linear parameters in the kernel's order."""
+        out: list[float] = []
+        for fitted in self.effects:
+            linear, free = names_of(fitted.effect, self.machine)
+            out += [fitted.values[n] for n in linear] + [fitted.theta[n] for n in free]
+        return np.array(out, dtype=np.float64)
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that the effects read, sorted."""
+        return tuple(sorted({c for f in self.effects for c in f.effect.channels(self.machine)}))
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of everything that decides a prediction."""
+        effects = [[f.effect.model_dump(mode="json"), _floats(f.values), _floats(f.theta)] for f in self.effects]
+        ranges = {k: list(v) for k, v in self.valid_range.items()}
+        return digest([asdict(self.machine), self.reference_degc, effects, ranges])
+
+    def _contribution(self, fitted: FittedEffect, state: State) -> Floats:
+        basis = fitted.effect.basis(self.machine, state, fitted.theta)
+        out = np.zeros(len(state))
+        for parameter, value in zip(fitted.effect.coefficients(self.machine), basis, strict=True):
+            out = out + fitted.values[parameter.name] * value
+        return out
+
+
+def _floats(numbers: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(value) for name, value in numbers.items()}
+
+
+def names_of(effect: Effect, machine: Machine) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of an effect's coefficients and of its non-linear parameters."""
+
+    def names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:
+        return tuple(p.name for p in parameters)
+
+    return names(effect.coefficients(machine)), names(effect.nonlinear(machine))
+
+
+def check_fitted(fitted: FittedEffect, machine: Machine, where: str) -> None:
+    """Raise ModelError where an effect does not fit the machine or lacks a number."""
+    fitted.effect.check(machine, where)
+    for kind, wanted, found in zip(
+        ("coefficient", "non-linear parameter"),
+        names_of(fitted.effect, machine),
+        (fitted.values, fitted.theta),
+        strict=True,
+    ):
+        missing = [n for n in wanted if n not in found]
+        extra = [n for n in found if n not in wanted]
+        if missing or extra:
+            said = f"{kind} {missing[0]!r} is missing" if missing else f"unknown {kind} {extra[0]!r}"
+            raise ModelError(f"{where}: {said}; it has: {', '.join(wanted) or 'none'}")
+        if not all(np.isfinite(v) for v in found.values()):
+            raise ModelError(f"{where}: a {kind} is not a finite number")

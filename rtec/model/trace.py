@@ -1,0 +1,186 @@
+"""Symbols that record the arithmetic done on them, so that effects written for numpy become kernel source.
+
+Nodes are interned: the same arithmetic on the same inputs is one node, which is how effects that share `u²` share
+its computation. Constants fold, `0·x`, `1·x` and `0+x` vanish.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from rtec.effects.state import Value
+from rtec.errors import ModelError
+
+Op = Literal[
+    "const", "input", "param", "lag", "add", "sub", "mul", "div", "pow", "neg",
+    "abs", "sin", "cos", "exp", "log", "sqrt", "tanh", "min", "max",
+]  # fmt: skip
+
+UFUNCS: dict[str, Op] = {
+    "add": "add", "subtract": "sub", "multiply": "mul", "divide": "div", "power": "pow", "negative": "neg",
+    "absolute": "abs", "sin": "sin", "cos": "cos", "exp": "exp", "log": "log", "sqrt": "sqrt", "tanh": "tanh",
+    "minimum": "min", "maximum": "max",
+}  # fmt: skip
+
+FOLD: dict[Op, Callable[..., float]] = {
+    "add": lambda a, b: a + b, "sub": lambda a, b: a - b, "mul": lambda a, b: a * b, "div": lambda a, b: a / b,
+    "pow": lambda a, b: a**b, "neg": lambda a: -a, "abs": abs, "sin": math.sin, "cos": math.cos, "exp": math.exp,
+    "log": math.log, "sqrt": math.sqrt, "tanh": math.tanh, "min": min, "max": max,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Node:
+    """One step of arithmetic: `args` are node numbers, `key` the constant, or the name of input or parameter."""
+
+    op: Op
+    args: tuple[int, ...] = ()
+    key: float | str | int | None = None
+
+
+@dataclass
+class Graph:
+    """All nodes, in an order in which each comes after what it needs."""
+
+    nodes: list[Node] = field(default_factory=list)
+    index: dict[Node, int] = field(default_factory=dict)
+
+    def add(self, node: Node) -> "Symbol":
+        """Give the symbol of a node, new or known."""
+        if node not in self.index:
+            self.index[node] = len(self.nodes)
+            self.nodes.append(node)
+        return Symbol(self, self.index[node])
+
+    def constant(self, value: float) -> "Symbol":
+        """Give a constant; one that is not finite is a mistake in the model, and has no spelling in the kernel."""
+        if not math.isfinite(value):
+            raise ModelError(f"the arithmetic of an effect gives {value}, not a finite number")
+        return self.add(Node("const", (), float(value)))
+
+    def symbol(self, value: Value) -> "Symbol":
+        """Give the symbol for a symbol or a number."""
+        return value if isinstance(value, Symbol) else self.constant(value)
+
+    def apply(self, op: Op, *values: Value) -> "Symbol":
+        """Do arithmetic, simplified where that changes nothing."""
+        symbols = [self.symbol(v) for v in values]
+        constants = [s.constant for s in symbols]
+        if all(c is not None for c in constants):
+            try:
+                return self.constant(float(FOLD[op](*constants)))
+            except (ValueError, OverflowError, ZeroDivisionError, TypeError) as e:
+                raise ModelError(f"{op} of {constants}: {e}") from e
+        simple = self._simple(op, symbols, constants)
+        return self.add(Node(op, tuple(s.number for s in symbols))) if simple is None else simple
+
+    def _simple(self, op: Op, symbols: list["Symbol"], constants: list[float | None]) -> "Symbol | None":
+        match op, constants:
+            case ("add", [0.0, None]) | ("mul", [1.0, None]):
+                return symbols[1]
+            case ("add" | "sub", [None, 0.0]) | ("mul" | "div" | "pow", [None, 1.0]):
+                return symbols[0]
+            case ("mul", [0.0, None] | [None, 0.0]) | ("div", [0.0, None]):
+                return self.constant(0.0)
+            case ("pow", [None, float() as power]) if power == int(power) and 2 <= power <= 8:
+                out = symbols[0]
+                for _ in range(int(power) - 1):
+                    out = out * symbols[0]
+                return out
+            case ("add" | "mul", _):  # in one order, so that a·b and b·a are one node (the sum is the same to the bit)
+                low, high = sorted(s.number for s in symbols)
+                return self.add(Node(op, (low, high)))
+        return None
+
+
+class Symbol:
+    """A value that is not there yet; takes part in numpy arithmetic and remembers it."""
+
+    __array_priority__ = 1000
+
+    def __init__(self, graph: Graph, number: int) -> None:
+        self.graph = graph
+        self.number = number
+
+    @property
+    def constant(self) -> float | None:
+        """The number that it stands for, where it is one."""
+        node = self.graph.nodes[self.number]
+        return float(node.key) if node.op == "const" and node.key is not None else None
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> "Symbol":
+        if method != "__call__" or kwargs or ufunc.__name__ not in UFUNCS:
+            allowed = ", ".join(f"np.{name}" for name in UFUNCS)
+            raise ModelError(f"an effect used np.{ufunc.__name__}; the compiled kernel knows {allowed}")
+        return self.graph.apply(UFUNCS[ufunc.__name__], *inputs)
+
+    def __add__(self, other: Value) -> "Symbol":
+        return self.graph.apply("add", self, other)
+
+    def __radd__(self, other: Value) -> "Symbol":
+        return self.graph.apply("add", other, self)
+
+    def __sub__(self, other: Value) -> "Symbol":
+        return self.graph.apply("sub", self, other)
+
+    def __rsub__(self, other: Value) -> "Symbol":
+        return self.graph.apply("sub", other, self)
+
+    def __mul__(self, other: Value) -> "Symbol":
+        return self.graph.apply("mul", self, other)
+
+    def __rmul__(self, other: Value) -> "Symbol":
+        return self.graph.apply("mul", other, self)
+
+    def __truediv__(self, other: Value) -> "Symbol":
+        return self.graph.apply("div", self, other)
+
+    def __rtruediv__(self, other: Value) -> "Symbol":
+        return self.graph.apply("div", other, self)
+
+    def __pow__(self, other: Value) -> "Symbol":
+        return self.graph.apply("pow", self, other)
+
+    def __rpow__(self, other: Value) -> "Symbol":
+        return self.graph.apply("pow", other, self)
+
+    def __neg__(self) -> "Symbol":
+        return self.graph.apply("neg", self)
+
+    def __pos__(self) -> "Symbol":
+        return self
+
+    def __abs__(self) -> "Symbol":
+        return self.graph.apply("abs", self)
+
+    def __bool__(self) -> bool:
+        raise ModelError(
+            "an effect asked whether a channel is true; write it without `if`, with np.minimum and np.maximum"
+        )
+
+    def __float__(self) -> float:
+        raise ModelError("an effect asked for a channel's number; the compiled kernel needs plain arithmetic")
+
+
+class SymbolicChannels:
+    """Channels as symbols: what an effect sees while the kernel is written."""
+
+    def __init__(self, graph: Graph, reference_degc: float) -> None:
+        self.graph = graph
+        self.reference_degc = reference_degc
+
+    def value(self, name: str) -> Value:
+        """Give the symbol of a channel."""
+        return self.graph.add(Node("input", (), name))
+
+    def rise(self, sensor: str) -> Value:
+        """Give the temperature above the reference."""
+        return self.value(sensor) - self.reference_degc
+
+    def lagged(self, value: Value, tau_s: Value) -> Value:
+        """Give the symbol of a first-order lag; the kernel keeps its memory."""
+        args = (self.graph.symbol(value).number, self.graph.symbol(tau_s).number)
+        return self.graph.add(Node("lag", args))

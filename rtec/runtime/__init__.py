@@ -1,0 +1,1 @@
+"""The running side: clock, records, step, loop, log, replay."""

@@ -1,0 +1,219 @@
+"""The run file: which machine, model, devices, limits; read whole, checked whole, all faults told at once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from rtec.correction.guard import GuardSettings, Limits
+from rtec.correction.sinks import PulseSink, Sink
+from rtec.errors import ConfigError, RtecError
+from rtec.machine import Machine, load_machine
+from rtec.model import Model, load_model
+from rtec.runtime.step import StepSettings
+from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
+
+
+class RunTable(Strict):
+    """`[run]`: what runs, how fast, where the log goes. Relative paths start at the run file's folder.
+
+    Attributes:
+        machine, model: files.
+        rate_hz: cycles per second.
+        mode: "on", "off" or "hold" at the start.
+        log_folder: a log a run is written there; no log where it is not given.
+        flush_s: the log loses at most this much in a power cut.
+    """
+
+    machine: Path
+    model: Path
+    rate_hz: Annotated[float, Field(ge=1, le=4000)] = 1000.0
+    mode: Literal["on", "off", "hold"] = "on"
+    log_folder: Path | None = None
+    flush_s: Annotated[float, Field(gt=0, le=1)] = 0.5
+
+
+class Roles(Strict):
+    """`[role]`: which device reads and writes what, by the device's name."""
+
+    counts: str
+    temperatures: tuple[str, ...] = ()
+    spindle: str | None = None
+    actuator: str
+
+
+class Realtime(Strict):
+    """`[realtime]`: how the loop's process asks to be treated.
+
+    Attributes:
+        priority: SCHED_FIFO priority; 0: do not ask.
+        cpu: processor to stay on; not given: the last one where there are several.
+        lock_memory: keep its memory from being swapped.
+    """
+
+    priority: Annotated[int, Field(ge=0, le=98)] = 80
+    cpu: Annotated[int, Field(ge=0)] | None = None
+    lock_memory: bool = True
+
+
+class CaptureAxis(Strict):
+    """`[capture.axis.X]`: channels of one axis in a logic-analyser capture, and what the controller can follow.
+
+    Attributes:
+        a, b: names of the lines; z of the index line, where there is one.
+        start_mm: position at the first sample.
+        min_edge_separation_us: least time between an inserted edge and any other.
+    """
+
+    a: str
+    b: str
+    z: str | None = None
+    start_mm: float = 0.0
+    min_edge_separation_us: Annotated[float, Field(gt=0)] = 1.0
+
+
+class CaptureTable(Strict):
+    """`[capture]`: how `rtec replay` reads a `.sr` file with this run file.
+
+    Attributes:
+        axis: channels by axis name; an axis that is not named stands still at zero.
+        degc: temperatures during the capture; a sensor that is not named is at the model's reference.
+        spindle_rpm: spindle speed during the capture.
+    """
+
+    axis: dict[str, CaptureAxis]
+    degc: dict[str, float] = Field(default_factory=dict)
+    spindle_rpm: float = 0.0
+
+
+class RunFile(Strict):
+    """The whole run file."""
+
+    run: RunTable
+    role: Roles
+    device: dict[str, dict[str, Any]]
+    limits: dict[str, Limits] = Field(default_factory=dict)
+    guard: GuardSettings = Field(default_factory=GuardSettings)
+    output: dict[str, Sink] = Field(default_factory=dict)
+    realtime: Realtime = Field(default_factory=Realtime)
+    capture: CaptureTable | None = None
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A run file with everything that it names.
+
+    Attributes:
+        path: the run file.
+        file: what it says.
+        machine, model: read and checked.
+        hash: SHA-256 of what it says.
+    """
+
+    path: Path
+    file: RunFile
+    machine: Machine
+    model: Model
+    hash: str
+
+    @property
+    def base(self) -> Path:
+        """Folder that relative paths start at."""
+        return self.path.parent
+
+    @property
+    def period_ns(self) -> int:
+        """Length of a cycle."""
+        return round(1e9 / self.file.run.rate_hz)
+
+    def step_settings(self) -> StepSettings:
+        """What the step is made of."""
+        sinks = {a.name: self.file.output.get(a.name, PulseSink()).scale(a) for a in self.machine.axes}
+        return StepSettings(self.model, self.file.limits, sinks, self.file.guard, 10.0 / self.file.run.rate_hz)
+
+    def log_header(self) -> dict[str, str]:
+        """What the log says of its origin."""
+        from rtec import __version__
+
+        return {
+            "rtec_version": __version__,
+            "config_file": self.path.name,
+            "config_sha256": self.hash,
+            "machine": self.machine.name,
+            "machine_sha256": self.machine.hash,
+            "model": self.model.name,
+            "model_sha256": self.model.hash,
+            "rate_hz": f"{self.file.run.rate_hz:g}",
+        }
+
+
+def load_setup(path: Path) -> Setup:
+    """Read a run file, its machine and its model.
+
+    Raises:
+        RtecError: everything that is wrong with any of them.
+    """
+    data = read_toml(path)
+    file = validated(RunFile, data, str(path))
+    base = path.parent
+    machine = load_machine(base / file.run.machine)
+    faults = _faults(file, machine, str(path))
+    model = None
+    try:
+        model = load_model(base / file.run.model, machine)
+    except RtecError as e:
+        faults.append(str(e))
+    if faults or model is None:
+        raise ConfigError("\n".join(faults))
+    return Setup(path, file, machine, model, digest(_jsonable(data)))
+
+
+def _faults(file: RunFile, machine: Machine, source: str) -> list[str]:
+    out = []
+    for section, axes in (("limits", tuple(file.limits)), ("output", tuple(file.output))):
+        out += [
+            f"{source}: [{section}.{n}] machine {machine.name!r} has no axis {n!r}{nearest(n, machine.axis_names)}"
+            for n in axes
+            if n not in machine.axis_names
+        ]
+    out += [
+        f"{source}: [limits.{a.name}] is missing: axis {a.name} is compensated and needs warning_um, stop_um, "
+        "slew_um_s and acceleration_um_s2; nothing runs without limits"
+        for a in machine.axes
+        if a.compensate and a.name not in file.limits
+    ]
+    roles = {"counts": (file.role.counts,), "actuator": (file.role.actuator,), "temperatures": file.role.temperatures}
+    roles["spindle"] = (file.role.spindle,) if file.role.spindle else ()
+    for role, names in roles.items():
+        out += [
+            f"{source}: [role] {role}: no [device.{name}]{nearest(name, file.device)}"
+            for name in names
+            if name not in file.device
+        ]
+    return out + _capture_faults(file, machine, source)
+
+
+def _capture_faults(file: RunFile, machine: Machine, source: str) -> list[str]:
+    if file.capture is None:
+        return []
+    out = []
+    for section, names, allowed in (
+        ("capture.axis", file.capture.axis, machine.axis_names),
+        ("capture.degc", file.capture.degc, machine.sensor_names),
+    ):
+        out += [
+            f"{source}: [{section}] {n!r} is not of this machine{nearest(n, allowed)}"
+            for n in names
+            if n not in allowed
+        ]
+    return out
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(v) for v in value]
+    return value if isinstance(value, str | int | float | bool) else str(value)

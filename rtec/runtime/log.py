@@ -1,0 +1,186 @@
+"""The log: every sample as read and every command as sent, an Arrow IPC stream that any Arrow program opens.
+
+One column a field of `Samples`, then of `Commands`; vectors are fixed-size lists, and their axis or sensor names
+stand in the column's metadata (`names`), units in `unit`. The schema, written first, carries the header (versions,
+hashes, host, start) as metadata. Batches are uncompressed, so that a reader maps the file and copies nothing.
+A vector of no entries (a machine without sensors) has no column.
+
+The file is only ever appended to, a whole batch at a time. What a kill or power cut leaves after the last whole batch
+is ignored by the reader, and counted in `torn_bytes`.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from rtec.errors import LogError
+from rtec.runtime.log_format import END_MARK, check_columns, read_layout, read_metadata
+from rtec.runtime.log_writer import LogWriter
+from rtec.runtime.records import Commands, Field, Samples
+
+__all__ = ["LogReader", "LogWriter"]
+
+_MAX_PLANS: Final = 256
+_NOTHING: Final = pa.py_buffer(b"")
+_Broken = (pa.ArrowException, OSError, EOFError, ValueError, TypeError, KeyError, OverflowError)
+
+
+class LogReader:
+    """Reads a log by mapping it; memory does not grow with its length, and nothing is copied.
+
+    Attributes:
+        path: the file.
+        header: what the writer was given.
+        layout: names of axes and sensors.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open and check the header.
+
+        Raises:
+            LogError: missing, not an Arrow stream, not a log of rtec, or its columns are wrong.
+        """
+        self.path = path
+        self._map()
+        try:
+            self._schema = pa.ipc.read_schema(pa.ipc.read_message(self._source))
+            metadata = read_metadata(self._schema)
+            self.layout = read_layout(path, metadata)
+            check_columns(path, self._schema, self.layout)
+        except _Broken as error:
+            raise LogError(f"log {path}: not an Arrow IPC stream: {_first_line(error)}") from error
+        self.header = {k: v for k, v in metadata.items() if not k.startswith("rtec.")}
+        self._sample_fields, self._command_fields = Samples.fields_of(self.layout), Commands.fields_of(self.layout)
+        self._first = self._source.tell()
+        self._ends, self._rows_at_end = [self._first], [0]
+        self._plans: dict[bytes, tuple[int, tuple[int, ...]]] = {}
+
+    @property
+    def rows(self) -> int:
+        """Whole rows in the file as it was mapped; reads the head of each batch, not the rows."""
+        self._index()
+        return self._rows_at_end[-1]
+
+    @property
+    def torn_bytes(self) -> int:
+        """Bytes after the last whole batch that are not the mark of a clean end."""
+        self._index()
+        return 0 if self.complete else self.bytes - self._ends[-1]
+
+    @property
+    def complete(self) -> bool:
+        """Whether the writer closed the file: the end mark stands after the last batch."""
+        self._index()
+        self._source.seek(self._ends[-1])
+        return self._source.read(len(END_MARK) + 1) == END_MARK
+
+    def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[tuple[Samples, Commands]]:
+        """Give the rows from `start` on, in blocks of `max_rows` at most, as read-only views of the mapped file.
+
+        Blocks end where the batches of the file do. Views stay good after the reader is closed.
+
+        Raises:
+            LogError: a batch is whole in length but contradicts the header.
+        """
+        at, row = self._seek(start) if start else (self._first, 0)
+        for _, n, offsets, body in self._batches(at):
+            samples, commands = self._views(n, offsets, body)
+            if start <= row and 0 < n <= max_rows:
+                yield samples, commands
+            else:
+                for first in range(max(0, start - row), n, max_rows):
+                    yield samples.rows(first, first + max_rows), commands.rows(first, first + max_rows)
+            row += n
+
+    def refresh(self) -> None:
+        """Map the file again, with what was appended since; earlier views stay good."""
+        self._map()
+
+    def close(self) -> None:
+        """Let go of the file; it stays mapped until the last view is gone."""
+        self._source.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _map(self) -> None:
+        try:
+            self._source = pa.memory_map(str(self.path), "r")
+            self.bytes = self._source.size()
+        except _Broken as error:
+            raise LogError(f"log {self.path}: cannot be opened: {_first_line(error)}") from error
+
+    def _index(self) -> None:
+        """Find the end and row count of every batch not seen yet."""
+        for end, n, _, _ in self._batches(self._ends[-1]):
+            self._ends.append(end)
+            self._rows_at_end.append(self._rows_at_end[-1] + n)
+
+    def _seek(self, row: int) -> tuple[int, int]:
+        """Offset of the batch that holds a row, and its first row."""
+        self._index()
+        i = max(0, int(np.searchsorted(self._rows_at_end, row, side="right")) - 1)
+        return self._ends[i], self._rows_at_end[i]
+
+    def _batches(self, at: int) -> Iterator[tuple[int, int, tuple[int, ...], pa.Buffer]]:
+        """Each whole batch from an offset on: offset of its end, rows, offsets of the columns in its body, body."""
+        while True:
+            self._source.seek(at)
+            try:
+                message = pa.ipc.read_message(self._source)
+                end = self._source.tell()
+                n, offsets = self._plan(message, at)
+            except _Broken:
+                return  # the end, or what a kill or power cut left
+            yield end, n, offsets, message.body or _NOTHING
+            at = end
+
+    def _plan(self, message: pa.Message, at: int) -> tuple[int, tuple[int, ...]]:
+        """Rows of a batch, and offset of each column's numbers in its body.
+
+        Equal heads mean equal plans; looking at each batch anew would take most of the time of reading.
+        """
+        head = message.metadata.to_pybytes()
+        if head not in self._plans:
+            if len(self._plans) >= _MAX_PLANS:
+                self._plans.clear()
+            batch = pa.ipc.read_record_batch(message, self._schema)
+            self._plans[head] = batch.num_rows, self._offsets(batch, message.body or _NOTHING, at)
+        return self._plans[head]
+
+    def _offsets(self, batch: pa.RecordBatch, body: pa.Buffer, at: int) -> tuple[int, ...]:
+        try:
+            batch.validate()
+        except pa.ArrowInvalid as error:
+            raise LogError(f"log {self.path}: batch at byte {at} is damaged: {_first_line(error)}") from error
+        offsets = [values.address - body.address if (values := c.buffers()[-1]) else 0 for c in batch.columns]
+        # Compressed numbers lie elsewhere than in the body.
+        if any(offset % 8 or not 0 <= offset <= body.size for offset in offsets) or body.address % 8:
+            raise LogError(f"log {self.path}: batch at byte {at} is compressed or not aligned to 8 bytes")
+        return tuple(offsets)
+
+    def _views(self, n: int, offsets: tuple[int, ...], body: pa.Buffer) -> tuple[Samples, Commands]:
+        memory, at = memoryview(body), iter(offsets)
+        samples = Samples(*[_view(f, n, memory, at) for f in self._sample_fields])
+        return samples, Commands(*[_view(f, n, memory, at) for f in self._command_fields])
+
+
+def _view(field: Field, n: int, memory: memoryview, offsets: Iterator[int]) -> NDArray[Any]:
+    """An array at the next offset; a vector of no entries has no column."""
+    if field.width == 0:
+        return np.zeros((n, 0), field.dtype)
+    return np.ndarray(field.shape(n), field.dtype, memory, next(offsets))
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

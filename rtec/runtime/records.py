@@ -1,0 +1,144 @@
+"""Sample and command: the two records that cross the line between drivers and the loop, and fill a log.
+
+Both are held as blocks of n rows, one array a field (structure of arrays), so that the loop (n = 1), a replay
+(n = many), the shared-memory ring and the Arrow log use the same memory layout without conversion.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+MODE_OFF = 0
+"""Correction fades to nothing at the slew limit."""
+MODE_ON = 1
+"""Correction follows the model."""
+MODE_HOLD = 2
+"""Correction stays where it is."""
+MODES_BY_NAME = {"off": MODE_OFF, "on": MODE_ON, "hold": MODE_HOLD}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The names behind the columns: axes and sensors in the machine's order."""
+
+    axes: tuple[str, ...]
+    sensors: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a record: `width` None is a scalar a row, else a vector of that length a row."""
+
+    name: str
+    dtype: type[np.generic]
+    width: int | None
+
+    def shape(self, n: int) -> tuple[int, ...]:
+        """Shape of the array that holds this field for n rows."""
+        return (n,) if self.width is None else (n, self.width)
+
+    @property
+    def bytes_per_row(self) -> int:
+        """Bytes that this field takes in one row."""
+        return int(np.dtype(self.dtype).itemsize) * (1 if self.width is None else self.width)
+
+
+class _Block:
+    """Rows of a record; every dataclass field is an array whose first axis is the row."""
+
+    def __len__(self) -> int:
+        return len(next(iter(self.arrays().values())))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays by field name, in the order of the record."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+
+    def rows(self, start: int, stop: int) -> Self:
+        """Give a view of some rows; nothing is copied."""
+        return type(self)(**{name: array[start:stop] for name, array in self.arrays().items()})
+
+    def singles(self) -> Iterator[Self]:
+        """Each row as a block of one."""
+        return (self.rows(i, i + 1) for i in range(len(self)))
+
+    def copy(self) -> Self:
+        """Give a block with memory of its own."""
+        return type(self)(**{name: array.copy() for name, array in self.arrays().items()})
+
+
+@dataclass(frozen=True)
+class Samples(_Block):
+    """What was read: n rows.
+
+    Attributes:
+        time_ns: the loop's instant, monotonic clock.
+        mode: MODE_OFF, MODE_ON or MODE_HOLD as ordered for this cycle.
+        counts_time_ns: instant at which the counts were latched.
+        counts: raw counts after x4, (n, axes).
+        degc: temperatures, °C, (n, sensors); NaN where a sensor has given none yet.
+        degc_time_ns: their instants of acquisition, (n, sensors).
+        spindle_rpm: spindle speed, 1/min, signed; NaN where not known.
+    """
+
+    time_ns: NDArray[np.int64]
+    mode: NDArray[np.int8]
+    counts_time_ns: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    degc: NDArray[np.float64]
+    degc_time_ns: NDArray[np.int64]
+    spindle_rpm: NDArray[np.float64]
+
+    @staticmethod
+    def fields_of(layout: Layout) -> tuple[Field, ...]:
+        """The fields of a sample on a machine with these axes and sensors."""
+        a, s = len(layout.axes), len(layout.sensors)
+        return (
+            Field("time_ns", np.int64, None),
+            Field("mode", np.int8, None),
+            Field("counts_time_ns", np.int64, None),
+            Field("counts", np.int64, a),
+            Field("degc", np.float64, s),
+            Field("degc_time_ns", np.int64, s),
+            Field("spindle_rpm", np.float64, None),
+        )
+
+    @classmethod
+    def empty(cls, layout: Layout, n: int) -> Self:
+        """N rows of zeros."""
+        return cls(**{f.name: np.zeros(f.shape(n), f.dtype) for f in cls.fields_of(layout)})
+
+
+@dataclass(frozen=True)
+class Commands(_Block):
+    """What was sent: n rows, one for each sample.
+
+    Attributes:
+        requested_um: correction that the model asks for, µm along each axis, (n, axes).
+        applied_um: correction after the guard, µm, (n, axes).
+        output: absolute output in the sink's integer units (for pulses: inserted counts), (n, axes).
+        flags: bits of `rtec.correction.guard.Flag`.
+    """
+
+    requested_um: NDArray[np.float64]
+    applied_um: NDArray[np.float64]
+    output: NDArray[np.int64]
+    flags: NDArray[np.int64]
+
+    @staticmethod
+    def fields_of(layout: Layout) -> tuple[Field, ...]:
+        """The fields of a command on a machine with these axes."""
+        a = len(layout.axes)
+        return (
+            Field("requested_um", np.float64, a),
+            Field("applied_um", np.float64, a),
+            Field("output", np.int64, a),
+            Field("flags", np.int64, None),
+        )
+
+    @classmethod
+    def empty(cls, layout: Layout, n: int) -> Self:
+        """N rows of zeros."""
+        return cls(**{f.name: np.zeros(f.shape(n), f.dtype) for f in cls.fields_of(layout)})

@@ -1,0 +1,151 @@
+"""Replay: a log through the same step, on a virtual clock, as fast as it goes; memory does not grow with its length."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import LogError
+from rtec.runtime.config import Setup
+from rtec.runtime.log import LogReader, LogWriter
+from rtec.runtime.records import Commands, Layout
+from rtec.runtime.step import Step
+
+MOST_DIFFERENCES = 20
+BLOCK_ROWS = 65_536
+
+
+@dataclass
+class Difference:
+    """One field of one row that came out otherwise than logged."""
+
+    row: int
+    field: str
+    logged: str
+    replayed: str
+
+
+@dataclass
+class ReplayReport:
+    """What a replay came to.
+
+    Attributes:
+        rows: rows stepped through.
+        different: rows that differ from the log in any field, when checked.
+        differences: the first few of them.
+        notes: ways in which the run file is not the one that the log was made with.
+        torn_bytes: bytes behind the log's last whole batch.
+        out: where the commands were written.
+    """
+
+    rows: int = 0
+    different: int = 0
+    differences: list[Difference] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    torn_bytes: int = 0
+    out: Path | None = None
+
+
+def replay_log(
+    setup: Setup,
+    log: Path,
+    out: Path | None = None,
+    check: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> ReplayReport:
+    """Step through a log.
+
+    Args:
+        setup: whose model, limits and machine are used.
+        log: a log of `rtec run`.
+        out: a new log with the same samples and the commands of now.
+        check: compare every field of every command, bit for bit.
+        progress: told rows done and rows in all.
+
+    Raises:
+        LogError: the log cannot be read, or is of a machine with other axes or sensors.
+    """
+    step = Step(setup.step_settings())
+    report = ReplayReport()
+    with LogReader(log) as reader:
+        _check_layout(reader, step.layout, log)
+        report.notes = _notes(reader.header, setup)
+        step.resume(_initial_output(reader.header, step.layout, log))
+        total = reader.rows
+        writer = None if out is None else LogWriter(out, step.layout, {**setup.log_header(), "replay_of": log.name})
+        try:
+            for samples, logged in reader.blocks(BLOCK_ROWS):
+                commands = step.run(samples)
+                if check:
+                    _compare(report, logged, commands)
+                if writer is not None:
+                    writer.write(samples, commands)
+                report.rows += len(samples)
+                if progress is not None:
+                    progress(report.rows, total)
+        finally:
+            if writer is not None:
+                writer.close()
+        report.torn_bytes = reader.torn_bytes
+    report.out = out
+    return report
+
+
+def _check_layout(reader: LogReader, layout: Layout, log: Path) -> None:
+    for what in ("axes", "sensors"):
+        logged, wanted = getattr(reader.layout, what), getattr(layout, what)
+        if logged != wanted:
+            raise LogError(
+                f"{log}: has {what} {', '.join(logged) or 'none'}; the machine of this run file has "
+                f"{', '.join(wanted) or 'none'}"
+            )
+
+
+def _notes(header: dict[str, str], setup: Setup) -> list[str]:
+    """In words, which of machine, model and run file changed since the log was written."""
+    now = setup.log_header()
+    out = []
+    for key, what in (
+        ("machine_sha256", "machine"),
+        ("model_sha256", "model"),
+        ("config_sha256", "run file"),
+        ("rtec_version", "version of rtec"),
+    ):
+        if header.get(key) != now[key]:
+            out.append(f"the {what} is not the one that the log was made with")
+    return out
+
+
+def _initial_output(header: dict[str, str], layout: Layout, log: Path) -> NDArray[np.int64]:
+    """The ledger that the run began with; nothing where the log does not say."""
+    try:
+        values = json.loads(header.get("initial_output", "[]")) or [0] * len(layout.axes)
+        out = np.array(values, dtype=np.int64)
+        if out.shape != (len(layout.axes),):
+            raise ValueError("wrong length")
+    except (ValueError, TypeError, OverflowError) as e:
+        raise LogError(f"{log}: header initial_output is not one integer an axis") from e
+    return out
+
+
+def _compare(report: ReplayReport, logged: Commands, replayed: Commands) -> None:
+    wrong = np.zeros(len(logged), dtype=bool)
+    for name, ours in replayed.arrays().items():
+        theirs = getattr(logged, name)
+        if np.array_equal(_bits(ours), _bits(theirs)):
+            continue
+        rows = (_bits(ours) != _bits(theirs)).reshape(len(ours), -1).any(axis=1)
+        for row in np.flatnonzero(rows)[: MOST_DIFFERENCES - len(report.differences)]:
+            found = Difference(report.rows + int(row), name, str(theirs[row].tolist()), str(ours[row].tolist()))
+            report.differences.append(found)
+        wrong |= rows
+    report.different += int(np.count_nonzero(wrong))
+
+
+def _bits(array: NDArray[Any]) -> NDArray[Any]:
+    """The same memory as integers, so that a NaN equals itself and -0 is not 0."""
+    return np.ascontiguousarray(array).view(np.int64) if array.dtype == np.float64 else array

@@ -1,0 +1,195 @@
+"""Replay of a logic-analyser capture: real encoder lines in, the same step, corrected lines out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.correction.insertion import InsertionSettings, correct_capture
+from rtec.correction.quadrature import Edges, counts_at, decode_edges, pack
+from rtec.correction.sinks import PulseSink
+from rtec.errors import ConfigError
+from rtec.machine import Axis
+from rtec.runtime import sigrok
+from rtec.runtime.config import CaptureAxis, CaptureTable, Setup
+from rtec.runtime.records import MODES_BY_NAME, Layout, Samples
+from rtec.runtime.step import Step
+
+Ints = NDArray[np.int64]
+Column = NDArray[np.float64] | Ints
+
+
+@dataclass(frozen=True)
+class CaptureAxisReport:
+    """What happened to one axis of a capture.
+
+    Attributes:
+        raw_counts, inserted_counts, corrected_counts: at the end of the record; the first two sum to the third.
+        illegal: transitions of both lines at once in the capture; they pass as they are.
+        illegal_out: the same in the corrected stream.
+        waiting_counts: counts that found no room.
+    """
+
+    raw_counts: int
+    inserted_counts: int
+    corrected_counts: int
+    illegal: int
+    illegal_out: int
+    waiting_counts: int
+
+
+@dataclass(frozen=True)
+class CaptureReport:
+    """What a capture's replay came to."""
+
+    samples: int
+    duration_s: float
+    cycles: int
+    axes: dict[str, CaptureAxisReport]
+    capture_out: Path
+    table_out: Path
+
+
+def replay_capture(
+    setup: Setup, path: Path, out: Path, table: Path, progress: Callable[[int, int], None] | None = None
+) -> CaptureReport:
+    """Run a capture through decoder, step and pulse insertion.
+
+    Args:
+        setup: with a `[capture]` section that names the channels.
+        path: the capture.
+        out: corrected capture; every line but A and B of the named axes is as it was.
+        table: counts and corrections cycle by cycle, CSV.
+        progress: told stages done and stages in all.
+
+    Raises:
+        ConfigError: no `[capture]` section, or an axis' sink does not insert pulses.
+        LogError: the capture cannot be read, or has no such channels.
+    """
+    wanted = _wanted(setup)
+    tell = progress or (lambda *_: None)
+    stages = 3 + len(wanted.axis)
+    capture = sigrok.read(path)
+    tell(1, stages)
+    edges = {name: decode_edges(*capture.pair(a.a, a.b)) for name, a in wanted.axis.items()}
+    step = Step(setup.step_settings())
+    samples = _samples(setup, wanted, capture, edges, step.layout)
+    commands = step.run(samples)
+    tell(2, stages)
+    at = _sample_index(setup, capture, len(samples))
+    words = capture.samples.copy()
+    reports: dict[str, CaptureAxisReport] = {}
+    columns: dict[str, Column] = {"time_s": np.asarray(samples.time_ns * 1e-9, dtype=np.float64)}
+    for k, (name, lines) in enumerate(wanted.axis.items()):
+        i = step.layout.axes.index(name)
+        output = commands.output[:, i]
+        axis_report, corrected = _correct(setup, name, lines, capture, at, output, words)
+        reports[name] = axis_report
+        raw = counts_at(edges[name], at)
+        columns |= {
+            f"raw_{name}_counts": raw,
+            f"inserted_{name}_counts": counts_at(corrected, at) - raw,
+            f"corrected_{name}_counts": counts_at(corrected, at),
+            f"requested_{name}_um": commands.requested_um[:, i],
+            f"applied_{name}_um": commands.applied_um[:, i],
+        }
+        tell(3 + k, stages)
+    sigrok.write(out, sigrok.Capture(capture.samplerate_hz, capture.channels, words, out.name))
+    _write_table(table, columns)
+    tell(stages, stages)
+    n = len(capture.samples)
+    return CaptureReport(n, n / capture.samplerate_hz, len(samples), reports, out, table)
+
+
+def _wanted(setup: Setup) -> CaptureTable:
+    if setup.file.capture is None:
+        raise ConfigError(
+            f"{setup.path}: a capture needs a [capture] section that names the channels, for example\n"
+            '[capture.axis.X]\na = "A"\nb = "B"'
+        )
+    for name in setup.file.capture.axis:
+        sink = setup.file.output.get(name, PulseSink())
+        if not isinstance(sink, PulseSink):
+            raise ConfigError(f"{setup.path}: [output.{name}] kind {sink.kind!r}: a capture's correction is by 'pulse'")
+    return setup.file.capture
+
+
+def _sample_index(setup: Setup, capture: sigrok.Capture, cycles: int) -> Ints:
+    """The capture's sample at each cycle."""
+    time_s = np.arange(cycles) * setup.period_ns * 1e-9
+    return np.minimum((time_s * capture.samplerate_hz).astype(np.int64), len(capture.samples) - 1)
+
+
+def _samples(
+    setup: Setup, wanted: CaptureTable, capture: sigrok.Capture, edges: dict[str, Edges], layout: Layout
+) -> Samples:
+    machine = setup.machine
+    duration_ns = len(capture.samples) * 1e9 / capture.samplerate_hz
+    cycles = max(1, int(duration_ns // setup.period_ns))
+    out = Samples.empty(layout, cycles)
+    out.time_ns[:] = np.arange(cycles) * setup.period_ns
+    out.counts_time_ns[:] = out.time_ns
+    out.mode[:] = MODES_BY_NAME[setup.file.run.mode]
+    out.degc[:] = [wanted.degc.get(name, setup.model.reference_degc) for name in machine.sensor_names]
+    out.degc_time_ns[:] = out.time_ns[:, None]
+    out.spindle_rpm[:] = wanted.spindle_rpm
+    at = _sample_index(setup, capture, cycles)
+    for i, axis in enumerate(machine.axes):
+        if axis.name in edges:
+            out.counts[:, i] = _start(axis, wanted.axis[axis.name]) + counts_at(edges[axis.name], at)
+    return out
+
+
+def _start(axis: Axis, lines: CaptureAxis) -> int:
+    return round(lines.start_mm * axis.counts_per_mm)
+
+
+def _correct(
+    setup: Setup,
+    name: str,
+    lines: CaptureAxis,
+    capture: sigrok.Capture,
+    at: Ints,
+    output: Ints,
+    words: NDArray[np.uint8],
+) -> tuple[CaptureAxisReport, Edges]:
+    """Insert one axis' counts; writes its corrected lines into `words`."""
+    sink = setup.file.output.get(name, PulseSink())
+    rate = sink.max_counts_per_s if isinstance(sink, PulseSink) else 1.0
+    cycle = isinstance(sink, PulseSink) and sink.quantum_counts == 4
+    settings = InsertionSettings(
+        max(1, round(lines.min_edge_separation_us * 1e-6 * capture.samplerate_hz)),
+        max(1, round(capture.samplerate_hz / rate)),
+        "cycle" if cycle else "count",
+    )
+    changes = np.flatnonzero(np.diff(output, prepend=0))
+    a, b = capture.line(lines.a), capture.line(lines.b)
+    corrected, inserter = correct_capture(a, b, None, settings, target_at=at[changes], target_counts=output[changes])
+    for line, channel in ((corrected.a, lines.a), (corrected.b, lines.b)):
+        bit = words.dtype.type(1 << capture.bit(channel))
+        words &= ~bit
+        words |= line.astype(words.dtype) * bit
+    edges = decode_edges(pack(corrected.a, corrected.b), 0, 1)
+    report = CaptureAxisReport(
+        raw_counts=inserter.raw_counts,
+        inserted_counts=inserter.inserted_counts,
+        corrected_counts=inserter.corrected_counts,
+        illegal=inserter.illegal_transitions,
+        illegal_out=len(edges.illegal_index),
+        waiting_counts=inserter.waiting_counts,
+    )
+    return report, edges
+
+
+def _write_table(path: Path, columns: dict[str, Column]) -> None:
+    lines = [",".join(columns)]
+    forms = ["%d" if c.dtype == np.int64 else "%.6f" for c in columns.values()]
+    lines += [
+        ",".join(form % value for form, value in zip(forms, row, strict=True))
+        for row in zip(*columns.values(), strict=True)
+    ]
+    part = path.with_name(path.name + ".part")
+    part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    part.replace(path)

@@ -1,0 +1,290 @@
+"""A ring of samples and commands in shared memory: the fast path writes, the supervisor drains.
+
+One slot a cycle, one producer, one consumer, each in a process of its own. Memory, in this order, each part on
+64-byte lines: constants, words that the producer writes, words that the consumer writes, the names of axes and
+sensors (JSON), then each field of `Samples` and `Commands` as one array of `capacity` slots.
+
+No row is ever torn. The producer owns the slot of row `head` until `publish` moves `head`; so with head at h the
+rows h - capacity + 1 ... h - 1 are whole. The consumer copies rows, then reads `head` again and drops those that
+may have been overwritten meanwhile. Rows that it could not have are counted in `overruns`; the producer never waits.
+
+The memory is a file in /dev/shm, which is what POSIX shared memory is on Linux, mapped directly:
+`multiprocessing.shared_memory` (before Python 3.13) hands every attached block to a resource tracker, which removes
+it when any one of the processes ends. Also its memory is not reserved, so that a full /dev/shm is a SIGBUS
+at some later write; here it is an error at creation.
+
+Nothing leaks: the owner removes the name on leaving. A name left by a killed owner is found out by its lock, which
+the kernel releases with the process, and taken over by the next `create` of that name; where both sides are attached
+the owner may also call `unlink` at once, and then the memory goes with the last process, however that ends.
+"""
+
+import fcntl
+import json
+import mmap
+import os
+import secrets
+import threading
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import RtecError
+from rtec.runtime.records import Commands, Field, Layout, Samples
+
+_SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
+_MAGIC: Final = int.from_bytes(b"rtecrng1", "little")
+_LINE: Final = 64
+_MAGIC_AT, _CAPACITY_AT, _NAMES_BYTES_AT = 0, 1, 2
+_HEAD_AT, _TAIL_AT = 8, 16
+_NAMES_OFFSET: Final = 3 * _LINE
+
+
+class _Word:
+    """One int64 of the control block as an attribute."""
+
+    def __init__(self, index: int, doc: str) -> None:
+        self._index = index
+        self.__doc__ = doc
+
+    @overload
+    def __get__(self, ring: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, ring: "Ring", owner: type) -> int: ...
+    def __get__(self, ring: "Ring | None", owner: type) -> "Self | int":
+        return self if ring is None else int(ring._words[self._index])
+
+    def __set__(self, ring: "Ring", value: int) -> None:
+        ring._words[self._index] = value
+
+
+class Ring:
+    """Single-producer single-consumer ring; make it with `create`, open it elsewhere with `attach`.
+
+    Attributes:
+        name: what `attach` takes.
+        layout: names of axes and sensors.
+        capacity: slots; at most capacity - 1 rows wait.
+    """
+
+    head = _Word(_HEAD_AT, "Rows published so far; the number of the row that the producer owns.")
+    producer_heartbeat_ns = _Word(9, "Monotonic instant at which the producer last showed life, ns.")
+    cycles = _Word(10, "Cycles done by the producer.")
+    deadline_misses = _Word(11, "Cycles that ended after their deadline.")
+    error_code = _Word(12, "Last error of the producer; 0 none. The meaning is the loop's.")
+    tail = _Word(_TAIL_AT, "Rows delivered or lost so far: the number of the next row to drain.")
+    overruns = _Word(17, "Rows lost because the consumer was a whole ring behind.")
+    consumer_heartbeat_ns = _Word(18, "Monotonic instant at which the consumer last showed life, ns.")
+    stop_requested = _Word(19, "Not 0 when the consumer's side wants the producer to end.")
+    ordered_mode = _Word(20, "MODE_OFF, MODE_ON or MODE_HOLD as ordered by the consumer's side.")
+
+    def __init__(self, name: str, fd: int, layout: Layout, capacity: int, *, owner: bool) -> None:
+        self.name, self.layout, self.capacity = name, layout, capacity
+        self._fd, self._owner_pid = fd, os.getpid() if owner else None
+        offsets, size = _plan(layout, capacity)
+        memory = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self._words = np.frombuffer(memory, np.int64, _NAMES_OFFSET // 8)
+        arrays = {f.name: _array(memory, f, capacity, at) for f, at in offsets}
+        self._samples = Samples(**{f.name: arrays[f.name] for f in Samples.fields_of(layout)})
+        self._commands = Commands(**{f.name: arrays[f.name] for f in Commands.fields_of(layout)})
+        self._published = self.head
+        fence = threading.Lock()
+        self._release, self._acquire = fence.release, fence.acquire
+        self._acquire()
+
+    @classmethod
+    def create(cls, layout: Layout, capacity: int = 8192, name: str | None = None) -> Self:
+        """Make the memory, all zero, and own its name.
+
+        Args:
+            layout: names of axes and sensors.
+            capacity: slots, at least 2.
+            name: without a slash; a free one is chosen when None.
+
+        Raises:
+            RtecError: a living process owns that name, or there is no room in /dev/shm.
+        """
+        if capacity < 2:
+            raise RtecError(f"ring capacity {capacity}: at least 2 slots are needed")
+        name = name or f"rtec-{os.getpid()}-{secrets.token_hex(4)}"
+        fd = _create_file(_path(name), _plan(layout, capacity)[1])
+        names = _names(layout)
+        os.pwrite(fd, names, _NAMES_OFFSET)
+        os.pwrite(fd, np.array([_MAGIC, capacity, len(names)], np.int64).tobytes(), 0)
+        return cls(name, fd, layout, capacity, owner=True)
+
+    @classmethod
+    def attach(cls, name: str) -> Self:
+        """Open a ring that another process made.
+
+        Raises:
+            RtecError: there is no ring of that name, or it is something else.
+        """
+        path = _path(name)
+        try:
+            fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+        except OSError as error:
+            raise RtecError(f"ring {path}: cannot be opened: {error.strerror}") from error
+        try:
+            layout, capacity = _read_constants(fd, path)
+            return cls(name, fd, layout, capacity, owner=False)
+        except BaseException:
+            os.close(fd)
+            raise
+
+    @cached_property
+    def slots(self) -> list[tuple[Samples, Commands]]:
+        """One-row views of every slot; the first use makes them all (tens of ms), so use it before the loop starts."""
+        return list(zip(self._samples.singles(), self._commands.singles(), strict=True))
+
+    def slot(self, row: int) -> tuple[Samples, Commands]:
+        """Views into the memory of a row; the producer fills *every* field of row `head`, then publishes it.
+
+        What stands there before is the row of `capacity` cycles ago.
+        """
+        return self.slots[row % self.capacity]
+
+    def publish(self) -> int:
+        """Hand row `head` to the consumer; give the number of the next row."""
+        self._published = row = self._published + 1
+        # The barriers (see `_barrier`; without its call here) keep the order row, head, next row in the eyes of
+        # other processors.
+        self._release()
+        self._acquire()
+        self._words[_HEAD_AT] = row
+        self._release()
+        self._acquire()
+        return row
+
+    def drain(self, max_rows: int = 1 << 30) -> tuple[Samples, Commands]:
+        """Copy and take up to `max_rows` of the oldest rows that are still whole; none is a block of 0 rows."""
+        head, tail = self.head, self.tail
+        self._barrier()
+        first = max(tail, head - self.capacity + 1)
+        stop = min(head, first + max_rows)
+        index = np.arange(first, stop) % self.capacity
+        samples = Samples(**{k: a.take(index, axis=0) for k, a in self._samples.arrays().items()})
+        commands = Commands(**{k: a.take(index, axis=0) for k, a in self._commands.arrays().items()})
+        self._barrier()
+        # Rows below this may have been overwritten while they were copied.
+        whole = min(max(first, self.head - self.capacity + 1), stop)
+        self.overruns += whole - tail
+        self.tail = stop
+        return samples.rows(whole - first, len(index)), commands.rows(whole - first, len(index))
+
+    def unlink(self) -> None:
+        """Remove the name, once, by the owner; both sides keep the memory. Elsewhere and later it does nothing."""
+        if self._owner_pid == os.getpid():
+            self._owner_pid = None
+            _path(self.name).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Let go of the memory, which stays mapped until the last view of it is gone; the owner removes the name."""
+        self.unlink()
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+        self.__dict__.pop("slots", None)
+        empty = np.zeros(_NAMES_OFFSET // 8, np.int64)
+        empty[:] = self._words
+        self._words = empty
+        self._samples, self._commands = Samples.empty(self.layout, 0), Commands.empty(self.layout, 0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _barrier(self) -> None:
+        """Full memory barrier: releasing, then taking a lock. x86 orders stores by itself, ARM does not."""
+        self._release()
+        self._acquire()
+
+
+def _plan(layout: Layout, capacity: int) -> tuple[list[tuple[Field, int]], int]:
+    """Offset of every field and the size of it all, bytes."""
+    at, offsets = _aligned(_NAMES_OFFSET + len(_names(layout))), []
+    for field in (*Samples.fields_of(layout), *Commands.fields_of(layout)):
+        offsets.append((field, at))
+        at = _aligned(at + field.bytes_per_row * capacity)
+    return offsets, at
+
+
+def _aligned(offset: int) -> int:
+    return -(-offset // _LINE) * _LINE
+
+
+def _array(memory: mmap.mmap, field: Field, capacity: int, at: int) -> NDArray[Any]:
+    shape = field.shape(capacity)
+    count = capacity * (1 if field.width is None else field.width)
+    return np.frombuffer(memory, field.dtype, count, at).reshape(shape)
+
+
+def _names(layout: Layout) -> bytes:
+    return json.dumps([layout.axes, layout.sensors]).encode()
+
+
+def _path(name: str) -> Path:
+    if not name or "/" in name or name.startswith("."):
+        raise RtecError(f"ring name {name!r}: a plain name without a slash is needed")
+    return _SHM / name
+
+
+def _create_file(path: Path, size: int) -> int:
+    """A new locked file of that many zeros, in place of one whose owner is dead."""
+    _remove_dead(path)
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise RtecError(f"ring {path}: cannot be made: {error.strerror}") from error
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.posix_fallocate(fd, 0, size)
+    except OSError as error:
+        os.close(fd)
+        path.unlink(missing_ok=True)
+        raise RtecError(f"ring {path}: no room for {size} bytes: {error.strerror}") from error
+    return fd
+
+
+def _remove_dead(path: Path) -> None:
+    """Remove a ring whose owner was killed; its lock is free then."""
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise RtecError(f"ring {path}: cannot be opened: {error.strerror}") from error
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Somebody else may have replaced the file between the two calls above.
+        if path.exists() and os.path.samestat(os.fstat(fd), path.stat()):
+            path.unlink()
+    except BlockingIOError as error:
+        raise RtecError(f"ring {path}: in use by a running process; end that first, or choose another name") from error
+    finally:
+        os.close(fd)
+
+
+def _read_constants(fd: int, path: Path) -> tuple[Layout, int]:
+    """Layout and capacity of a ring file, checked against its size."""
+    wrong = RtecError(f"ring {path}: not a ring of this version of rtec")
+    words = np.frombuffer(os.pread(fd, _LINE, 0).ljust(_LINE, b"\0"), np.int64)
+    capacity, names_bytes = int(words[_CAPACITY_AT]), int(words[_NAMES_BYTES_AT])
+    size = os.fstat(fd).st_size
+    if words[_MAGIC_AT] != _MAGIC or not 2 <= capacity <= size or not 0 < names_bytes <= size:
+        raise wrong
+    try:
+        axes, sensors = json.loads(os.pread(fd, names_bytes, _NAMES_OFFSET))
+        layout = Layout(tuple(map(str, axes)), tuple(map(str, sensors)))
+    except (ValueError, TypeError) as error:
+        raise wrong from error
+    if _plan(layout, capacity)[1] != size:
+        raise wrong
+    return layout, capacity

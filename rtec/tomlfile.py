@@ -1,0 +1,131 @@
+"""Reading TOML into strict pydantic models, with messages that say which key, where, and what is allowed."""
+
+import difflib
+import hashlib
+import json
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from rtec.errors import ConfigError, RtecError
+
+M = TypeVar("M", bound=BaseModel)
+MAX_BYTES = 64 * 1024 * 1024
+
+
+class Strict(BaseModel):
+    """Base of everything read from a file: unknown keys are errors, values are not changed afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
+
+
+def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any]:
+    """Give the tables of a TOML file.
+
+    Raises:
+        error: the file is missing, too large, not UTF-8 or not TOML; the message names file and line.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise error(f"{path}: larger than {MAX_BYTES // 2**20} MiB, which no configuration is")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as e:
+        raise error(f"{path}: no such file") from e
+    except IsADirectoryError as e:
+        raise error(f"{path}: is a folder, not a file") from e
+    except PermissionError as e:
+        raise error(f"{path}: may not be read by this user") from e
+    except UnicodeDecodeError as e:
+        raise error(f"{path}: not UTF-8 text (byte {e.start})") from e
+    except RecursionError as e:
+        raise error(f"{path}: nested too deeply") from e
+    except OSError as e:
+        raise error(f"{path}: cannot be read: {e.strerror}") from e
+    except ValueError as e:  # TOMLDecodeError is one; a number of thousands of digits is another
+        raise error(f"{path}: not valid TOML: {e}") from e
+
+
+def validated(kind: type[M], data: object, source: str, error: type[RtecError] = ConfigError) -> M:
+    """Check `data` against a model class.
+
+    Raises:
+        error: all faults at once, one a line, each naming source, section, key and what is allowed.
+    """
+    try:
+        return kind.model_validate(data)
+    except ValidationError as e:
+        raise error("\n".join(_fault(kind, item, source) for item in e.errors())) from e
+
+
+def digest(value: object) -> str:
+    """SHA-256 of a value's canonical JSON: the same content gives the same digest, whatever its formatting."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def nearest(word: str, allowed: typing.Iterable[str]) -> str:
+    """' (did you mean …?)' for the closest allowed word, or the list of all when none is close."""
+    names = sorted(allowed)
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; allowed: {', '.join(names)}" if names else ""
+
+
+def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str) -> str:
+    loc = _joined(item["loc"])
+    if item["type"] == "extra_forbidden":
+        key = str(loc[-1])
+        return f"{source}: {_section(loc[:-1])}unknown key {key!r}{nearest(key, _keys_at(kind, loc[:-1]))}"
+    if item["type"] == "missing" and isinstance(item["loc"][-1], int):
+        return f"{source}: {_section(loc[:-1])}{loc[-1]}: is missing"
+    if item["type"] == "missing":
+        return f"{source}: {_section(loc[:-1])}key {str(loc[-1])!r} is missing"
+    if item["type"] == "model_type":
+        return f"{source}: {_section(loc)}must be a table, found {item.get('input')!r}"
+    found = item.get("input")
+    shown = f", found {found!r}" if isinstance(found, str | int | float | bool) else ""
+    message = str(item["msg"]).removeprefix("Value error, ")
+    where = f"{_section(loc[:-1])}{loc[-1]}: " if loc else ""
+    return f"{source}: {where}{message}{shown}"
+
+
+def _joined(loc: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Put the numbers of list items that end a place behind their key: `travel_mm`, 0 to `travel_mm[0]`."""
+    key = len(loc)
+    while key > 1 and isinstance(loc[key - 1], int):
+        key -= 1
+    return (*loc[: key - 1], str(loc[key - 1]) + "".join(f"[{i}]" for i in loc[key:])) if loc else ()
+
+
+def _section(loc: tuple[Any, ...]) -> str:
+    if not loc:
+        return ""
+    text = ""
+    for part in loc:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}"
+    return f"[{text.lstrip('.')}] "
+
+
+def _keys_at(kind: Any, loc: tuple[Any, ...]) -> set[str]:
+    """Keys allowed at a place of a model class; follows dicts, lists, optionals and unions."""
+    origin = get_origin(kind)
+    if origin in (typing.Union, types.UnionType):
+        return set().union(*(_keys_at(k, loc) for k in get_args(kind)))
+    if origin is typing.Annotated:
+        return _keys_at(get_args(kind)[0], loc)
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if not loc:
+            return {field.alias or name for name, field in kind.model_fields.items()}
+        by_key = {field.alias or name: field for name, field in kind.model_fields.items()}
+        field = by_key.get(str(loc[0]))
+        # A tagged union puts its tag into the place; it is no key, so it is stepped over.
+        return _keys_at(field.annotation, loc[1:]) if field else _keys_at(kind, loc[1:])
+    if origin in (dict, list, tuple) and loc:
+        return _keys_at(get_args(kind)[1 if origin is dict else 0], loc[1:])
+    return set()
