@@ -41,7 +41,7 @@ def _sign(x: int) -> int:
 def _take_targets(targets: Any, next_target: int, state: Any) -> int:
     """Make the latest entry that is due the target."""
     at, counts = targets
-    while next_target < len(at) and at[next_target] < state[AT]:
+    while next_target < len(at) and at[next_target] <= state[AT]:
         state[TARGET] = counts[next_target]
         next_target += 1
     return next_target

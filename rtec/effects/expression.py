@@ -135,5 +135,6 @@ class _Probe:
         return self._values[sensor]
 
     def lagged(self, value: Value, tau_s: Value) -> Value:
-        del tau_s
+        if np.ndim(tau_s):
+            raise ModelError("the time constant of lag() is a number or a parameter, not a channel")
         return value

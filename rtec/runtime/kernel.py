@@ -67,7 +67,7 @@ def write_step(machine: Machine, kernel: KernelSource, parameters: int) -> StepS
     floats = Places(
         m=kernel.memory, q=a, d=a, extreme=a, u=s + 1, target=a, now=a, speed=a, allowance=a,
     )  # fmt: skip
-    ints = Places(started=1, last=1, ready=1, slow_at=1, held_at=1, degc_at=s, out=a, due=a)
+    ints = Places(started=1, last=1, ready=1, slow_at=1, slow_why=1, oldest=1, held_at=1, degc_at=s, out=a, due=a)
     text = "\n".join([IMPORTS + kernel.text, "", *_step_lines(machine, kernel, [numbers, times, floats, ints]), ""])
     return StepSource(text, numbers, times, floats, ints)
 
@@ -79,9 +79,12 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
     keep += [f"u[{s}] = degc[n, {s}]" for s in kernel.sensors]
     keep += [f"u[{spindle}] = spindle_rpm[n]"] if kernel.uses_spindle else []
     active = [i for i, axis in enumerate(machine.axes) if axis.compensate]
+    news = [f"changed |= degc_time_ns[n, {s}] != degc_at[{s}]" for s in kernel.sensors]
+    news += [f"changed |= spindle_rpm[n] != u[{spindle}]"] if kernel.uses_spindle else []
     wanted = [f"target[{i}] = -tip[{'XYZ'.index(machine.axes[i].direction)}]" for i in active]
     blocks = {
         "names": names,
+        "news": news,
         "sensors": [line for s in kernel.sensors for line in _SENSOR.format(s=s).splitlines()],
         "spindle": _SPINDLE.format(s=spindle).splitlines() if kernel.uses_spindle else [],
         "keep": keep,
@@ -108,30 +111,24 @@ def _filled(template: str, blocks: dict[str, list[str]], words: dict[str, str]) 
 
 _SENSOR = """\
 value = degc[n, {s}]
-at = degc_time_ns[n, {s}]
+oldest[0] = min(oldest[0], degc_time_ns[n, {s}])
 if value != value:
-    why |= 2
+    slow_why[0] |= 2
     broken = True
 elif value < s_low[{s}] or value > s_high[{s}]:
-    why |= 4
+    slow_why[0] |= 4
     broken = True
 elif value < u_low[{s}] or value > u_high[{s}]:
-    why |= 8
-if t - at > max_age[1]:
-    why |= 2
-if at != degc_at[{s}]:
-    changed = True
+    slow_why[0] |= 8
 """
 
 _SPINDLE = """\
 value = spindle_rpm[n]
 if value != value:
-    why |= 2
+    slow_why[0] |= 2
     broken = True
 elif value < u_low[{s}] or value > u_high[{s}]:
-    why |= 8
-if value != u[{s}]:
-    changed = True
+    slow_why[0] |= 8
 """
 
 _STEP = '''
@@ -162,16 +159,23 @@ def step(
             d[a], extreme[a] = direction_update(d[a], extreme[a], q[a], dead_band[a])
             if q[a] < q_low[a] or q[a] > q_high[a]:
                 why |= 8
+        # Temperatures are looked at when one has a new instant; what was found then stands until the next.
         changed = ready[0] == 0
-        broken = False
-        {sensors}
-        {spindle}
-        # State to tip error: the slow part only when a sensor has something new.
-        if changed and not broken:
-            {keep}
-            slow_part(m, p, u, (t - slow_at[0]) * 1e-9, ready[0] == 0)
-            ready[0] = 1
-            slow_at[0] = t
+        {news}
+        if changed:
+            slow_why[0] = 0
+            oldest[0] = t
+            broken = False
+            {sensors}
+            {spindle}
+            if not broken:
+                {keep}
+                slow_part(m, p, u, (t - slow_at[0]) * 1e-9, ready[0] == 0)
+                ready[0] = 1
+                slow_at[0] = t
+        why |= slow_why[0]
+        if t - oldest[0] > max_age[1]:
+            why |= 2
         order = mode[n]
         if ready[0] == 1:
             tip = fast_part(m, q, d)

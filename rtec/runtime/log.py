@@ -9,6 +9,7 @@ The file is only ever appended to, a whole batch at a time. What a kill or power
 is ignored by the reader, and counted in `torn_bytes`.
 """
 
+import mmap
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -80,9 +81,9 @@ class LogReader:
         return self._source.read(len(END_MARK) + 1) == END_MARK
 
     def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[tuple[Samples, Commands]]:
-        """Give the rows from `start` on, in blocks of `max_rows` at most, as read-only views of the mapped file.
+        """Give the rows from `start` on, in blocks of `max_rows` at most, as views of the mapped file.
 
-        Blocks end where the batches of the file do. Views stay good after the reader is closed.
+        The mapping is private: writing to a view changes no file. Blocks end where the batches of the file do. Views stay good after the reader is closed.
 
         Raises:
             LogError: a batch is whole in length but contradicts the header.
@@ -115,8 +116,11 @@ class LogReader:
 
     def _map(self) -> None:
         try:
-            self._source = pa.memory_map(str(self.path), "r")
-            self.bytes = self._source.size()
+            with self.path.open("rb") as file:
+                # Private: arrays of it are ordinary writable ones, and writing to them would change no file.
+                self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+            whole = pa.py_buffer(self._memory)
+            self._source, self._address, self.bytes = pa.BufferReader(whole), whole.address, whole.size
         except _Broken as error:
             raise LogError(f"log {self.path}: cannot be opened: {_first_line(error)}") from error
 
@@ -170,14 +174,15 @@ class LogReader:
         return tuple(offsets)
 
     def _views(self, n: int, offsets: tuple[int, ...], body: pa.Buffer) -> tuple[Samples, Commands]:
-        memory, at = memoryview(body), iter(offsets)
-        samples = Samples(*[_view(f, n, memory, at) for f in self._sample_fields])
-        return samples, Commands(*[_view(f, n, memory, at) for f in self._command_fields])
+        start = body.address - self._address
+        at = (start + offset for offset in offsets)
+        samples = Samples(*[_view(f, n, self._memory, at) for f in self._sample_fields])
+        return samples, Commands(*[_view(f, n, self._memory, at) for f in self._command_fields])
 
 
-def _view(field: Field, n: int, memory: memoryview, offsets: Iterator[int]) -> NDArray[Any]:
-    """An array at the next offset; a vector of no entries has no column."""
-    if field.width == 0:
+def _view(field: Field, n: int, memory: mmap.mmap, offsets: Iterator[int]) -> NDArray[Any]:
+    """An array at the next offset; a vector of no entries has no column, a batch of no rows no body."""
+    if field.width == 0 or n == 0:
         return np.zeros((n, 0), field.dtype)
     return np.ndarray(field.shape(n), field.dtype, memory, next(offsets))
 

@@ -5,7 +5,7 @@ Both are held as blocks of n rows, one array a field (structure of arrays), so t
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -50,15 +50,15 @@ class _Block:
     """Rows of a record; every dataclass field is an array whose first axis is the row."""
 
     def __len__(self) -> int:
-        return len(next(iter(self.arrays().values())))
+        return len(next(iter(vars(self).values())))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays by field name, in the order of the record."""
-        return {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        return dict(vars(self))
 
     def rows(self, start: int, stop: int) -> Self:
         """Give a view of some rows; nothing is copied."""
-        return type(self)(**{name: array[start:stop] for name, array in self.arrays().items()})
+        return type(self)(*[array[start:stop] for array in vars(self).values()])
 
     def singles(self) -> Iterator[Self]:
         """Each row as a block of one."""

@@ -77,9 +77,10 @@ def replay_log(
         step.resume(_initial_output(reader.header, step.layout, log))
         total = reader.rows
         writer = None if out is None else LogWriter(out, step.layout, {**setup.log_header(), "replay_of": log.name})
+        memory = Commands.empty(step.layout, BLOCK_ROWS)
         try:
             for samples, logged in reader.blocks(BLOCK_ROWS):
-                commands = step.run(samples)
+                commands = step.run(samples, memory)
                 if check:
                     _compare(report, logged, commands)
                 if writer is not None:

@@ -1,6 +1,5 @@
 """One step: `(state, sample) -> (state, command)`, the same for a live machine, a simulated one and a log."""
 
-import ctypes
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -85,9 +84,14 @@ class Step:
         """Give a call that reads these samples and writes these commands; it allocates nothing."""
         return partial(self._step, *_arrays(samples, commands), *self._constants, self.state.floats, self.state.ints)
 
-    def run(self, samples: Samples) -> Commands:
-        """Step through n samples from the state that the last call left; give their commands."""
-        commands = Commands.empty(self.layout, len(samples))
+    def run(self, samples: Samples, into: Commands | None = None) -> Commands:
+        """Step through n samples from the state that the last call left; give their commands.
+
+        Args:
+            samples: n rows.
+            into: memory for at least n commands, used again by the caller; new memory where not given.
+        """
+        commands = Commands.empty(self.layout, len(samples)) if into is None else into.rows(0, len(samples))
         self.bind(samples, commands)()
         return commands
 
@@ -119,22 +123,7 @@ class Step:
 
 
 def _arrays(samples: Samples, commands: Commands) -> list[Array]:
-    return [*(_one_type(a) for a in samples.arrays().values()), *commands.arrays().values()]
-
-
-def _one_type(array: Array) -> Array:
-    """Give samples in one array type, so that there is one machine code for all.
-
-    A log is mapped read-only, and numba would compile the step again for read-only arrays. The step only reads
-    samples, so the same memory is handed to it as an ordinary array.
-    """
-    if array.flags.writeable or not array.nbytes:
-        return np.ascontiguousarray(array)
-    source = np.ascontiguousarray(array)
-    memory: Any = (ctypes.c_char * source.nbytes).from_address(source.ctypes.data)
-    memory.owner = source  # the alias keeps the memory's owner alive
-    alias: Array = np.frombuffer(memoryview(memory), source.dtype).reshape(source.shape)
-    return alias
+    return [*samples.arrays().values(), *commands.arrays().values()]
 
 
 def _check_limits(machine: Machine, limits: Mapping[str, Limits]) -> None:

@@ -1,0 +1,146 @@
+"""The simulated machine as a device: counts, temperatures, spindle and actuator in one.
+
+The machine's time zero is the instant of entering; from then on it follows the clock that it was given, so it
+runs in real time or on a virtual clock alike.
+"""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from rtec.errors import ConfigError, DriverUnavailable
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec.sim.machine import SimulatedMachine
+from rtec.sim.truth import load_truth
+from rtec.tomlfile import Strict
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+OFFSETS = {"following_error": "following_error", "phase": "following_error", "origin_offset": "origin"}
+
+
+class SimOptions(Strict):
+    """What a run file may say of the simulated machine.
+
+    Attributes:
+        truth: file of the truth; a relative path starts at the folder of the run file.
+        seed: same seed, same day.
+        program: text of a part program; or `program_file`, a file with one. Without either the axes stand still.
+        repeat: start the program again when it ends.
+        warm_up_s: work that is over before the run begins, so that there is something to correct.
+        warm_up_rpm: spindle speed during it.
+        actuator: which way corrections go in; the name of the sink.
+        unit_um: one unit of output, µm, for those that do not count pulses.
+    """
+
+    truth: Path
+    seed: Annotated[int, Field(ge=0)] = 0
+    program: str | None = None
+    program_file: Path | None = None
+    repeat: bool = True
+    warm_up_s: Annotated[float, Field(ge=0)] = 0.0
+    warm_up_rpm: float = 0.0
+    actuator: Literal["pulse", "following_error", "phase", "origin_offset"] = "pulse"
+    unit_um: Annotated[float, Field(gt=0)] = 1.0
+
+    @model_validator(mode="after")
+    def _one_program(self) -> Self:
+        if self.program is not None and self.program_file is not None:
+            raise ValueError("give program or program_file, not both")
+        return self
+
+
+class SimDriver:
+    """Simulated machine behind the ports of `rtec.runtime.ports`.
+
+    Args:
+        options: what the run file says.
+        machine: whose axes and sensors the arrays follow.
+        clock: whose time the machine lives in.
+        base: folder that relative paths start at.
+
+    Raises:
+        ConfigError: truth, machine or program is wrong; constructing opens nothing else.
+    """
+
+    options_model = SimOptions
+
+    def __init__(self, options: SimOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
+        self.options = options
+        self._clock, self._start_ns = clock, -1
+        self._output: IntArray = np.zeros(len(machine.axes), np.int64)
+        self.machine = SimulatedMachine(machine, load_truth(base / options.truth), options.seed)
+        text = _program_text(options, base)
+        if options.warm_up_s > 0:
+            self.machine.work(options.warm_up_s, options.warm_up_rpm)
+        self.machine.load_program(text, options.repeat)
+        self._lead_ns = self.machine.time_ns
+
+    def __enter__(self) -> Self:
+        """Start the machine's time."""
+        self._start_ns = self._clock.now_ns()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Hold and stop the machine's time."""
+        if self._start_ns >= 0:
+            self._follow()
+            self._start_ns = -1
+
+    def read_counts(self, counts: IntArray) -> int:
+        """Fill in the raw counts; the instant, ns of the clock, is that of the servo tick that latched them."""
+        self._follow()
+        counts[:] = self.machine.raw_counts
+        return self._at(self.machine.time_ns)
+
+    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+        """Fill in temperatures, °C, and their instant, once a second a new one."""
+        self._follow()
+        degc[:], latched_ns = self.machine.temperatures()
+        time_ns[:] = self._at(latched_ns)
+
+    def read_spindle(self) -> float:
+        """Give the spindle speed, 1/min."""
+        self._follow()
+        return self.machine.spindle_rpm
+
+    def apply(self, output: IntArray) -> None:
+        """Set the absolute output: inserted counts, or units of `unit_um` in the other modes."""
+        self._follow()
+        self._output[:] = output
+        if self.options.actuator == "pulse":
+            self.machine.apply(self._output)
+        else:
+            self.machine.set_offset_um(self._output * self.options.unit_um, OFFSETS[self.options.actuator])
+
+    def read_output(self, output: IntArray) -> None:
+        """Fill in what the machine has."""
+        output[:] = self._output
+
+    def hold(self) -> None:
+        """Nothing to do: the machine keeps what it was last told."""
+
+    def _at(self, machine_ns: int) -> int:
+        return self._start_ns + machine_ns - self._lead_ns
+
+    def _follow(self) -> None:
+        if self._start_ns < 0:
+            raise DriverUnavailable("sim: not entered yet, so the simulated machine's time does not run")
+        self.machine.advance_to(self._lead_ns + self._clock.now_ns() - self._start_ns)
+
+
+def _program_text(options: SimOptions, base: Path) -> str:
+    if options.program_file is None:
+        return options.program or ""
+    path = base / options.program_file
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as e:
+        raise ConfigError(f"{path}: cannot be read as a part program: {e}") from e

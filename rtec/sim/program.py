@@ -1,0 +1,183 @@
+"""A small reader of part programs: G0 G1 G2 G3 G4, G17-G19, S, M3 M4 M5; the rest of the language is not needed.
+
+One block a line. Axis words are absolute, mm (X is a radius, not a diameter); F is mm/min; arcs give their centre
+by I J K relative to the start; G4 waits P seconds. Comments: `( … )` and `; …`. `M2` and `M30` end the program.
+"""
+
+import math
+import re
+from dataclasses import dataclass, field
+
+from rtec.errors import ConfigError
+from rtec.sim.blocks import Arc, Move
+
+WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
+COMMENT = re.compile(r"\([^)]*\)|;.*")
+PLANES = {17: "XY", 18: "ZX", 19: "YZ"}
+MOTIONS = (0, 1, 2, 3)
+ALLOWED = "G0 G1 G2 G3 G4 G17 G18 G19 M2 M3 M4 M5 M30 S F P I J K"
+RADIUS_TOLERANCE_MM = 0.002
+
+
+@dataclass
+class Reader:
+    """Reads a program for axes of these names; modal words last from block to block.
+
+    Attributes:
+        axes: names, one letter each to be named in a program.
+        travel_mm: lowest and highest position of each axis.
+        position_mm: where the tool is; moves on as blocks are read.
+        rapid_mm_s: speed of G0.
+        rpm: spindle speed at the start, signed.
+    """
+
+    axes: tuple[str, ...]
+    travel_mm: tuple[tuple[float, float], ...]
+    position_mm: tuple[float, ...]
+    rapid_mm_s: float
+    rpm: float = 0.0
+    moves: list[Move] = field(default_factory=list)
+    _motion: int | None = None
+    _plane: str = ""
+    _feed_mm_s: float = 0.0
+    _speed_rpm: float = 0.0
+    _sense: int = 0
+
+    def __post_init__(self) -> None:
+        self._plane = next(p for p in ("XY", "ZX", "YZ", "") if set(p) <= set(self.axes))
+        self._speed_rpm = abs(self.rpm)
+        self._sense = (self.rpm > 0) - (self.rpm < 0)
+
+    def read(self, text: str) -> list[Move]:
+        """Give the moves of a program.
+
+        Raises:
+            ConfigError: the line, what it says and what is allowed.
+        """
+        for number, line in enumerate(text.splitlines(), 1):
+            try:
+                if self._block(_words(line)):
+                    break
+            except ValueError as e:
+                raise ConfigError(f"program line {number} {line.strip()!r}: {e}") from e
+        return self.moves
+
+    def go_back(self, to_mm: tuple[float, ...]) -> list[Move]:
+        """Give all moves with one more, a rapid to a position, after them."""
+        self.moves.append(Move(self.position_mm, to_mm, self.rapid_mm_s, 0.0, self.rpm))
+        self.position_mm = to_mm
+        return self.moves
+
+    def _block(self, words: list[tuple[str, float]]) -> bool:
+        """Act on one block; True at the end of the program."""
+        values = {letter: value for letter, value in words if letter not in "GM"}
+        unknown = sorted(set(values) - set("SFPIJK") - set(self.axes))
+        if unknown:
+            raise ValueError(f"unknown word {unknown[0]}; allowed: {ALLOWED} and axes {' '.join(self.axes)}")
+        dwell = False
+        for number in (_whole(v) for letter, v in words if letter == "G"):
+            dwell |= number == 4
+            self._preparatory(number)
+        if values.get("F", 1.0) <= 0:
+            raise ValueError("F must be above zero, mm/min")
+        self._feed_mm_s = values["F"] / 60.0 if "F" in values else self._feed_mm_s
+        ends = self._spindle(words, values)
+        if dwell:
+            self._wait(values.get("P", 0.0))
+        elif set(values) & {*self.axes, *"IJK"}:
+            self._move(values)
+        return ends
+
+    def _preparatory(self, number: int) -> None:
+        if number in MOTIONS:
+            self._motion = number
+        elif number in PLANES:
+            if not set(PLANES[number]) <= set(self.axes):
+                raise ValueError(f"G{number} is the plane {PLANES[number]}; this machine has {' '.join(self.axes)}")
+            self._plane = PLANES[number]
+        elif number != 4:
+            raise ValueError(f"unknown word G{number}; allowed: {ALLOWED}")
+
+    def _spindle(self, words: list[tuple[str, float]], values: dict[str, float]) -> bool:
+        self._speed_rpm = values.get("S", self._speed_rpm)
+        ends = False
+        for number in (_whole(v) for letter, v in words if letter == "M"):
+            if number in (3, 4, 5):
+                self._sense = {3: 1, 4: -1, 5: 0}[number]
+            elif number in (2, 30):
+                ends = True
+            else:
+                raise ValueError(f"unknown word M{number}; allowed: {ALLOWED}")
+        if self.rpm != self._sense * self._speed_rpm:
+            self.rpm = self._sense * self._speed_rpm
+            self._wait(0.0)
+        return ends
+
+    def _wait(self, seconds: float) -> None:
+        if seconds < 0:
+            raise ValueError("P must not be below zero, s")
+        self.moves.append(Move(self.position_mm, self.position_mm, 1.0, seconds, self.rpm))
+
+    def _move(self, values: dict[str, float]) -> None:
+        if self._motion is None:
+            raise ValueError("an axis word without G0, G1, G2 or G3")
+        end = tuple(values.get(name, here) for name, here in zip(self.axes, self.position_mm, strict=True))
+        for k, value in enumerate(end):
+            self._check_travel(k, value)
+        feed = self.rapid_mm_s if self._motion == 0 else self._feed_mm_s
+        if feed <= 0:
+            raise ValueError("no feed yet; F gives mm/min")
+        arc = self._arc(end, values) if self._motion in (2, 3) else None
+        self.moves.append(Move(self.position_mm, end, feed, 0.0, self.rpm, arc))
+        self.position_mm = end
+
+    def _check_travel(self, axis: int, value_mm: float) -> None:
+        low, high = self.travel_mm[axis]
+        if not low <= value_mm <= high:
+            raise ValueError(f"{self.axes[axis]} {value_mm:g} mm is outside the travel, {low:g} to {high:g} mm")
+
+    def _arc(self, end: tuple[float, ...], values: dict[str, float]) -> Arc:
+        if not self._plane:
+            raise ValueError("an arc needs two axes of X Y Z")
+        i, j = (self.axes.index(letter) for letter in self._plane)
+        to_centre = [values.get("IJK"["XYZ".index(letter)], 0.0) for letter in self._plane]
+        start = self.position_mm
+        centre = (start[i] + to_centre[0], start[j] + to_centre[1])
+        radius = math.hypot(*to_centre)
+        other = math.hypot(end[i] - centre[0], end[j] - centre[1])
+        if radius == 0 or abs(radius - other) > RADIUS_TOLERANCE_MM:
+            raise ValueError(f"radius is {radius:g} mm at the start and {other:g} mm at the end of the arc")
+        first = math.atan2(start[j] - centre[1], start[i] - centre[0])
+        last = math.atan2(end[j] - centre[1], end[i] - centre[0])
+        sense = 1.0 if self._motion == 3 else -1.0
+        sweep = sense * ((sense * (last - first) - 1e-9) % (2 * math.pi) + 1e-9)
+        for axis, ends in zip((i, j), _reach(centre, radius, first, sweep), strict=True):
+            for value in ends:
+                self._check_travel(axis, value)
+        return Arc(i, j, centre, radius, first, sweep)
+
+
+def _reach(
+    centre: tuple[float, float], radius: float, first: float, sweep: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Lowest and highest position of both axes along an arc."""
+    low, high = min(first, first + sweep), max(first, first + sweep)
+    quarters = range(math.ceil(low / (math.pi / 2)), math.floor(high / (math.pi / 2)) + 1)
+    angles = [low, high, *(q * math.pi / 2 for q in quarters)]
+    firsts = [centre[0] + radius * math.cos(a) for a in angles]
+    seconds = [centre[1] + radius * math.sin(a) for a in angles]
+    tidy = 9  # decimals; the sine of π is not quite zero
+    return (round(min(firsts), tidy), round(max(firsts), tidy)), (round(min(seconds), tidy), round(max(seconds), tidy))
+
+
+def _words(line: str) -> list[tuple[str, float]]:
+    text = COMMENT.sub(" ", line.upper()).strip()
+    if WORD.sub("", text).strip():
+        raise ValueError(f"{WORD.sub('', text).strip()!r} is no word; a word is a letter and a number")
+    return [(letter, float(number)) for letter, number in WORD.findall(text)]
+
+
+def _whole(value: float) -> int:
+    if value != int(value):
+        raise ValueError(f"G and M words are whole numbers, found {value:g}")
+    return int(value)
