@@ -41,8 +41,8 @@ def run(
     from rtec.runtime.supervisor import Supervisor, new_log_path
 
     path = log or new_log_path(setup)
-    with Screen(setup, duration, quiet=as_json) as screen:
-        report = Supervisor(setup, path, screen.update).run(duration)
+    with Screen(setup, duration, path, quiet=as_json) as screen:
+        report = Supervisor(setup, path, screen.update, screen.started).run(duration)
     if as_json:
         typer.echo(json.dumps(_facts(report), indent=2))
     else:

@@ -1,8 +1,10 @@
 """What `rtec run` shows: a live table while it runs, a summary at the end."""
 
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import typer
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -15,10 +17,10 @@ REFRESH_S = 0.2
 
 
 class Screen:
-    """A live table on a terminal; nothing where there is none."""
+    """A live table on a terminal; one line where there is none, when the loop begins."""
 
-    def __init__(self, setup: Setup, duration_s: float | None, quiet: bool) -> None:
-        self._setup, self._duration_s = setup, duration_s
+    def __init__(self, setup: Setup, duration_s: float | None, log: Path | None, quiet: bool) -> None:
+        self._setup, self._duration_s, self._log = setup, duration_s, log
         console = Console(stderr=True)
         self._live = Live(console=console, refresh_per_second=5, transient=True)
         self._on = console.is_terminal and not quiet
@@ -35,6 +37,15 @@ class Screen:
     ) -> None:
         if self._on:
             self._live.stop()
+
+    def started(self) -> None:
+        """Say that the loop runs."""
+        if not self._on:
+            where = f", log {self._log}" if self._log else ""
+            typer.echo(
+                f"{self._setup.machine.name}: running at {self._setup.file.run.rate_hz:g} Hz{where}",
+                err=True,
+            )
 
     def update(self, status: Status) -> None:
         """Show a status, not more often than eyes can follow."""

@@ -12,17 +12,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rtec.errors import DriverError, RtecError
+from rtec.errors import RtecError
 from rtec.runtime.clock import RealClock
-from rtec.runtime.config import load_setup
+from rtec.runtime.config import Setup, load_setup
 from rtec.runtime.devices import Ports, make_devices, open_ports
 from rtec.runtime.loop import Loop, Row, bind_rows
 from rtec.runtime.realtime import prepare_process
+from rtec.runtime.records import MODE_HOLD, Commands, Samples
 from rtec.runtime.ring import Ring
 from rtec.runtime.step import Step
 
 PARENT_CHECK_CYCLES = 256
+REHEARSAL_CYCLES = 100
+
+Output = NDArray[np.int64]
 
 
 def fast_path(config: Path, ring_name: str, pipe: Connection, cycles: int | None) -> None:
@@ -37,7 +42,7 @@ def fast_path(config: Path, ring_name: str, pipe: Connection, cycles: int | None
         pipe.close()
 
 
-def read_ledger(ports: Ports, axes: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def read_ledger(ports: Ports, axes: int) -> Output:
     """What the actuator says is applied already."""
     output = np.zeros(axes, dtype=np.int64)
     ports.actuator.read_output(output)
@@ -55,19 +60,24 @@ def _run(config: Path, ring_name: str, pipe: Connection, cycles: int | None) -> 
         output = read_ledger(ports, len(step.layout.axes))
         step.resume(output)
         loop = Loop(step, ports, clock, setup.period_ns, rows, ring.ordered_mode)
-        _rehearse(ports, output)
-        warnings = prepare_process(setup.file.realtime)
+        warnings = _rehearse(setup, ports, output)
         pipe.send(("ready", {"output": output.tolist(), "warnings": warnings}))
         loop.run(cycles, _after_cycle(loop, ring, os.getppid()))
         return summary(loop, step)
 
 
-def _rehearse(ports: Ports, output: np.ndarray[Any, np.dtype[np.int64]]) -> None:
-    """Say to the actuator once what it already has, so that the first cycle is not the slow one."""
-    try:
-        ports.actuator.apply(output)
-    except DriverError:
-        return  # the loop meets the same error, counts it and goes on
+def _rehearse(setup: Setup, ports: Ports, output: Output) -> list[str]:
+    """Go through the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
+
+    The step is a second one that holds what the actuator already has: nothing moves, nothing is recorded.
+    """
+    step = Step(setup.step_settings())
+    step.resume(output)
+    rows = bind_rows(step, [(Samples.empty(step.layout, 1), Commands.empty(step.layout, 1))])
+    warnings = prepare_process(setup.file.realtime)
+    loop = Loop(step, ports, RealClock(), setup.period_ns, rows, MODE_HOLD)
+    loop.run(REHEARSAL_CYCLES, lambda _: True)
+    return warnings
 
 
 def _after_cycle(loop: Loop, ring: Ring, parent: int) -> Any:

@@ -115,7 +115,7 @@ class Step:
         per_um = self._numbers[self.source.numbers.at["per_um"]]
         now = self.state.floats[self.source.floats.at["now"]]
         active = per_um != 0.0
-        now[active] = output[active] / per_um[active]
+        now[active] = output[active] / per_um[active] + 0.0  # no -0, which a replay would tell from 0
 
     def warm_up(self) -> None:
         """Compile (or fetch from disk) before the first real cycle."""

@@ -83,13 +83,20 @@ class Report:
 class Supervisor:
     """Runs a setup on the real clock."""
 
-    def __init__(self, setup: Setup, log_path: Path | None, on_status: Callable[[Status], None] | None = None) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        log_path: Path | None,
+        on_status: Callable[[Status], None] | None = None,
+        on_start: Callable[[], None] | None = None,
+    ) -> None:
         self.setup = setup
         self.layout = Layout(setup.machine.axis_names, setup.machine.sensor_names)
         self.log_path = log_path
         self.status = Status()
         self.warnings: list[str] = []
         self._on_status = on_status or (lambda _: None)
+        self._on_start = on_start or (lambda: None)
         self._clock = RealClock()
         self._first_ns: int | None = None
         self._flag_counts = np.zeros(len(Flag), dtype=np.int64)
@@ -127,6 +134,7 @@ class Supervisor:
         ready = self._receive(pipe, process)
         self.warnings += ready["warnings"]
         with self._log(ready["output"]) as log:
+            self._on_start()
             self._drain_until_done(ring, pipe, process, log)
             summary = self._receive(pipe, process)
             while self._drain(ring, log):

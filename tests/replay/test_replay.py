@@ -1,0 +1,150 @@
+"""`rtec replay`: logs to the bit, captures through decoder, step and pulse insertion."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtec.cli.main import status
+from rtec.errors import ConfigError, LogError
+from rtec.runtime import sigrok
+from rtec.runtime.clock import VirtualClock
+from rtec.runtime.config import Setup, load_setup
+from rtec.runtime.log import LogReader, LogWriter
+from rtec.runtime.records import Layout
+from rtec.runtime.replay import replay_log
+from rtec.runtime.replay_capture import replay_capture
+from tests import setups
+from tests.real_data import real_file
+from tests.unit.test_loop import run
+
+GRAY = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
+
+
+def logged(tmp_path: Path, cycles: int = 2000, first_output: list[int] | None = None) -> tuple[Setup, Path]:
+    """A log of a run on the virtual clock."""
+    made = setups.setup(tmp_path)
+    samples, commands, loop, _ = run(made, VirtualClock(10**9), cycles)
+    log = tmp_path / "run.arrows"
+    header = {**made.log_header(), "initial_output": json.dumps(first_output or [0, 0])}
+    with LogWriter(log, loop_layout(made), header) as writer:
+        for start in range(0, cycles, 300):
+            writer.write(samples.rows(start, start + 300), commands.rows(start, start + 300))
+            writer.flush()
+    assert loop.stats.cycles == cycles
+    return made, log
+
+
+def loop_layout(made: Setup) -> Layout:
+    return Layout(made.machine.axis_names, made.machine.sensor_names)
+
+
+def test_a_log_replays_to_the_same_bits(tmp_path: Path) -> None:
+    made, log = logged(tmp_path)
+    seen: list[tuple[int, int]] = []
+    report = replay_log(made, log, tmp_path / "new.arrows", True, lambda done, total: seen.append((done, total)))
+    assert (report.rows, report.different, report.notes) == (2000, 0, [])
+    assert seen[-1] == (2000, 2000)
+    with LogReader(log) as old, LogReader(tmp_path / "new.arrows") as new:
+        olds = np.concatenate([c.applied_um for _, c in old.blocks()])
+        news = np.concatenate([c.applied_um for _, c in new.blocks()])
+    np.testing.assert_array_equal(olds.view(np.int64), news.view(np.int64))
+
+
+def test_one_changed_bit_is_found(tmp_path: Path) -> None:
+    """Flip the lowest bit of one number in the file; oracle: the row and field that were changed."""
+    made, log = logged(tmp_path)
+    with LogReader(log) as reader:
+        wanted = np.concatenate([c.applied_um for _, c in reader.blocks()])
+    data = bytearray(log.read_bytes())
+    at = data.find(wanted[1400:1404].tobytes())
+    assert at > 0
+    data[at] ^= 1
+    log.write_bytes(data)
+    report = replay_log(made, log, check=True)
+    assert report.different == 1
+    assert [(d.row, d.field) for d in report.differences] == [(1400, "applied_um")]
+
+
+def test_another_machine_is_refused(tmp_path: Path) -> None:
+    made, log = logged(tmp_path, 10)
+    content = setups.tables(tmp_path)
+    text = Path(content["run"]["machine"]).read_text(encoding="utf-8").replace("T_air", "T_room")
+    (tmp_path / "machine.toml").write_text(text, encoding="utf-8")
+    content["run"]["machine"] = str(tmp_path / "machine.toml")
+    (tmp_path / "other").mkdir()
+    with pytest.raises(LogError, match=r"has sensors .*T_air; the machine of this run file has .*T_room"):
+        replay_log(load_setup(setups.write(tmp_path / "other", content)), log)
+    del made
+
+
+def with_capture(tmp_path: Path, quantum: int = 1, **axes: dict[str, object]) -> Setup:
+    content = setups.tables(tmp_path)
+    content["capture"] = {"axis": axes, "degc": {"T_spindle_front": 33.0}}
+    content["output"] = {name: {"kind": "pulse", "quantum_counts": quantum} for name in axes}
+    return load_setup(setups.write(tmp_path, content))
+
+
+def walk(a: np.ndarray, b: np.ndarray) -> tuple[int, int]:
+    """Count A/B the slow, obvious way: net counts, and transitions of both lines at once."""
+    phase = np.array([GRAY[pair] for pair in zip(a.tolist(), b.tolist(), strict=True)])
+    change = (np.diff(phase) + 1) % 4 - 1
+    return int(change[np.abs(change) == 1].sum()), int(np.count_nonzero(change == 2))
+
+
+@pytest.mark.parametrize("name", ["fast", "left_right", "up_down"])
+@pytest.mark.parametrize("quantum", [1, 4])
+def test_a_real_capture_goes_through_the_same_step(tmp_path: Path, name: str, quantum: int) -> None:
+    """Real encoder lines. Oracle: a decoder of the test's own over the corrected file, and the table's last row."""
+    capture = real_file("quadrature", f"agilent_hdns_2000_move_mouse_{name}.sr")
+    x = {"a": "MODE/XA", "b": "RB/XB", "start_mm": 100.0}
+    z = {"a": "LB/YA", "b": "MB/YB", "start_mm": 200.0}
+    made = with_capture(tmp_path, quantum, X=x, Z=z)
+    out, table = tmp_path / "out.sr", tmp_path / "out.csv"
+    report = replay_capture(made, capture, out, table)
+    before, after = sigrok.read(capture), sigrok.read(out)
+    assert after.channels == before.channels
+    assert after.samplerate_hz == before.samplerate_hz
+    touched = 0
+    for axis, lines in (("X", x), ("Z", z)):
+        found = report.axes[axis]
+        a, b = str(lines["a"]), str(lines["b"])
+        touched |= 1 << before.bit(a) | 1 << before.bit(b)
+        raw, illegal = walk(before.line(a), before.line(b))
+        corrected, illegal_out = walk(after.line(a), after.line(b))
+        assert (found.raw_counts, found.corrected_counts) == (raw, corrected)
+        assert raw + found.inserted_counts == corrected
+        assert illegal_out == illegal == found.illegal
+        assert found.inserted_counts % quantum == 0
+    assert report.axes["X"].inserted_counts >= 12
+    np.testing.assert_array_equal(before.samples & ~np.uint8(touched), after.samples & ~np.uint8(touched))
+    with table.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3000
+    for row in rows:
+        for axis in "XZ":
+            raw, inserted = int(row[f"raw_{axis}_counts"]), int(row[f"inserted_{axis}_counts"])
+            assert raw + inserted == int(row[f"corrected_{axis}_counts"])
+    assert int(rows[-1]["corrected_X_counts"]) == pytest.approx(report.axes["X"].corrected_counts, abs=1)
+
+
+def test_the_command_line_on_a_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capture = real_file("quadrature", "rotary-sin.sr")
+    made = with_capture(tmp_path, X={"a": "0", "b": "1", "start_mm": 100.0})
+    assert status(["replay", str(made.path), str(capture), "--out", str(tmp_path / "o.sr"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    axis = facts["axes"]["X"]
+    assert axis["raw_counts"] + axis["inserted_counts"] == axis["corrected_counts"]
+    assert (tmp_path / "o.csv").exists()
+
+
+def test_a_capture_needs_its_section_and_its_channels(tmp_path: Path) -> None:
+    capture = real_file("quadrature", "rotary-sin.sr")
+    with pytest.raises(ConfigError, match=r"needs a \[capture\] section"):
+        replay_capture(setups.setup(tmp_path), capture, tmp_path / "o.sr", tmp_path / "o.csv")
+    wrong = with_capture(tmp_path, X={"a": "A", "b": "1"})
+    with pytest.raises(LogError, match="no channel named 'A'; the channels are '0', '1'"):
+        replay_capture(wrong, capture, tmp_path / "o.sr", tmp_path / "o.csv")
+    assert not (tmp_path / "o.sr").exists()
