@@ -27,8 +27,13 @@ def sin_cos(x: float) -> tuple[float, float]:
     k = math.floor(x * (2.0 / math.pi) + 0.5)
     r = ((x - k * _HALF_PI_1) - k * _HALF_PI_2) - k * _HALF_PI_3
     r2 = r * r
-    s = r + r * r2 * (S3 + r2 * (S5 + r2 * (S7 + r2 * (S9 + r2 * (S11 + r2 * (S13 + r2 * S15))))))
-    c = 1.0 + r2 * (C2 + r2 * (C4 + r2 * (C6 + r2 * (C8 + r2 * (C10 + r2 * (C12 + r2 * (C14 + r2 * C16)))))))
+    r4 = r2 * r2
+    r8 = r4 * r4
+    # In pairs, not one behind the other, so that the processor can do several at a time.
+    s_low, s_high = (S3 + r2 * S5) + r4 * (S7 + r2 * S9), (S11 + r2 * S13) + r4 * S15
+    c_low, c_high = (C2 + r2 * C4) + r4 * (C6 + r2 * C8), (C10 + r2 * C12) + r4 * (C14 + r2 * C16)
+    s = r + r * r2 * (s_low + r8 * s_high)
+    c = 1.0 + r2 * (c_low + r8 * c_high)
     quarter = int(k) & 3
     # Chosen, not branched to: which quarter it is can't be foretold.
     sine, cosine = (c, s) if quarter & 1 else (s, c)

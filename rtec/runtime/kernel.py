@@ -79,7 +79,9 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
     keep += [f"u[{s}] = degc[n, {s}]" for s in kernel.sensors]
     keep += [f"u[{spindle}] = spindle_rpm[n]"] if kernel.uses_spindle else []
     active = [i for i, axis in enumerate(machine.axes) if axis.compensate]
-    news = [f"changed |= degc_time_ns[n, {s}] != degc_at[{s}]" for s in kernel.sensors]
+    # Exclusive or: nothing but zeros means nothing new, in a handful of instructions for all sensors together.
+    differ = [f"(degc_time_ns[n, {s}] ^ degc_at[{s}])" for s in kernel.sensors]
+    news = [f"changed |= ({' | '.join(differ)}) != 0"] if differ else []
     news += [f"changed |= spindle_rpm[n] != u[{spindle}]"] if kernel.uses_spindle else []
     wanted = [f"target[{i}] = -tip[{'XYZ'.index(machine.axes[i].direction)}]" for i in active]
     blocks = {

@@ -30,7 +30,9 @@ class SlowClock(VirtualClock):
             super().sleep_until_ns(instant_ns + self.late_ns.pop(0))
 
 
-def run(made: Setup, clock: VirtualClock, cycles: int, wrap: object = None) -> tuple[Samples, Commands, Loop, Ports]:
+def run(
+    made: Setup, clock: VirtualClock, cycles: int, wrap: object = None, mode: int = MODE_ON
+) -> tuple[Samples, Commands, Loop, Ports]:
     """Run so many cycles into memory."""
     step = Step(made.step_settings())
     layout: Layout = step.layout
@@ -41,7 +43,7 @@ def run(made: Setup, clock: VirtualClock, cycles: int, wrap: object = None) -> t
         ports = open_ports(made, devices, stack)
         if callable(wrap):
             ports = wrap(ports)
-        loop = Loop(step, ports, clock, made.period_ns, rows, MODE_ON)
+        loop = Loop(step, ports, clock, made.period_ns, rows, mode)
         loop.run(cycles, lambda _: True)
     return samples, commands, loop, ports
 
