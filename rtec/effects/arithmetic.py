@@ -91,16 +91,22 @@ def _check(node: ast.expr, depth: int) -> None:
         case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
             _check(left, depth + 1)
             _check(right, depth + 1)
-        case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS or name == "lag":
-            wanted = 2 if name == "lag" else FUNCTIONS[name][0]
-            if len(args) != wanted:
-                raise ValueError(f"{name} takes {wanted} argument{'s' if wanted > 1 else ''}, not {len(args)}")
-            for arg in args:
-                _check(arg, depth + 1)
         case ast.Call(func=ast.Name(id=name)):
-            raise ValueError(f"function {name!r} is not allowed{nearest(name, [*FUNCTIONS, 'lag'])}")
+            _check_call(name, node)
+            for arg in node.args:
+                _check(arg, depth + 1)
         case _:
             raise ValueError(f"{type(node).__name__} is not allowed; use numbers, names, + - * / ** and functions")
+
+
+def _check_call(name: str, call: ast.Call) -> None:
+    if name not in FUNCTIONS and name != "lag":
+        raise ValueError(f"function {name!r} is not allowed{nearest(name, [*FUNCTIONS, 'lag'])}")
+    if call.keywords:
+        raise ValueError(f"{name} takes arguments without names")
+    wanted = 2 if name == "lag" else FUNCTIONS[name][0]
+    if len(call.args) != wanted:
+        raise ValueError(f"{name} takes {wanted} argument{'s' if wanted > 1 else ''}, not {len(call.args)}")
 
 
 def evaluate(node: ast.expr, names: Mapping[str, Value], channels: Channels) -> Value:

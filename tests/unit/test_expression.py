@@ -1,5 +1,7 @@
 """Expressions: the whitelist against hostile texts, and the value against Python's own arithmetic."""
 
+import contextlib
+import itertools
 import math
 import sys
 from typing import Any
@@ -90,6 +92,9 @@ HOSTILE = [
     "k*sin(x, x)",
     "k*sin()",
     "k*sin(x=1)",
+    "k*sin(x, out=x)",
+    "k*max(x, x, **k)",
+    "k*min(x, x, where=x)",
     "k*lag(x)",
     "k*max(x)",
     "k*sin(x)(x)",
@@ -110,7 +115,6 @@ HOSTILE = [
     "k*abs((-8)**0.5)",
     "k*0**-1",
     "k/0",
-    "k*x/(1-1)",
     "k*" + "9" * 1500,
     "(" * 900 + "k" + ")" * 900,
     "-" * 1900 + "k",
@@ -189,9 +193,11 @@ def test_the_watch_sees_what_it_should() -> None:
     [
         ("k*sim(x)", "function 'sim' is not allowed; did you mean 'sin'?"),
         ("k*sin(x, x)", "sin takes 1 argument, not 2"),
+        ("k*sin(x, out=x)", "sin takes arguments without names"),
         ("k*lag(x)", "lag takes 2 arguments, not 1"),
         ("k*T_spindel", "model: 'T_spindel' is neither a channel nor a parameter; did you mean 'T_spindle'?"),
         ("k*x.real", "Attribute is not allowed; use numbers, names, + - * / ** and functions"),
+        ("k*(x % 2)", "BinOp is not allowed; use numbers, names"),
         ("k*1e999", "a number above 1e+300"),
         ("k*lag(T_bed, T_air)", "the time constant of lag() is a number or a parameter, not a channel"),
         ("2*x", "parameter 'k' does not stand in the expression"),
@@ -221,8 +227,10 @@ def test_names_clash() -> None:
 
 
 @pytest.mark.parametrize(
-    "free", [(1.0, 1.0, 1.0), (0.0, 1.0, 2.0), (3.0, 1.0, 2.0), (1.0, 2.0, 0.0)], ids=["no room", "below", "above", "turned"]
-)  # fmt: skip
+    "free",
+    [(1.0, 1.0, 1.0), (0.0, 1.0, 2.0), (3.0, 1.0, 2.0), (1.0, 2.0, 0.0)],
+    ids=["no room", "below", "above", "turned"],
+)
 def test_bounds_of_free_parameters(free: tuple[float, float, float]) -> None:
     start, low, high = free
     with pytest.raises(ValidationError, match="need low <= start <= high and low < high"):
@@ -232,7 +240,9 @@ def test_bounds_of_free_parameters(free: tuple[float, float, float]) -> None:
 def state(n: int = 7) -> State:
     rng = np.random.default_rng(1)
     channels = {name: rng.uniform(0.5, 3.0, n) for name in ("x", "z", "spindle_rpm", "T_bed", "T_air")}
-    return State(MACHINE, np.arange(n) * 30.0, {**channels, "d_x": np.where(rng.random(n) < 0.5, -1.0, 1.0)}, 0.25)
+    return State(
+        MACHINE, np.arange(0.0, 30.0 * n, 30.0), {**channels, "d_x": np.where(rng.random(n) < 0.5, -1.0, 1.0)}, 0.25
+    )
 
 
 def names_at(s: State, i: int) -> dict[str, float]:
@@ -283,17 +293,29 @@ TREES = st.recursive(
 )
 
 
+def text_divides_numbers_by_zero(text: str) -> bool:
+    """Whether Python stops at a division of plain numbers, whatever the channels are."""
+    arrays = {n: np.full(3, 0.5) for n in ("x", "z", "T_bed", "d_x")}
+    functions = {"sin": np.sin, "cos": np.cos, "tanh": np.tanh, "abs": np.abs, "min": np.minimum, "max": np.maximum}
+    with np.errstate(all="ignore"):
+        try:
+            eval(text, {"__builtins__": {}, **arrays, **functions, "pi": math.pi})  # noqa: S307
+        except ZeroDivisionError:
+            return True
+    return False
+
+
 @settings(max_examples=150, deadline=None)
 @given(TREES)
 def test_value_of_any_tree_is_pythons_own(text: str) -> None:
     """Oracle: as above, on random trees; a division by zero is refused or gives no finite number."""
     s = state(3)
-    try:
-        e = expression(f"k*({text})")
-        e.check(MACHINE, "model")
-    except (ModelError, ValidationError) as error:
-        assert "ZeroDivisionError" in repr(error.__cause__) or "longer" in str(error)
+    e = expression(f"k*({text})")
+    if text_divides_numbers_by_zero(text):
+        with pytest.raises(ModelError, match="division by zero"):
+            e.check(MACHINE, "model")
         return
+    e.check(MACHINE, "model")
     with np.errstate(all="ignore"):
         got = np.broadcast_to(e.basis(MACHINE, s, {})[0], 3)
     for i in range(3):
@@ -309,11 +331,8 @@ def test_value_of_any_tree_is_pythons_own(text: str) -> None:
 @given(st.text(alphabet="kxzT_bed0123456789.+-*/() ,[]{}'\"\\:=<>!@lagsin\n", max_size=40) | st.text(max_size=60))
 def test_any_text_is_read_or_refused(text: str) -> None:
     """No text gives any other exception, and none runs anything (audit hook)."""
-    with watched() as seen, np.errstate(all="ignore"):
-        try:
-            expression(text).check(MACHINE, "model")
-        except (ModelError, ValidationError):
-            pass
+    with watched() as seen, np.errstate(all="ignore"), contextlib.suppress(ModelError, ValidationError):
+        expression(text).check(MACHINE, "model")
     assert not seen
 
 
@@ -325,7 +344,7 @@ def test_lag_is_the_first_order_lag() -> None:
     lagged, rise = [s.rise("T_bed")[0]], s.rise("T_bed")
     h, decay = 30.0 / 90.0, math.exp(-30.0 / 90.0)
     mean = (1 - decay) / h
-    for before, now in zip(rise, rise[1:], strict=False):
+    for before, now in itertools.pairwise(rise):
         lagged.append(lagged[-1] * decay + before * (mean - decay) + now * (1 - mean))
     np.testing.assert_allclose(e.basis(MACHINE, s, {"tau": 90.0})[0], s.value("x") * lagged, rtol=1e-12)
     assert [p.name for p in e.nonlinear(MACHINE)] == ["tau"]
@@ -349,5 +368,12 @@ def test_several_coefficients_each_have_their_own_basis() -> None:
 def test_a_constant_that_is_no_finite_number_never_reaches_the_kernel(text: str) -> None:
     """`inf` and `nan` have no spelling in the kernel's source."""
     model = Model(MACHINE, (FittedEffect(expression(text), {"k": 1.0}),))
-    with pytest.raises(ModelError, match=r"finite number|math range error|math domain error|expected a (nonneg|posit)"), np.errstate(all="ignore"):  # fmt: skip  # noqa: E501
+    with np.errstate(all="ignore"), pytest.raises(ModelError, match=r"finite number|math|nonnegative|positive"):
         write_kernel(model)
+
+
+def test_division_by_zero_is_no_finite_number() -> None:
+    """Numpy's rule, for the guard to hold on: no exception."""
+    model = Model(MACHINE, (FittedEffect(expression("k*x/(T_bed - T_bed)"), {"k": 1.0}),))
+    with np.errstate(all="ignore"):
+        assert np.all(np.isinf(model.effect_components(state())[0]))
