@@ -43,12 +43,14 @@ class State:
         channels: arrays (n,) by channel name: `x`, `T_spindle`, `spindle_rpm`; a direction `d_x` that is not
             given follows from the order of the positions.
         reference_degc: temperature at which a temperature effect is nothing.
+        dead_band_mm: by axis name, where it is another than the machine's own.
     """
 
     machine: Machine
     time_s: Floats
     channels: Mapping[str, Floats]
     reference_degc: float = 20.0
+    dead_band_mm: Mapping[str, float] = field(default_factory=dict)
     _cache: dict[str, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -69,7 +71,7 @@ class State:
             raise ModelError(f"channel {name!r} is not in this data{nearest(name, self.channels)}")
         if name not in self._cache:
             position = np.ascontiguousarray(self.channels[axis.channel], dtype=np.float64)
-            self._cache[name] = direction_track(position, axis.dead_band_counts / axis.counts_per_mm)
+            self._cache[name] = direction_track(position, self.dead_band_mm.get(axis.name, axis.dead_band_mm))
         return self._cache[name]
 
     def rise(self, sensor: str) -> Floats:
@@ -90,4 +92,5 @@ class State:
         """Give the state at some instants; directions are kept as they were in the whole."""
         known = {a.direction_channel for a in self.machine.axes if a.channel in self.channels}
         names = {*self.channels, *known}
-        return State(self.machine, self.time_s[index], {n: self.value(n)[index] for n in names}, self.reference_degc)
+        channels = {n: self.value(n)[index] for n in names}
+        return State(self.machine, self.time_s[index], channels, self.reference_degc, self.dead_band_mm)

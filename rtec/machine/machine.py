@@ -45,6 +45,11 @@ class Axis:
         return self.name.lower()
 
     @property
+    def dead_band_mm(self) -> float:
+        """The dead band of direction, mm."""
+        return self.dead_band_counts / self.counts_per_mm
+
+    @property
     def direction_channel(self) -> str:
         """Name of the channel of the last direction of motion: -1, +1, or 0 before the first motion."""
         return f"d_{self.channel}"

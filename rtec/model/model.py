@@ -93,7 +93,22 @@ class Model:
 
     def state(self, time_s: Floats, channels: Mapping[str, Floats]) -> State:
         """Give a state of this model's machine and reference temperature."""
-        return State(self.machine, time_s, channels, self.reference_degc)
+        return State(self.machine, time_s, channels, self.reference_degc, self.dead_bands_mm)
+
+    @cached_property
+    def dead_bands_mm(self) -> dict[str, float]:
+        """Motion back by at most this much is no reversal, by axis name; the loop uses the same.
+
+        Never less than what the model's own reversal terms make a correction jump by (and a quarter): the correction
+        moves the axis, and an axis that its own correction turns round would be turned back again, for ever.
+        """
+        from rtec.model.reversal import reversal_um
+
+        jumps = reversal_um(self)
+        return {
+            a.name: max(a.dead_band_mm, 1.25e-3 * jumps[a.name] + (a.dead_band_mm if jumps[a.name] else 0.0))
+            for a in self.machine.axes
+        }
 
     def effect_components(self, state: State) -> list[Floats]:
         """What each effect adds to its component, µm or µrad: a list of (n,)."""

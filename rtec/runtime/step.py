@@ -150,7 +150,7 @@ def _numbers(settings: StepSettings, source: StepSource, values: NDArray[np.floa
 
     put("p", values)
     put("counts_per_mm", [a.counts_per_mm for a in machine.axes])
-    put("dead_band", [a.dead_band_counts / a.counts_per_mm for a in machine.axes])
+    put("dead_band", [settings.model.dead_bands_mm[a.name] for a in machine.axes])
     limits = [settings.limits.get(a.name) for a in machine.axes]
     put("warning", [x.warning_um if x else 0.0 for x in limits])
     put("stop", [x.stop_um if x else 0.0 for x in limits])

@@ -4,6 +4,7 @@ Oracle: the simulated machine's own encoder, driven by its own servo, not what r
 behind the encoder may lag by its play where the correction alone turned it round.)
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,28 @@ def test_the_axis_goes_where_the_correction_wants_it(tmp_path: Path, name: str) 
     plain, _, _, _ = run_without(tmp_path, content)
     np.testing.assert_allclose(shift_um - plain, applied_um, atol=allowed)
     assert loop.stats.driver_errors == 0
+
+
+@pytest.mark.parametrize("reversal_um", [4.0, -4.0, 25.0])
+def test_a_correction_does_not_chase_its_own_reversal(tmp_path: Path, reversal_um: float) -> None:
+    """At rest the corrections' own motion turns the axis round; its reversal term must not turn it back for ever.
+
+    Oracle: an axis at rest under constant temperatures comes to rest. With the machine's dead band of 2 counts alone,
+    the output went to and fro by the reversal value twice a second.
+    """
+    sink, unit_um = SINKS["origin offset"]
+    content = setups.tables(tmp_path, actuator="origin_offset", unit_um=unit_um, program="G0 X100 Z200", repeat=False)
+    content["output"] = {"X": sink, "Z": sink}
+    path = setups.write(tmp_path, content)
+    made = load_setup(path)
+    effects = tuple(
+        replace(f, values={"B": reversal_um}) if f.effect.effect == "backlash" else f for f in made.model.effects
+    )
+    made = replace(made, model=replace(made.model, effects=effects))
+    _, commands, _, _ = run(made, VirtualClock(10**9), 8000)
+    moves = np.count_nonzero(np.diff(commands.output[4000:, 0]))
+    assert moves <= 2
+    assert np.ptp(commands.output[4000:, 0]) <= 2
 
 
 def run_without(tmp_path: Path, content: dict[str, Any]) -> tuple[Any, Any, Any, Any]:
