@@ -57,7 +57,8 @@ def validated(kind: type[M], data: object, source: str, error: type[RtecError] =
         error: all faults at once, one a line, each naming source, section, key and what is allowed.
     """
     try:
-        return kind.model_validate(data)
+        # As JSON and strict: a list may be a tuple and a text a path, but "1000" and true are no numbers.
+        return kind.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as e:
         raise error("\n".join(_fault(kind, item, source) for item in e.errors())) from e
 

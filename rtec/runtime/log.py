@@ -83,7 +83,8 @@ class LogReader:
     def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[tuple[Samples, Commands]]:
         """Give the rows from `start` on, in blocks of `max_rows` at most, as views of the mapped file.
 
-        The mapping is private: writing to a view changes no file. Blocks end where the batches of the file do. Views stay good after the reader is closed.
+        The mapping is private: writing to a view changes no file. Blocks end where the batches of the file do. Views
+        stay good after the reader is closed.
 
         Raises:
             LogError: a batch is whole in length but contradicts the header.

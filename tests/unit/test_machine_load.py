@@ -71,13 +71,18 @@ FAULTS: list[tuple[Callable[[Table], object], str]] = [
     (put("machine", "name", ""), "[machine] name: String should have at least 1 character, found ''"),
     (
         put("axis", "X", "counts_per_mm", "many"),
-        "[axis.X] counts_per_mm: Input should be a valid number, unable to parse string as a number, found 'many'",
+        "[axis.X] counts_per_mm: Input should be a valid number, found 'many'",
     ),
+    (
+        put("axis", "X", "counts_per_mm", "1000"),
+        "[axis.X] counts_per_mm: Input should be a valid number, found '1000'",
+    ),
+    (put("axis", "X", "counts_per_mm", True), "[axis.X] counts_per_mm: Input should be a valid number, found True"),
     (put("machine", 3), "[machine] must be a table, found 3"),
     (put("axis", "X", 3), "[axis.X] must be a table, found 3"),
     (
         put("axis", "X", "travel_mm", [0.0, "b"]),
-        "[axis.X] travel_mm[1]: Input should be a valid number, unable to parse string as a number, found 'b'",
+        "[axis.X] travel_mm[1]: Input should be a valid number, found 'b'",
     ),
     (put("axis", "X", "travel_mm", [0.0]), "[axis.X] travel_mm[1]: is missing"),
     (
