@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test check bench lock format clean
+.PHONY: help demo test lint check bench lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -21,14 +21,15 @@ demo: $(STAMP)  ## a machine warms up for a day, uncorrected and corrected; writ
 	$(BIN)/rtec demo
 
 test: $(STAMP)  ## the tests
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist loadgroup
 
-check: $(STAMP)  ## format, lint, types, import layers, tests
+lint: $(STAMP)  ## format, lint, types, import layers
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n auto
+
+check: lint test  ## all of it: lint, then the tests
 
 bench: $(STAMP)  ## speed, each figure beside what it is measured against
 	$(BIN)/python -m tests.bench

@@ -1,0 +1,82 @@
+"""The command line: help that teaches, lazy imports, exit status. Oracle: `formats.md`'s table of exit status."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+import typer
+
+from rtec.cli.main import app, status
+from rtec.errors import ConfigError, RtecError
+
+
+def commands(group: typer.Typer, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Every command as a user types it."""
+    for command in group.registered_commands:
+        name = command.name or getattr(command.callback, "__name__", "").replace("_", "-")
+        yield (*path, name)
+    for inner in group.registered_groups:
+        assert inner.typer_instance is not None
+        yield from commands(inner.typer_instance, (*path, str(inner.name)))
+
+
+@pytest.mark.parametrize("command", list(commands(app)), ids=" ".join)
+def test_help_teaches_with_an_example(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert status([*command, "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "Example" in text
+    assert f"rtec {' '.join(command)}" in text.split("Example", 1)[1]
+
+
+def test_import_and_help_load_nothing_heavy() -> None:
+    """Half a second is spent on imports alone if one of these slips in."""
+    heavy = ["numba", "numpy", "pyarrow", "scipy", "matplotlib", "pydantic", "zmq", "can", "serial"]
+    code = (
+        "import sys, rtec, rtec.cli.main as m; m.status(['--help']); "
+        f"print([h for h in {heavy} if h in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["--version"], 0),
+        ([], 2),
+        (["runn"], 2),
+        (["run"], 2),
+        (["run", "absent.toml"], 2),
+        (["run", "absent.toml", "--duration", "0"], 2),
+        (["log", "info", "absent.arrows"], 2),
+        (["replay", "absent.toml", "absent.arrows"], 2),
+    ],
+)
+def test_exit_status(arguments: list[str], code: int, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(arguments) == code
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_near_miss_names_the_right_command(capsys: pytest.CaptureFixture[str]) -> None:
+    status(["replya"])
+    assert "Did you mean 'replay'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (ConfigError("a.toml: first\na.toml: second"), 2, "rtec: a.toml: first\nrtec: a.toml: second\n"),
+        (RtecError("plain"), 2, "rtec: plain\n"),
+        (KeyboardInterrupt(), 130, ""),
+    ],
+)
+def test_errors_become_one_clear_message(
+    error: BaseException, code: int, text: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("rtec.runtime.config.load_setup", fail)
+    assert status(["run", "x.toml"]) == code
+    assert capsys.readouterr().err == text
