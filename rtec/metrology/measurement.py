@@ -1,0 +1,61 @@
+"""A measurement: one instrument's recording on one machine, in memory."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.effects import State
+from rtec.machine import Machine
+from rtec.tomlfile import Strict
+
+if TYPE_CHECKING:
+    from rtec.metrology.instruments.base import Instrument
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """n rows in order of time; a run is one uninterrupted traverse or cycle.
+
+    Attributes:
+        name: file stem, or what it is called.
+        instrument: what read it, with its set-up.
+        machine: that it was read on.
+        run: run number of each row, (n,).
+        time_s: (n,), not falling.
+        channels: by channel name, (n,): positions mm, `d_x` where given, `v_x` mm/s, temperatures °C, `spindle_rpm`,
+            `feed_mm_min`, `load_kg`.
+        readings: by column name (`reading_um`, `reading_x_um`, …), (n,); NaN where there is none.
+        sha256: of the file's content; empty for one that never was a file.
+        notes: what the reader told about the file, in words.
+    """
+
+    name: str
+    instrument: "Instrument"
+    machine: Machine
+    run: Ints
+    time_s: Floats
+    channels: Mapping[str, Floats]
+    readings: Mapping[str, Floats]
+    sha256: str = ""
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def state(self, reference_degc: float = 20.0, dead_band_mm: Mapping[str, float] | None = None) -> State:
+        """The channels as a state; directions that were not recorded follow from the order of positions."""
+        return State(self.machine, self.time_s, self.channels, reference_degc, dead_band_mm or {})
+
+    def matrix(self) -> Floats:
+        """The readings, (readings of the instrument, n), in the order of `instrument.columns()`."""
+        return np.stack([self.readings[c] for c in self.instrument.columns()])
+
+
+class Setup(Strict):
+    """The `[setup]` table of an instrument; each instrument has its own keys."""
