@@ -99,8 +99,8 @@ class Model:
     def dead_bands_mm(self) -> dict[str, float]:
         """Motion back by at most this much is no reversal, by axis name; the loop uses the same.
 
-        Never less than what the model's own reversal terms make a correction jump by (and a quarter): the correction
-        moves the axis, and an axis that its own correction turns round would be turned back again, for ever.
+        Where turning round makes a correction that moves the axis back, never less than that jump (and a quarter):
+        an axis that its own correction turns round would be turned back again, for ever.
         """
         from rtec.model.reversal import reversal_um
 

@@ -15,7 +15,10 @@ PLACES = 3
 
 
 def reversal_um(model: "Model") -> dict[str, float]:
-    """Largest jump of the tip error along each axis when that axis turns round, µm, by axis name.
+    """Largest jump of the tip error along each axis from moving negative to moving positive, µm, by axis name.
+
+    Zero where the error falls at every such turn, as with ordinary play: the correction that follows then moves the
+    axis further on the way it has turned to. Where the error rises, the correction moves it back.
 
     Tried at the ends and the middle of every axis' travel, and at both ends of the temperatures' fitted range.
     """
@@ -28,7 +31,7 @@ def reversal_um(model: "Model") -> dict[str, float]:
     for axis in (a for a in machine.axes if a.name in turning):
         for level in range(PLACES):
             jump = _tip(model, poses, level, axis.name, 1.0) - _tip(model, poses, level, axis.name, -1.0)
-            out[axis.name] = max(out[axis.name], float(np.abs(jump[:, "XYZ".index(axis.direction)]).max()))
+            out[axis.name] = max(out[axis.name], float(jump[:, "XYZ".index(axis.direction)].max()))
     return out
 
 

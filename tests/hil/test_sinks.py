@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rtec.runtime.clock import VirtualClock
 from rtec.runtime.config import load_setup
@@ -18,6 +19,7 @@ from rtec_drivers.sim import SimDriver
 from tests import setups
 from tests.unit.test_loop import run
 
+Floats = NDArray[np.float64]
 RANGE_MM, BITS = 0.1, 8
 SINKS: dict[str, tuple[dict[str, Any], float]] = {
     "single counts": ({"kind": "pulse"}, 1.0),
@@ -26,6 +28,12 @@ SINKS: dict[str, tuple[dict[str, Any], float]] = {
     "phase": ({"kind": "phase", "bits": BITS, "range_mm": RANGE_MM}, 2e3 * RANGE_MM / 2**BITS),
     "origin offset": ({"kind": "origin_offset", "resolution_um": 1.0, "period_s": 0.5}, 1.0),
 }
+
+
+def encoder_um(box: SimDriver) -> Floats:
+    """How far the encoders are from where the program wants the axes, µm."""
+    per_mm = np.array([a.counts_per_mm for a in box.machine.machine.axes])
+    return np.asarray((box.machine.raw_counts / per_mm - [100.0, 200.0]) * 1e3, dtype=np.float64)
 
 
 @pytest.mark.parametrize("name", SINKS)
@@ -46,8 +54,7 @@ def test_the_axis_goes_where_the_correction_wants_it(tmp_path: Path, name: str) 
     _, commands, loop, _ = run(load_setup(path), VirtualClock(10**9), 6000, remember)
     applied_um = commands.applied_um[-1]
     assert abs(applied_um[0]) > 10.0
-    # One count is 1 µm on this machine.
-    shift_um = machines[0].machine.raw_counts - [100_000.0, 200_000.0]
+    shift_um = encoder_um(machines[0])
     # One unit of the sink, one count of the encoder, and half of each for rounding.
     allowed = 0.5 + 0.75 * unit_um + 1.0
     plain, _, _, _ = run_without(tmp_path, content)
@@ -93,4 +100,4 @@ def run_without(tmp_path: Path, content: dict[str, Any]) -> tuple[Any, Any, Any,
     made = load_setup(setups.write(folder, content))
     _, commands, loop, ports = run(made, VirtualClock(10**9), 6000, remember, MODE_OFF)
     assert not commands.output.any()
-    return machines[0].machine.raw_counts - [100_000.0, 200_000.0], commands, loop, ports
+    return encoder_um(machines[0]), commands, loop, ports
