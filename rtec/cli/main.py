@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from rtec import __version__
-from rtec.cli import log, replay, run
+from rtec.cli import demo, log, replay, run
 from rtec.errors import RtecError
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ Reads axis counts and temperatures, works out the tool-tip error from a geometri
 Begin with `rtec demo`: a machine that needs no hardware, uncorrected and corrected.
 """,
 )
+app.command()(demo.demo)
 app.command()(run.run)
 app.command()(replay.replay)
 app.add_typer(log.app, name="log")
@@ -63,7 +64,6 @@ def status(arguments: list[str]) -> int:
     except USAGE_ERROR as e:
         return _wrong_use(e)
     except (KeyboardInterrupt, typer.Abort):
-        typer.echo("interrupted", err=True)
         return 130
     except BrokenPipeError:
         sys.stderr.close()  # whoever read our output has left; nothing to say to nobody

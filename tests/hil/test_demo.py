@@ -31,7 +31,7 @@ CONFIGS = config_folder()
 
 @pytest.fixture(scope="module")
 def told() -> Story:
-    return tell_story(SEED, CONFIGS, lambda what, done, total: None, SHORT)
+    return tell_story(SEED, CONFIGS, lambda *_: None, SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -101,13 +101,14 @@ def test_correction_helps(told: Story) -> None:
 
 
 def test_raw_and_inserted_are_what_the_controller_sees(told: Story) -> None:
-    """Oracle: the simulated controller's own numbers; and its following error, which is small if it really uses them."""
+    """Oracle: the simulated controller's own numbers; its following error, which is small only if it uses them."""
     side, track = told.side, told.on
     np.testing.assert_array_equal(side.samples.counts, track.raw_counts)
     np.testing.assert_array_equal(side.samples.counts + side.commands.output, side.seen_counts)
     assert np.abs(side.commands.output).max() > 10
     cutting = track.surface >= 0
-    behind_um = 1e3 * track.commanded_mm[cutting] - side.seen_counts[cutting]
+    per_mm = np.array([a.counts_per_mm for a in told.model.machine.axes])
+    behind_um = 1e3 * (track.commanded_mm - side.seen_counts / per_mm)[cutting]
     assert np.abs(behind_um).max() < 6.0
     assert np.abs(behind_um).mean() < 1.0
 

@@ -1,0 +1,1 @@
+"""`rtec demo`: a simulated turning centre over a day, uncorrected and corrected, from measuring to report."""

@@ -1,0 +1,146 @@
+"""The working day: production that warms the machine up, a part every half hour, a night to cool, check cuts in it.
+
+A part is one continuous contour, as in finish turning: face inwards (70 mm), turn a cylinder (200 mm) towards the
+chuck, shoulder outwards (70 mm). The same day is lived through twice: with the correction off, straight through the
+simulated machine; and on, through the loop of `rtec run` on a clock that moves the simulated machine when it sleeps.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NS = 1_000_000_000
+FACE_Z_MM, SHOULDER_Z_MM = 330.0, 130.0
+CYLINDER_X_MM, OUTSIDE_X_MM = 40.0, 110.0
+FEED_MM_MIN = 720.0
+EVERY_NS = 40_000_000
+"""The tool tip is looked at this often along a cut, every half millimetre."""
+WAIT_S = 10
+"""While the machine works, one cycle of the loop this often."""
+CUT_EVERY_S, CHECK_EVERY_S = 1800, 7200
+WARM_H, NIGHT_H = 8, 16
+FACE, CYLINDER, SHOULDER, OTHER = 0, 1, 2, -1
+PROGRAM = f"""
+G0 X{OUTSIDE_X_MM:g} Z{FACE_Z_MM + 5:g}
+G1 Z{FACE_Z_MM:g} F{FEED_MM_MIN:g}
+G4 P0.5
+G1 X{CYLINDER_X_MM:g}
+G4 P0.2
+G1 Z{SHOULDER_Z_MM:g}
+G4 P0.2
+G1 X{OUTSIDE_X_MM:g}
+G4 P0.2
+G0 Z{FACE_Z_MM + 5:g}
+"""
+
+
+@dataclass(frozen=True)
+class Work:
+    """The machine works, or stands (speed 0), and nothing is recorded."""
+
+    seconds: int
+    rpm: float
+    feed_duty: float
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A part is cut; the spindle turns only for it where the machine stands before."""
+
+    rpm: float
+
+    @property
+    def program(self) -> str:
+        """Part program; X is a radius."""
+        return f"M3 S{self.rpm:.0f}\n{PROGRAM}M5\nM30\n"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How long the day is; the whole one by default, a short one for tests.
+
+    Attributes:
+        warm_h, night_h: hours of production and of cooling.
+        cut_every_s, check_every_s: time from part to part, by day and by night.
+    """
+
+    warm_h: float = WARM_H
+    night_h: float = NIGHT_H
+    cut_every_s: int = CUT_EVERY_S
+    check_every_s: int = CHECK_EVERY_S
+
+    def steps(self, seed: int) -> Iterator[Work | Cut]:
+        """What happens on the day of a seed: each hour of production its own spindle speed and share of motion."""
+        rng = np.random.default_rng([seed, 20])
+        speeds = rng.uniform(1800.0, 3000.0, 24).round(-1)
+        duties = rng.uniform(0.2, 0.5, 24)
+        yield Cut(float(speeds[0]))
+        for i in range(round(self.warm_h * 3600 / self.cut_every_s)):
+            hour = i * self.cut_every_s // 3600
+            yield Work(self.cut_every_s, float(speeds[hour]), float(duties[hour]))
+            yield Cut(float(speeds[hour]))
+        for _ in range(round(self.night_h * 3600 / self.check_every_s)):
+            yield Work(self.check_every_s, 0.0, 0.0)
+            yield Cut(2000.0)
+
+    @property
+    def cuts(self) -> int:
+        """How many parts."""
+        return 1 + round(self.warm_h * 3600 / self.cut_every_s) + round(self.night_h * 3600 / self.check_every_s)
+
+
+@dataclass(frozen=True)
+class Track:
+    """One day as it was recorded: n instants, along the cuts every 40 ms, between them every 10 s.
+
+    Attributes:
+        time_ns: simulated time, (n,).
+        part: which part is cut, from 0; -1 between parts, (n,).
+        surface: FACE, CYLINDER, SHOULDER or OTHER, (n,).
+        commanded_mm: (n, 2).
+        reading_mm: encoders, not rounded to counts, (n, 2).
+        raw_counts: encoders, (n, 2).
+        inserted_counts: what stood in the machine at that instant, (n, 2).
+        tip_um: tool relative to workpiece, actual minus commanded, (n, 3).
+        geometric_um: the same minus what the encoders show, (n, 3): what the model is to predict.
+        degc: sensors, (n, sensors).
+        body_degc: truth behind them, (n, bodies + air).
+    """
+
+    time_ns: Ints
+    part: Ints
+    surface: Ints
+    commanded_mm: Floats
+    reading_mm: Floats
+    raw_counts: Ints
+    inserted_counts: Ints
+    tip_um: Floats
+    geometric_um: Floats
+    degc: Floats
+    body_degc: Floats
+
+    def rows(self, index: NDArray[np.bool_] | Ints) -> "Track":
+        """Some instants."""
+        return Track(**{k: v[index] for k, v in vars(self).items()})
+
+    @property
+    def hours(self) -> Floats:
+        """Time in hours, (n,)."""
+        return self.time_ns / (3600.0 * NS)
+
+
+def surface_of(commanded_mm: Floats) -> Ints:
+    """Which surface is being cut at commanded positions (n, 2): only where the tool is well on it."""
+    x, z = commanded_mm.T
+    inside = (x > CYLINDER_X_MM + 1.0) & (x < OUTSIDE_X_MM - 1.0)
+    along = (z > SHOULDER_Z_MM + 1.0) & (z < FACE_Z_MM - 1.0)
+    out = np.full(len(x), OTHER, dtype=np.int64)
+    out[inside & (z == FACE_Z_MM)] = FACE
+    out[along & (x == CYLINDER_X_MM)] = CYLINDER
+    out[inside & (z == SHOULDER_Z_MM)] = SHOULDER
+    return out

@@ -1,0 +1,190 @@
+"""The whole demo: measure one day, fit, live through another day without and with the correction, take stock."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtec.demo import training
+from rtec.demo.beside import Beside
+from rtec.demo.day import Plan, Track
+from rtec.demo.leftover import WHY, Leftover, leftover
+from rtec.demo.live import RATE_HZ, LoopSide, corrected, uncorrected
+from rtec.demo.sizes import NIST_SIZE, NIST_STRAIGHT, Sizes, sizes_of
+from rtec.errors import ConfigError
+from rtec.machine import Machine, load_machine
+from rtec.model import Model
+from rtec.sim.truth import load_truth
+
+Stage = Callable[[str, int, int], None]
+"""Told what is going on, how much of it is done, of how much."""
+
+MACHINE_FILE = Path("machines") / "turning-centre.toml"
+TRUTH_FILE = Path("sim") / "turning-centre.toml"
+FINER = 4
+"""The last question: what would an encoder of so many counts for one do for straightness?"""
+FINER_PLAN = Plan(warm_h=0.5, night_h=0.0)
+
+
+@dataclass(frozen=True)
+class Story:
+    """Everything that the demo found.
+
+    Attributes:
+        plan: how long the working day is.
+        seed, measuring_seed: of the working day and of the day that the model was measured on.
+        model: the fitted model.
+        readings: numbers that the probe read.
+        inside_um, held_out_um: root mean square of readings minus prediction, in the fit and left out of it.
+        off, on: the working day, uncorrected and corrected, as recorded.
+        side: what the loop read and sent on the corrected day.
+        left: what the correction left, taken apart.
+        finer_um: straightness, worst over the first parts, with a finer encoder: uncorrected, corrected.
+    """
+
+    plan: Plan
+    seed: int
+    measuring_seed: int
+    model: Model
+    readings: int
+    inside_um: float
+    held_out_um: float
+    off: Track
+    on: Track
+    side: LoopSide
+    left: Leftover
+    finer_um: tuple[float, float]
+
+    @cached_property
+    def sizes(self) -> tuple[Sizes, Sizes]:
+        """Errors of the parts, uncorrected and corrected."""
+        return sizes_of(self.off), sizes_of(self.on)
+
+    @property
+    def held_share(self) -> float:
+        """Share of the recorded cycles of the cuts in which the guard held the correction."""
+        return float(np.mean(self.side.held[self.on.part >= 0]))
+
+    def figures(self) -> list[dict[str, Any]]:
+        """One entry a kind of error: largest and typical, off and on, factors, and NIST's."""
+        (off, on), nist = self.sizes, {"diameter": NIST_SIZE, "length": NIST_SIZE, "straightness": NIST_STRAIGHT}
+        return [
+            {
+                "error": kind,
+                "off_largest_um": off.largest()[kind],
+                "on_largest_um": on.largest()[kind],
+                "factor_largest": off.largest()[kind] / on.largest()[kind],
+                "off_rms_um": off.typical()[kind],
+                "on_rms_um": on.typical()[kind],
+                "factor_rms": off.typical()[kind] / on.typical()[kind],
+                "nist_factor": list(nist[kind]) if kind in nist else None,
+            }
+            for kind in off.largest()
+        ]
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data, for JSON."""
+        return {
+            "seed": self.seed,
+            "measuring_seed": self.measuring_seed,
+            "parts": int(self.on.part.max()) + 1,
+            "loop_rate_hz": RATE_HZ,
+            "guard_held_share": self.held_share,
+            "model": {
+                "sha256": self.model.hash,
+                "effects": len(self.model.effects),
+                "numbers": len(self.model.parameter_values()),
+                "readings": self.readings,
+                "noise_um": self.model.noise_um,
+                "inside_rms_um": self.inside_um,
+                "held_out_rms_um": self.held_out_um,
+            },
+            "errors": self.figures(),
+            "left_uncorrected": [
+                {"part": name, "rms_um": rms, "largest_um": most, "why": WHY.get(name, "")}
+                for name, rms, most in self.left.sizes()
+            ],
+            "across": {
+                "largest_um": float(np.abs(self.left.across_um).max()),
+                "on_diameter_um": self.left.across_on_diameter_um,
+                "why": "no axis moves across the workpiece (Y)",
+            },
+            "straightness_with_finer_encoder": {
+                "counts_for_one": FINER,
+                "off_um": self.finer_um[0],
+                "on_um": self.finer_um[1],
+                "factor": self.finer_um[0] / self.finer_um[1],
+            },
+        }
+
+
+def config_folder(given: Path | None = None) -> Path:
+    """Where the demo's machine and truth are: the folder given, or `configs` of the source tree.
+
+    Raises:
+        ConfigError: they are not there.
+    """
+    folder = given or Path(__file__).parents[2] / "configs"
+    missing = [str(folder / name) for name in (MACHINE_FILE, TRUTH_FILE) if not (folder / name).is_file()]
+    if missing:
+        raise ConfigError(
+            f"{missing[0]}: no such file; the demo needs the folder 'configs' of the source tree: run it from a "
+            "clone, or say where it is with --configs"
+        )
+    return folder
+
+
+def tell_story(seed: int, configs: Path, stage: Stage, plan: Plan | None = None) -> Story:
+    """Run everything; the uncorrected day, and the fits that only check, run in a second process meanwhile.
+
+    Args:
+        seed: of the working day; the measuring day is the next seed's.
+        configs: folder with machine and truth.
+        stage: told of progress.
+        plan: a shorter day.
+    """
+    plan = plan or Plan()
+    machine, truth = load_machine(configs / MACHINE_FILE), load_truth(configs / TRUTH_FILE)
+    measuring_seed = seed + 1
+    with Beside(_beside, seed, measuring_seed, configs, plan) as beside:
+        day = training.measure(machine, truth, measuring_seed, _told(stage, "measuring day"))
+        stage("fitting the model", 0, 1)
+        model = training.fit_day(day)
+        on, side = corrected(model, configs / TRUTH_FILE, seed, plan, progress=_told(stage, "corrected day"))
+        stage("what a finer encoder would do", 0, 1)
+        finer = _finer(model, configs, seed)
+        stage("waiting for the uncorrected day", 0, 1)
+        off, clean, rms = beside.result()
+    stage("taking stock", 0, 1)
+    left = leftover(on, side, (model, clean), truth, seed)
+    return Story(plan, seed, measuring_seed, model, day.readings, *rms, off, on, side, left, finer)
+
+
+def _beside(seed: int, measuring_seed: int, configs: Path, plan: Plan) -> tuple[Track, Model, tuple[float, float]]:
+    """What the second process does: the uncorrected day; a fit without probe noise; a fit without some hours."""
+    machine, truth = load_machine(configs / MACHINE_FILE), load_truth(configs / TRUTH_FILE)
+    off = uncorrected(machine, truth, seed, plan)
+    day = training.measure(machine, truth, measuring_seed)
+    return off, training.fit_day(day, day.noise_free_um), training.held_out_rms_um(day)
+
+
+def _finer(model: Model, configs: Path, seed: int) -> tuple[float, float]:
+    """Worst straightness of the first parts with a finer encoder, uncorrected and corrected, µm."""
+    machine = _with_finer_encoder(model.machine)
+    truth = load_truth(configs / TRUTH_FILE)
+    off = sizes_of(uncorrected(machine, truth, seed, FINER_PLAN))
+    on = sizes_of(corrected(replace(model, machine=machine), configs / TRUTH_FILE, seed, FINER_PLAN)[0])
+    return off.largest()["straightness"], on.largest()["straightness"]
+
+
+def _with_finer_encoder(machine: Machine) -> Machine:
+    return replace(
+        machine, axes=tuple(replace(axis, counts_per_mm=FINER * axis.counts_per_mm) for axis in machine.axes)
+    )
+
+
+def _told(stage: Stage, what: str) -> Callable[[int, int], None]:
+    return lambda done, total: stage(what, done, total)

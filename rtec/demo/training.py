@@ -1,0 +1,187 @@
+"""The measuring day: from it alone comes the model.
+
+Another day than the one that is corrected (another seed): the spindle runs in steps with rests between, and every
+half hour, later every hour, a probe reads the radial and axial tip error along lines, in both directions. Nothing
+reads the error across (Y), because no axis could correct it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.effects import Effect, State, effect_class
+from rtec.machine import Machine
+from rtec.model import Model
+from rtec.model.fit import fit_model
+from rtec.sim.machine import SimulatedMachine
+from rtec.sim.truth import Truth
+from rtec.tomlfile import digest, validated
+
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+PROBE_NOISE_UM = 0.3
+LOG_EVERY_S = 10
+LINE_S = 30
+"""A line of stations takes so long, with the spindle standing."""
+SESSION_S = 1800
+# (hours, spindle 1/min, share of the time that the axes move): up and down, with rests, because effects that only
+# ever rise together can't be told apart.
+SCHEDULE = (
+    (2.0, 2800.0, 0.35),
+    (1.0, 0.0, 0.0),
+    (1.5, 1600.0, 0.6),
+    (2.0, 3300.0, 0.15),
+    (1.0, 0.0, 0.5),
+    (2.5, 2400.0, 0.4),
+    (1.0, 1200.0, 0.1),
+    (2.0, 3000.0, 0.5),
+    (7.0, 0.0, 0.0),
+)
+Z_LINES_AT_X_MM = (20.0, 150.0)
+X_LINES_AT_Z_MM = (90.0, 310.0)
+Z_STEP_MM, X_STEP_MM = 11.3, 5.9
+"""No multiples of the screws' pitch, which would hide their cyclic error."""
+BLOCK, OF_BLOCKS = 3, 4
+"""Sessions are left out of the fit that is checked in blocks of three, every fourth block: whole hours."""
+
+EFFECTS: tuple[dict[str, object], ...] = (
+    # The shape of the guides and screws at 20 °C.
+    {"effect": "piecewise_position", "component": "EXZ", "axis": "Z", "knots_mm": list(range(0, 401, 10))},
+    {"effect": "piecewise_position", "component": "EZX", "axis": "X", "knots_mm": list(range(0, 201, 8))},
+    {"effect": "polynomial_position", "component": "EXX", "axis": "X", "degrees": list(range(1, 13))},
+    {"effect": "polynomial_position", "component": "EZZ", "axis": "Z", "degrees": list(range(1, 13))},
+    {"effect": "polynomial_position", "component": "EBZ", "axis": "Z", "degrees": list(range(1, 7))},
+    {"effect": "cyclic_screw", "component": "EXX", "axis": "X", "harmonics": 2},
+    {"effect": "cyclic_screw", "component": "EZZ", "axis": "Z", "harmonics": 2},
+    {"effect": "backlash", "component": "EXX", "axis": "X"},
+    {"effect": "backlash", "component": "EZZ", "axis": "Z"},
+    # Screws: no sensor turns with a screw; the nut's is as near as one gets.
+    {"effect": "axis_expansion", "component": "EXX", "axis": "X", "sensor": "T_x_nut"},
+    {"effect": "axis_expansion", "component": "EZZ", "axis": "Z", "sensor": "T_z_nut"},
+    {"effect": "axis_expansion_nonuniform", "component": "EZZ", "axis": "Z", "sensor": "T_z_nut"},
+    # Structure.
+    {"effect": "spindle_growth", "component": "EZ0spindle", "sensor": "T_spindle_front"},
+    {"effect": "mount_expansion", "component": "EZ0spindle", "sensor": "T_headstock"},
+    {"effect": "mount_expansion", "component": "EZZ", "sensor": "T_bed"},
+    {"effect": "mount_expansion", "component": "EZZ", "sensor": "T_z_nut"},
+    {"effect": "mount_expansion", "component": "EX0spindle", "sensor": "T_headstock"},
+    {"effect": "column_tilt", "component": "EX0spindle", "front": "T_spindle_front", "back": "T_headstock"},
+    {"effect": "mount_expansion", "component": "EXX", "sensor": "T_carriage"},
+    {"effect": "mount_expansion", "component": "EXX", "sensor": "T_x_nut"},
+    {"effect": "ambient_drift", "component": "EXX", "sensor": "T_air"},
+    {"effect": "column_tilt", "component": "EB0spindle", "front": "T_spindle_front", "back": "T_spindle_rear"},
+    {"effect": "column_tilt", "component": "EB0Z", "front": "T_headstock", "back": "T_bed"},
+)
+
+
+@dataclass(frozen=True)
+class MeasuringDay:
+    """What was read.
+
+    Attributes:
+        state: temperatures all day long, positions and directions of the readings among them.
+        tip_um: readings, (n, 3); NaN where nothing was read.
+        noise_free_um: the same as the probe would have read without noise.
+        session: which session an instant belongs to, (n,); -1 between them.
+    """
+
+    state: State
+    tip_um: Floats
+    noise_free_um: Floats
+    session: NDArray[np.int64]
+
+    @property
+    def readings(self) -> int:
+        """Numbers read."""
+        return int(np.isfinite(self.tip_um).sum())
+
+
+def effects() -> list[Effect]:
+    """The effects of the model, without numbers."""
+    return [validated(effect_class(str(e["effect"]), "demo"), e, "demo") for e in EFFECTS]
+
+
+def measure(machine: Machine, truth: Truth, seed: int, progress: Progress | None = None) -> MeasuringDay:
+    """Live through the measuring day of a seed."""
+    sim = SimulatedMachine(machine, truth, seed)
+    day = _Notebook(sim, np.random.default_rng([seed, 30]))
+    day.session()
+    total = sum(hours for hours, _, _ in SCHEDULE) * 3600
+    for hours, rpm, duty in SCHEDULE:
+        every_s = SESSION_S if hours < 4.0 else 2 * SESSION_S
+        for _ in range(round(hours * 3600 / every_s)):
+            day.work(every_s - day.session_s, rpm, duty)
+            day.session()
+            if progress:
+                progress(sim.thermal.time_s, round(total))
+    return day.close()
+
+
+def fit_day(day: MeasuringDay, tip_um: Floats | None = None, name: str = "turning-centre") -> Model:
+    """Fit the model to the readings of a day (or to others at the same instants)."""
+    tip = day.tip_um if tip_um is None else tip_um
+    sums = {"measuring-day": digest([day.state.time_s.tolist(), np.nan_to_num(tip).tolist()])}
+    return fit_model(effects(), day.state, tip, name=name, measurements=sums)
+
+
+def held_out_rms_um(day: MeasuringDay) -> tuple[float, float]:
+    """Root mean square of readings minus prediction, µm: sessions in the fit, and sessions left out of it."""
+    out = (day.session >= 0) & (day.session // BLOCK % OF_BLOCKS == 1)
+    model = fit_day(day, np.where(out[:, None], np.nan, day.tip_um))
+    left = day.tip_um - model.predict(day.state)
+    return tuple(float(np.sqrt(np.nanmean(left[part] ** 2))) for part in (~out, out))  # type: ignore[return-value]
+
+
+class _Notebook:
+    """Goes through the day and writes down what is read."""
+
+    def __init__(self, sim: SimulatedMachine, rng: np.random.Generator) -> None:
+        self._sim, self._rng, self._sessions = sim, rng, 0
+        self._rows: list[tuple[Floats, Floats, Floats, Floats, int]] = []
+        self.session_s = LINE_S * (len(Z_LINES_AT_X_MM) + len(X_LINES_AT_Z_MM))
+
+    def work(self, seconds: int, rpm: float, duty: float) -> None:
+        for _ in range(seconds // LOG_EVERY_S):
+            self._sim.work(LOG_EVERY_S, rpm, duty)
+            self._log(np.zeros((1, 2)), np.zeros((1, 2)), -1)
+
+    def session(self) -> None:
+        """Read every line there and back, from a start that differs each time."""
+        for line in self._lines():
+            self._sim.work(LINE_S)
+            towards = np.sign(line[-1] - line[0]) + (line[-1] == line[0])
+            self._log(line, np.broadcast_to(towards, line.shape), self._sessions)
+            back = np.where(line[-1] == line[0], 1.0, -towards)
+            self._log(line[::-1], np.broadcast_to(back, line.shape), self._sessions)
+        self._sessions += 1
+
+    def _lines(self) -> Sequence[Floats]:
+        z = np.arange(self._rng.uniform(0.0, Z_STEP_MM), 400.0, Z_STEP_MM)
+        x = np.arange(self._rng.uniform(0.0, X_STEP_MM), 200.0, X_STEP_MM)
+        along_z = [np.stack([np.full(len(z), at), z], axis=1) for at in Z_LINES_AT_X_MM]
+        return [*along_z, *(np.stack([x, np.full(len(x), at)], axis=1) for at in X_LINES_AT_Z_MM)]
+
+    def _log(self, position: Floats, direction: Floats, session: int) -> None:
+        degc, _ = self._sim.temperatures()
+        error = np.full((len(position), 3), np.nan)
+        if session >= 0:
+            error = self._sim.geometric_error_at_um(position, direction)
+            error[:, 1] = np.nan
+        time = np.full((len(position), 1), self._sim.time_ns * 1e-9)
+        degc = np.broadcast_to(degc, (len(position), len(degc)))
+        self._rows.append((time, np.concatenate([position, direction, degc], axis=1), error, degc, session))
+
+    def close(self) -> MeasuringDay:
+        """Give everything as arrays."""
+        machine = self._sim.machine
+        table = np.concatenate([row[1] for row in self._rows])
+        axes, error = machine.axes, np.concatenate([row[2] for row in self._rows])
+        names = [*(a.channel for a in axes), *(a.direction_channel for a in axes), *machine.sensor_names]
+        channels = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}
+        state = State(machine, np.concatenate([row[0][:, 0] for row in self._rows]), channels)
+        noise = PROBE_NOISE_UM * self._rng.standard_normal(error.shape)
+        session = np.concatenate([np.full(len(row[0]), row[4]) for row in self._rows])
+        return MeasuringDay(state, error + noise, error, session)
