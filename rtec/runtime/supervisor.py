@@ -132,6 +132,7 @@ class Supervisor:
 
     def _supervise(self, ring: Ring, pipe: Connection, process: Any) -> Report:
         ready = self._receive(pipe, process)
+        ring.unlink()  # both sides have it: now it goes with the last of them, however that ends
         self.warnings += ready["warnings"]
         with self._log(ready["output"]) as log:
             self._on_start()
@@ -267,7 +268,7 @@ def new_log_path(setup: Setup) -> Path | None:
     """
     if setup.file.run.log_folder is None:
         return None
-    folder = setup.base / setup.file.run.log_folder
+    folder = (setup.base / setup.file.run.log_folder).resolve()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
