@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from rtec.machine import load_machine
+from rtec.metrology.importing import load_map
 from rtec.model import load_model
 from rtec.runtime.clock import VirtualClock
 from rtec.runtime.config import load_setup
@@ -27,6 +28,8 @@ def test_loads(name: Path) -> None:
             check_truth(load_truth(path), load_machine(machine), str(path))
         case ("models",):
             load_model(path, load_machine(machine))
+        case ("maps",):
+            load_map(path)
         case ():
             setup = load_setup(path)
             if setup.file.device:

@@ -1,0 +1,135 @@
+"""`rtec import`: files of other programs become measurements."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rtec.metrology.importing import Imported
+    from rtec.metrology.measurement import Measurement
+    from rtec.metrology.readers import Table
+
+
+def import_(
+    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="File of another program.")] = None,
+    map_: Annotated[Path | None, typer.Option("--map", help="Map (TOML): which column is what.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="NAME, NAME.csv or NAME.parquet; NAME.toml goes beside it.")
+    ] = None,
+    reader: Annotated[
+        str | None, typer.Option("--as", metavar="READER", help="Reader; found out where not given.")
+    ] = None,
+    machine: Annotated[
+        Path | None, typer.Option("--machine", help="Machine file: the result is checked against it.")
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="Name the readers.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
+    drop_bad_rows: Annotated[
+        bool, typer.Option("--drop-bad-rows", help="The result leaves out rows with a cell that cannot be used.")
+    ] = False,
+    missing_code: Annotated[
+        list[str] | None, typer.Option("--missing-code", help='Number or word for "no value"; may stand several times.')
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
+) -> None:
+    """Turn a table of another program into a measurement: NAME.csv and NAME.toml.
+
+    Without --map it shows what is in FILE and a map to begin with. What was done is printed, and kept in NAME.toml.
+
+    Example: `rtec import scope.csv --map configs/maps/laser-decimal-comma.toml -o laser-x`
+    """
+    if list_:
+        _list(as_json=as_json)
+        return
+    if file is None:
+        raise typer.BadParameter("name a FILE, or ask for --list", param_hint="FILE")
+    if map_ is None:
+        if out is not None:
+            raise typer.BadParameter("-o needs a --map; without both, a map to begin with is shown", param_hint="--map")
+        _look(file, reader, as_json=as_json)
+        return
+    if out is None:
+        raise typer.BadParameter("say where to: -o NAME", param_hint="-o")
+    _import(file, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
+
+
+def _import(
+    file: Path,
+    map_: Path,
+    out: Path,
+    reader: str | None,
+    machine: Path | None,
+    lenient: tuple[bool, list[str]],
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    from rtec.cli.progress import bar
+    from rtec.machine import load_machine
+    from rtec.metrology.importing import import_to_files, load_map
+
+    how = load_map(map_)
+    on = load_machine(machine) if machine is not None else None
+    with bar(f"importing {file.name}"):
+        done, measurement, table = import_to_files(
+            file, how, out, on, reader=reader, drop_bad_rows=lenient[0], missing_codes=lenient[1], force=force
+        )
+    _show(done, measurement, table, as_json=as_json)
+
+
+def _show(done: "Imported", measurement: "Measurement | None", table: Path, *, as_json: bool) -> None:
+    facts = {
+        "table": str(table),
+        "reader": done.reader,
+        "rows_in": done.rows_in,
+        "rows_out": done.rows_out,
+        "columns": list(done.columns),
+        "notes": list(measurement.notes if measurement else done.notes),
+        "checked": measurement is not None,
+        "sha256": measurement.sha256 if measurement else "",
+    }
+    if as_json:
+        typer.echo(json.dumps(facts))
+        return
+    for note in facts["notes"]:  # type: ignore[attr-defined]
+        typer.echo(f"  {note}")
+    typer.echo(f"{done.rows_in} rows in, {done.rows_out} rows out: {table} and {table.stem}.toml")
+    if measurement is None:
+        typer.echo("not checked against a machine; --machine MACHINE.toml does that")
+
+
+def _look(file: Path, reader: str | None, *, as_json: bool) -> None:
+    from rtec.metrology.importing import starter_map
+    from rtec.metrology.readers import Source, read_tables
+
+    name, tables = read_tables(file, Source(reader=reader))
+    if as_json:
+        typer.echo(json.dumps({"reader": name, "tables": [_facts(t) for t in tables]}))
+        return
+    typer.echo(f"# {file} read as {name}: " + ", ".join(f"{t.name} ({len(t)} rows)" for t in tables))
+    for note in dict.fromkeys(n for t in tables for n in t.notes):
+        typer.echo(f"# {note}")
+    typer.echo(starter_map(name, tables))
+
+
+def _facts(table: "Table") -> dict[str, object]:
+    return {
+        "name": table.name,
+        "rows": len(table),
+        "columns": [
+            {"name": n, "unit": table.units.get(n), "text": v.dtype == object} for n, v in table.columns.items()
+        ],
+        "notes": list(table.notes),
+    }
+
+
+def _list(*, as_json: bool) -> None:
+    from rtec.metrology.readers.registry import READERS
+
+    if as_json:
+        typer.echo(json.dumps([{"name": n, "reads": r.title, "columns": r.gives} for n, r in READERS.items()]))
+        return
+    for name, reader in READERS.items():
+        typer.echo(f"{name:<14} {reader.title}\n{'':<14} columns: {reader.gives}")

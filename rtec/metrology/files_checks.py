@@ -1,0 +1,250 @@
+"""What the numbers of a table must obey; every fault by row, every acceptance told."""
+
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+
+from rtec.machine import Machine
+from rtec.metrology.faults import Faults, places
+from rtec.metrology.files_read import Bools, Floats, Raw
+from rtec.metrology.files_toml import Leniency
+
+# What loggers write where a sensor is broken. They matter only outside a sensor's own range.
+TEMPERATURE_CODES: Mapping[float, str] = {
+    -9999.0: "no value",
+    -999.0: "no value",
+    -999.9: "no value",
+    -3276.8: "the lowest 16-bit number",
+    -32768.0: "the lowest 16-bit number",
+    -273.15: "nothing measured (0 K)",
+    -270.0: "the bottom of a thermocouple's range",
+    -242.0: "an open or shorted Pt100",
+    -200.0: "the bottom of a Pt100's or thermocouple's range",
+    -180.0: "an open thermocouple",
+    -127.0: "a DS18B20 that does not answer",
+    85.0: "a DS18B20 that has not measured yet",
+    400.0: "an open type T thermocouple",
+    760.0: "an open type J thermocouple",
+    850.0: "an open Pt100",
+    988.0: "an open or shorted Pt100",
+    999.0: "no value",
+    999.9: "no value",
+    1000.0: "an open type E thermocouple",
+    1200.0: "an open type J thermocouple",
+    1300.0: "an open type N thermocouple",
+    1370.0: "an open type K thermocouple",
+    1372.0: "an open type K thermocouple",
+    1768.0: "an open type R or S thermocouple",
+    1820.0: "an open type B thermocouple",
+    2000.0: "an open thermocouple",
+    3276.7: "the highest 16-bit number",
+    6553.5: "the highest 16-bit number",
+    9999.0: "no value",
+    9999.9: "no value",
+    32767.0: "the highest 16-bit number",
+    65535.0: "the highest 16-bit number",
+}
+# What measuring programs write for a lost reading; no machine tool is 10 mm or 10 mrad wrong.
+READING_CODES = (9999.0, 9999.9, 99999.0, 99999.9, 999999.0, 9999999.0, -9999.0, -99999.0, -999999.0, -9999999.0)
+
+
+class Rows:
+    """The rows of one table under examination.
+
+    Args:
+        raw: its numbers.
+        readings: names of the reading columns; NaN is allowed in these alone.
+        machine: whose sensors have ranges.
+        leniency: what the user accepts.
+        where: how the user says so, for messages.
+    """
+
+    def __init__(
+        self, raw: Raw, readings: tuple[str, ...], machine: Machine, leniency: Leniency, faults: Faults, where: str
+    ) -> None:
+        self.raw, self.readings, self.machine = raw, readings, machine
+        self.leniency, self.faults, self.where = leniency, faults, where
+        self.bad = raw.bad.copy()
+        self.notes: list[str] = list(raw.notes)
+        self.drop_way = f"leave such rows out: {where} drop_bad_rows = true"
+
+    def checked(self) -> Raw:
+        """Examine all cells; tell faults, or leave out the bad rows where the user wishes so."""
+        self._missing_codes()
+        ranges = {f"{s.name}_degc": s.range_degc for s in self.machine.sensors}
+        for name in self.raw.columns:
+            self._infinite(name)
+            if name in ranges:
+                self._temperature(name, *ranges[name])
+            elif name in self.readings:
+                self._lost_reading(name)
+            if name not in self.readings:
+                self._empty(name)
+            if name == "run" or name.startswith("dir_"):
+                self._whole_number(name)
+        if not self.leniency.drop_bad_rows:
+            return self.raw
+        self.notes += self.faults.drop()
+        if self.bad.any():
+            self.notes.append(f"{int(self.bad.sum())} of {len(self.raw)} rows left out in all")
+        return self.raw.rows(~self.bad)
+
+    def _tell(self, name: str, kind: str, rows: Bools, text: str, way: str) -> None:
+        """Tell rows where `name` has a value that cannot be; `{}` in the text is the value."""
+        index = np.flatnonzero(rows & ~self.bad)
+        values = self.raw.columns[name]
+        self.bad |= rows
+        self.faults.rows(
+            f"{name} {kind}",
+            self.raw.numbers[index],
+            lambda i: f"{name} is {text.format(f'{values[index[i]]:.10g}')}",
+            way,
+        )
+
+    def _missing_codes(self) -> None:
+        """Readings and temperatures alone: 850 mm is a place, whatever a broken Pt100 shows."""
+        coded = [n for n in self.raw.columns if n in self.readings or n.endswith("_degc")]
+        for code in self.leniency.missing_codes:
+            if isinstance(code, str):
+                continue
+            for name in coded:
+                values = self.raw.columns[name]
+                hit = np.isclose(values, code, rtol=1e-9, atol=0.0)
+                if hit.any():
+                    self.raw.columns[name] = np.where(hit, np.nan, values)
+                    self.notes.append(f"{name}: {code:.10g} taken as missing ({self._at(hit)})")
+
+    def _at(self, rows: Bools) -> str:
+        return places(self.raw.word, self.raw.numbers[rows].tolist())
+
+    def _infinite(self, name: str) -> None:
+        values = self.raw.columns[name]
+        self._tell(name, "infinite", np.isinf(values), "{}, which is no value", f"correct it, or {self.drop_way}")
+
+    def _temperature(self, name: str, low: float, high: float) -> None:
+        values = self.raw.columns[name]
+        outside = ((values < low) | (values > high)) & ~np.isinf(values)
+        if outside.any():
+            rounded = np.round(values, 2)
+            for code, meaning in TEMPERATURE_CODES.items():
+                hit = outside & (rounded == code)
+                way = (
+                    f"mend the sensor, or take it as missing: {self.where} missing_codes = [{code:.10g}] with "
+                    f"hold_temperature_s = 120 or drop_bad_rows = true"
+                )
+                self._tell(name, f"code {code}", hit, f"{{}}: {meaning}, not a temperature", way)
+                outside &= ~hit
+            sensor = name.removesuffix("_degc")
+            way = f"correct it, widen range_degc of [temperature.{sensor}] in the machine file, or {self.drop_way}"
+            self._tell(name, "range", outside, f"{{}} °C, outside the sensor's range {low:g} to {high:g} °C", way)
+        self._hold(name)
+
+    def _hold(self, name: str) -> None:
+        """Fill gaps of a temperature with its last good value, where the user wishes so."""
+        limit, time_s = self.leniency.hold_temperature_s, self.raw.columns.get("time_s")
+        values = self.raw.columns[name]
+        gaps = np.isnan(values) & ~self.bad
+        if limit is None or time_s is None or not gaps.any():
+            return
+        good = np.maximum.accumulate(np.where(np.isfinite(values) & ~self.bad, np.arange(len(values)), -1))
+        age_s = time_s - time_s[np.maximum(good, 0)]
+        fill = gaps & (good >= 0) & (age_s >= 0) & (age_s <= limit)
+        if fill.any():
+            filled = values.copy()
+            filled[fill] = values[good[fill]]
+            self.raw.columns[name] = filled
+            self.notes.append(f"{name}: last good value held ({self._at(fill)})")
+
+    def _lost_reading(self, name: str) -> None:
+        values = self.raw.columns[name]
+        lost = (np.isin(values, READING_CODES) | (np.abs(values) >= 1e30)) & ~np.isinf(values)
+        lost &= ~np.isin(values, self.leniency.accept_values)
+        if lost.any():
+            shown = f"{values[lost][0]:.10g}"
+            way = f"{self.where} missing_codes = [{shown}], or accept_values = [{shown}] if it is genuine"
+            self._tell(name, "lost", lost, "{}: what programs write for a lost reading", way)
+
+    def _empty(self, name: str) -> None:
+        hold = ", or keep the last good one: hold_temperature_s = 120" if name.endswith("_degc") else ""
+        column = f", or leave the column unread: ignore_columns = ['{name}']" if name.endswith("_degc") else ""
+        way = f"only readings may be missing; fill it in, or {self.drop_way}{hold}{column}"
+        empty = np.isnan(self.raw.columns[name])
+        index = np.flatnonzero(empty & ~self.bad)
+        self.faults.rows(f"{name} empty", self.raw.numbers[index], lambda _: f"{name} is empty", way)
+        self.bad |= empty
+
+    def _whole_number(self, name: str) -> None:
+        values = self.raw.columns[name]
+        if name == "run":
+            wrong = (values != np.round(values)) | (np.abs(values) > 2.0**53)
+            text, way = "{}, which is no integer", "runs are numbered 1, 2, 3, …"
+        else:
+            wrong = ~np.isin(values, (-1.0, 0.0, 1.0))
+            text, way = "{}; a direction is -1 or +1", "or leave the column out: it follows from the positions"
+        self._tell(name, "whole", wrong & np.isfinite(values), text, way)
+
+
+def check_order(raw: Raw, faults: Faults) -> None:
+    """Tell time that falls, and runs that come back after another one."""
+    raw = raw.rows(np.isfinite(raw.columns["run"]) & np.isfinite(raw.columns["time_s"]))
+    run, time_s = raw.columns["run"], raw.columns["time_s"]
+    starts = np.flatnonzero(np.diff(run, prepend=np.nan) != 0)
+    falls = np.flatnonzero(np.diff(time_s) < 0) + 1
+    at_starts = bool(len(falls)) and bool(np.isin(falls, starts).all())
+    faults.rows(
+        "time falls",
+        raw.numbers[falls],
+        lambda i: f"time_s falls from {time_s[falls[i] - 1]:.10g} to {time_s[falls[i]]:.10g}",
+        "every run starts its clock again: `rtec import` puts them one after another ([time] restarts = true)"
+        if at_starts
+        else "rows must be in order of time; sort them, or correct the clock",
+        droppable=False,
+    )
+    _, first = np.unique(run[starts], return_index=True)
+    again = np.setdiff1d(np.arange(len(starts)), first)
+    where = {value: int(raw.numbers[starts[i]]) for i, value in zip(first, run[starts][first], strict=True)}
+    back = starts[again]
+    faults.rows(
+        "run again",
+        raw.numbers[back],
+        lambda i: f"run {run[back[i]]:.0f} comes back (it began at {raw.word} {where[run[back[i]]]})",
+        "a run is one uninterrupted traverse or cycle; give it a number of its own",
+        droppable=False,
+    )
+
+
+def remarks(raw: Raw, readings: tuple[str, ...], machine: Machine) -> list[str]:
+    """What is allowed and still worth knowing."""
+    out = []
+    for name in readings:
+        lost = np.isnan(raw.columns[name])
+        if lost.any():
+            at = places(raw.word, raw.numbers[lost].tolist())
+            out.append(f"{name}: {int(lost.sum())} of {len(raw)} readings missing ({at})")
+    for axis in machine.axes:
+        position = raw.columns.get(f"{axis.channel}_mm")
+        if position is None:
+            out.append(f"no column {axis.channel}_mm: axis {axis.name} is taken to stand still at 0 mm")
+        elif position.min() < axis.travel_mm[0] or position.max() > axis.travel_mm[1]:
+            low, high = axis.travel_mm
+            span = f"{position.min():g} to {position.max():g} mm"
+            out.append(f"{axis.channel}_mm goes from {span}, axis {axis.name} from {low:g} to {high:g}: right unit?")
+    return out + _same_runs(raw, readings)
+
+
+def _same_runs(raw: Raw, readings: tuple[str, ...]) -> list[str]:
+    """Runs that repeat another one to the last digit: the same recording twice?"""
+    run = raw.columns["run"]
+    bounds = [*np.flatnonzero(np.diff(run, prepend=np.nan) != 0), len(run)]
+    seen: dict[bytes, float] = {}
+    out = []
+    for low, high in itertools.pairwise(bounds):
+        values: list[Floats] = [raw.columns[name][low:high] for name in readings]
+        content = b"".join(v.tobytes() for v in values)
+        # A handful of equal readings is what a good, coarse instrument gives.
+        if high - low >= 5 and any(np.ptp(v) > 0 for v in values):
+            if content in seen:
+                out.append(f"run {run[low]:.0f} has the readings of run {seen[content]:.0f} to the last digit")
+            seen.setdefault(content, float(run[low]))
+    return out

@@ -1,0 +1,120 @@
+"""The columns that a measurement file may have, and what is wrong with those that it may not."""
+
+import difflib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from rtec.machine import Machine
+from rtec.metrology.faults import Faults
+from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.units import SUFFIXES
+from rtec.tomlfile import nearest
+
+PLAIN = {"spindle_rpm": "spindle_rpm", "feed_mm_min": "feed_mm_min", "load_kg": "load_kg", "angle_deg": "angle_deg"}
+PREFIXES = ("run", "time", "reading", "spindle", "feed", "load", "angle", "dir_")
+
+
+def channel_columns(machine: Machine) -> dict[str, str]:
+    """Column name to channel name, for every channel that the machine can have."""
+    out = dict(PLAIN)
+    for axis in machine.axes:
+        c = axis.channel
+        out |= {f"{c}_mm": c, f"dir_{c}": axis.direction_channel, f"v{c}_mm_s": f"v_{c}", f"a{c}_mm_s2": f"a_{c}"}
+    return out | {f"{sensor}_degc": sensor for sensor in machine.sensor_names}
+
+
+def check_columns(
+    names: Sequence[str], machine: Machine, instrument: Instrument, ignored: Iterable[str], faults: Faults
+) -> tuple[list[str], list[str]]:
+    """Sort the columns of a file.
+
+    Returns:
+        Names to read, in the order of the file, and notes on what is not read.
+    """
+    allowed = {"run", "time_s", *instrument.columns(), *channel_columns(machine)}
+    wished = set(ignored)
+    used, unread = [], []
+    for name in dict.fromkeys(names):
+        if names.count(name) > 1:
+            faults.whole(f"column {name!r} stands {names.count(name)} times in the header; keep one")
+        if name in wished:
+            unread.append(name)
+        elif name in allowed:
+            used.append(name)
+        elif reason := _unknown(name, allowed, machine, instrument):
+            faults.whole(f"{reason}; or leave it unread with ignore_columns = [{name!r}] under [table]")
+        else:
+            unread.append(name)
+    for name in sorted(wished - set(names)):
+        faults.whole(f"ignore_columns names {name!r}, which is no column of the file{nearest(name, names)}")
+    _missing(used, names, machine, instrument, faults)
+    return used, [f"columns not read: {', '.join(map(repr, unread))}"] if unread else []
+
+
+def _missing(
+    used: Sequence[str], names: Sequence[str], machine: Machine, instrument: Instrument, faults: Faults
+) -> None:
+    ways = {
+        "run": "it numbers the uninterrupted traverses or cycles: 1 in every row where there is only one",
+        "time_s": "seconds since the start; `rtec import` makes it from times of day, or from the order of rows",
+    }
+    needed = ["run", "time_s", *instrument.columns()]
+    followed = next((a.channel for a in machine.axes if a.name == instrument.axis), None)
+    # An instrument that may name an axis (a drift probe) need not follow it; that axis may stand still.
+    if followed is not None and instrument.axis_use == "required":
+        needed.append(f"{followed}_mm")
+        ways[needed[-1]] = f"the {instrument.name} follows axis {instrument.axis}; give its commanded position in mm"
+    for name in needed:
+        if name not in used:
+            way = ways.get(name, f"the {instrument.name} gives {', '.join(instrument.columns())}")
+            faults.whole(f"column {name!r} is missing{_near(name, set(names) - set(used))}; {way}")
+
+
+def _near(name: str, names: Iterable[str]) -> str:
+    by_letters = {n.strip().lower(): n for n in names}
+    close = difflib.get_close_matches(name, by_letters, n=1, cutoff=0.6)
+    return f" (there is {by_letters[close[0]]!r})" if close else ""
+
+
+def _unknown(name: str, allowed: set[str], machine: Machine, instrument: Instrument) -> str:
+    """Say why a column is wrong; empty for one that is somebody's own business and is left unread."""
+    if not name.strip():
+        return "a column has no name"
+    same = {a.lower(): a for a in allowed}
+    tidy = name.strip().lower()
+    if tidy in same:
+        return f"unknown column {name!r}; write {same[tidy]!r} (names are exact: letters large and small, no blanks)"
+    if wrong := _wrong_unit(tidy, same):
+        return f"column {name!r}: {wrong}"
+    if tidy.endswith("_degc"):
+        sensors = [f"{s}_degc" for s in machine.sensor_names]
+        return f"column {name!r}: machine {machine.name!r} has no such sensor{nearest(name, sensors)}"
+    if tidy.startswith("reading"):
+        return f"unknown column {name!r}; the {instrument.name} gives {', '.join(instrument.columns())}"
+    if _is_motion(tidy):
+        return f"unknown column {name!r}: machine {machine.name!r} has axes {', '.join(machine.axis_names)}"
+    if tidy.startswith(PREFIXES) or difflib.get_close_matches(tidy, same, n=1, cutoff=0.85):
+        return f"unknown column {name!r}{nearest(name, allowed)}"
+    return ""
+
+
+def _is_motion(name: str) -> bool:
+    """Is it named like a position, direction, speed or acceleration of an axis that the machine has not?"""
+    return bool(re.fullmatch(r"[a-z]_(mm|um|m|inch|nm)|dir_\w+|v\w{1,3}_mm_s|a\w{1,3}_mm_s2", name))
+
+
+def _wrong_unit(name: str, same: Mapping[str, str]) -> str:
+    """Say which unit is meant where only the ending of a known column's name is another."""
+    endings = sorted(SUFFIXES, key=len, reverse=True)
+    for right in same:
+        ending = next((e for e in endings if right.endswith(e)), "")
+        stem = right.removesuffix(ending)
+        if not ending or not re.fullmatch(re.escape(stem) + r"(_[a-zµμ°]{1,4}(_(s2?|min))?|)", name):
+            continue
+        # `reading_x` may be the x reading without its unit: no wrong unit of `reading_um`.
+        if not (stem == "reading" and re.fullmatch(r"reading_[a-z]", name)):
+            return (
+                f"{same[right]!r} is what is read, in {SUFFIXES[ending]}; rename it if its numbers are in "
+                f"{SUFFIXES[ending]}, else convert it with `rtec import` (a map with unit = …)"
+            )
+    return ""

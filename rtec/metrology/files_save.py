@@ -1,0 +1,110 @@
+"""Writing a measurement: every number comes back as it was, bit for bit."""
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from rtec.errors import MeasurementError
+from rtec.metrology.files_columns import channel_columns
+from rtec.metrology.files_toml import TABLES
+from rtec.metrology.measurement import Measurement
+from rtec.tomlfile import nearest
+
+Column = NDArray[np.float64] | NDArray[np.int64]
+
+
+def save_measurement(measurement: Measurement, path: Path) -> Path:
+    """Write table and TOML.
+
+    Args:
+        measurement: what to write.
+        path: NAME.csv or NAME.parquet; the TOML goes beside it.
+
+    Returns:
+        Path of the table.
+
+    Raises:
+        MeasurementError: a channel has no column, a value cannot be written, or the folder cannot be.
+    """
+    if path.suffix not in TABLES:
+        raise MeasurementError(f"{path}: a measurement is written as NAME.csv or NAME.parquet")
+    of_channel = {channel: column for column, channel in channel_columns(measurement.machine).items()}
+    columns: dict[str, Column] = {"run": measurement.run, "time_s": measurement.time_s}
+    for channel, values in measurement.channels.items():
+        if channel not in of_channel:
+            raise MeasurementError(f"{path}: channel {channel!r} has no column{nearest(channel, of_channel)}")
+        columns[of_channel[channel]] = values
+    columns |= measurement.readings
+    instrument = measurement.instrument
+    head = {
+        "instrument": instrument.name,
+        "axis": instrument.axis,
+        "component": instrument.component,
+        "machine": measurement.machine.name,
+        "notes": list(measurement.notes) or None,
+    }
+    write_files(path, columns, head, instrument.setup.model_dump(mode="json", exclude_none=True))
+    return path
+
+
+def write_files(
+    path: Path,
+    columns: Mapping[str, Column],
+    head: Mapping[str, Any],
+    setup: Mapping[str, Any],
+    accepted: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a table and the TOML beside it; each appears whole or not at all.
+
+    Args:
+        path: of the table; its end says of which kind.
+        columns: (n,) each; NaN becomes an empty cell.
+        head: `[measurement]`; None is left out.
+        setup: `[setup]`.
+        accepted: `[table]`; None is left out.
+    """
+    for name, values in columns.items():
+        if np.isinf(values).any():
+            raise MeasurementError(f"{path}: {name} is infinite in row {int(np.argmax(np.isinf(values))) + 1}")
+    tables = {"measurement": head, "setup": setup, "table": accepted or {}}
+    content = {name: {k: v for k, v in table.items() if v is not None} for name, table in tables.items()}
+    content = {name: table for name, table in content.items() if table or name != "table"}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_table(path, columns)
+        with _whole(path.with_name(path.stem + ".toml")) as out:
+            out.write(tomli_w.dumps(content).encode())
+    except OSError as e:
+        raise MeasurementError(f"{path}: cannot be written: {e.strerror}") from e
+
+
+def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+    with _whole(path) as out:
+        if path.suffix == ".csv":
+            # Names of columns are plain words; arrow would put them in quotes.
+            out.write((",".join(columns) + "\n").encode())
+            csv.write_csv(table, out, csv.WriteOptions(include_header=False))
+        else:
+            parquet.write_table(table, out, compression="zstd")
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[BinaryIO]:
+    """A file that takes its name only once all of it is written."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as out:
+            yield out
+        os.replace(part, path)  # noqa: PTH105
+    finally:
+        part.unlink(missing_ok=True)

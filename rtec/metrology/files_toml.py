@@ -1,0 +1,112 @@
+"""The TOML beside a table: what was measured, with what, and what the user accepts about the table."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from rtec.errors import MeasurementError
+from rtec.tomlfile import Strict, read_toml, validated
+
+TABLES = (".csv", ".parquet")
+
+
+class Leniency(Strict):
+    """What the user accepts about a table, on purpose; all of it is told again in the measurement's notes.
+
+    Attributes:
+        encoding: of the text, where it is not UTF-8.
+        delimiter: between cells.
+        decimal: mark in numbers.
+        missing_codes: words, or numbers of readings and temperatures, that stand for "no value".
+        accept_values: readings that look like such a code and are genuine.
+        drop_bad_rows: leave out rows with a cell that cannot be used.
+        ignore_columns: columns that are not read.
+        hold_temperature_s: a missing temperature is the last good one, at most so old.
+    """
+
+    encoding: Literal["utf-8", "latin-1", "cp1252", "utf-16", "utf-16-le", "utf-16-be"] | None = None
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    decimal: Literal[".", ","] = "."
+    missing_codes: tuple[float | str, ...] = ()
+    accept_values: tuple[float, ...] = ()
+    drop_bad_rows: bool = False
+    ignore_columns: tuple[str, ...] = ()
+    hold_temperature_s: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _marks_differ(self) -> "Leniency":
+        if self.delimiter == self.decimal:
+            raise ValueError(f"delimiter and decimal are both {self.decimal!r}; such a table cannot be read")
+        if self.delimiter in '\r\n"':
+            raise ValueError("delimiter may not be a quote or the end of a line")
+        return self
+
+    def with_(self, other: "Leniency | None") -> "Leniency":
+        """What `other` sets wins; the rest stays."""
+        given = other.model_dump(exclude_unset=True) if other else {}
+        return validated(Leniency, self.model_dump(exclude_unset=True) | given, "options", MeasurementError)
+
+
+class MeasurementTable(Strict):
+    """`[measurement]`."""
+
+    instrument: str
+    machine: str
+    axis: str | None = None
+    component: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+class MeasurementFile(Strict):
+    """The whole TOML; `[setup]` is checked by the instrument."""
+
+    measurement: MeasurementTable
+    setup: dict[str, Any] = Field(default_factory=dict)
+    table: Leniency = Leniency()
+
+
+MISSING = """{toml}: no such file. A measurement is a table and a TOML of the same stem that says what was measured:
+    [measurement]
+    instrument = "laser_linear"
+    axis = "X"
+    component = "EXX"
+    machine = "{machine}"
+    [setup]
+Or make both at once: rtec import {name} --map MAP.toml -o NAME"""
+
+
+def read_measurement_toml(path: Path, machine: str, table: Path) -> MeasurementFile:
+    """Read the TOML beside `table`.
+
+    Raises:
+        MeasurementError: what is wrong, or how to write one.
+    """
+    if not path.exists():
+        raise MeasurementError(MISSING.format(toml=path, machine=machine, name=table))
+    file = validated(MeasurementFile, read_toml(path, MeasurementError), str(path), MeasurementError)
+    if file.measurement.machine != machine:
+        raise MeasurementError(
+            f"{path}: [measurement] machine is {file.measurement.machine!r}, the machine given is {machine!r}; "
+            "measurements hold for the machine that they were made on"
+        )
+    return file
+
+
+def find_files(path: Path) -> tuple[Path, Path]:
+    """Give table and TOML of a measurement from the path of either, or from their common stem.
+
+    Raises:
+        MeasurementError: there is no table, or there are two.
+    """
+    # `with_suffix` would take the end off a stem like `laser-1.5`.
+    stem = path.with_suffix("") if path.suffix in (*TABLES, ".toml") else path
+    tables = [found for s in TABLES if (found := stem.with_name(stem.name + s)).is_file()] if stem.name else []
+    if path.suffix in TABLES:
+        tables = [path] if path.is_file() else []
+    if not tables:
+        what = f"{path}: no such file" if path.suffix in TABLES else f"{path}: no {stem.name}.csv or .parquet there"
+        raise MeasurementError(f"{what}; a measurement is a CSV or Parquet table and a TOML of the same stem")
+    if len(tables) > 1:
+        raise MeasurementError(f"{path}: both {tables[0].name} and {tables[1].name} are there; name the one you mean")
+    return tables[0], stem.with_name(stem.name + ".toml")

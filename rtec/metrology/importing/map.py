@@ -1,0 +1,210 @@
+"""The map of `rtec import`: which column of a file is which column of a measurement, and in what unit."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from rtec.errors import MeasurementError
+from rtec.metrology.files_toml import MeasurementTable
+from rtec.metrology.readers.base import Source, Table
+from rtec.metrology.units import UNITS, canonical
+from rtec.tomlfile import Strict, read_toml, validated
+
+FORMS = ("iso", "filetime", "excel")
+TARGET = re.compile(
+    r"[a-z][a-z0-9_]*_mm|dir_\w+|v\w+_mm_s|a\w+_mm_s2|\w+_degc|spindle_rpm|feed_mm_min|load_kg|angle_deg"
+    r"|reading(_[A-Za-z0-9]+)*_(um|urad)",
+    re.ASCII,
+)
+
+
+class Column(Strict):
+    """`[column.NAME]`: where a column of the measurement comes from.
+
+    value = sign · scale · (from - minus), then converted from `unit`; `offset` is added in the measurement's own unit.
+
+    Attributes:
+        from_: column of the file.
+        minus: column of the file that is taken off, in the same unit: actual minus nominal.
+        unit: of the file's numbers, where the reader does not tell it; the measurement's own where nobody does.
+        scale, sign, offset: see above.
+        fill: "hold" keeps the last value where there is none.
+        values: what words mean: {"fwd" = 1, "bwd" = -1}.
+        missing_codes: numbers that stand for "no value".
+    """
+
+    from_: str = Field(alias="from")
+    minus: str | None = None
+    unit: str | None = None
+    scale: float = 1.0
+    sign: Literal[1, -1] = 1
+    offset: float = 0.0
+    fill: Literal["hold"] | None = None
+    values: dict[str, float] = Field(default_factory=dict)
+    missing_codes: tuple[float, ...] = ()
+
+    @field_validator("unit")
+    @classmethod
+    def _known(cls, unit: str | None) -> str | None:
+        return unit if unit is None else canonical(unit)
+
+    @field_validator("scale")
+    @classmethod
+    def _not_nothing(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise ValueError("scale is 0, which loses every value")
+        return scale
+
+
+class Time(Strict):
+    """`[time]`: a column and its unit or form, or a step where the file has no time.
+
+    Attributes:
+        column: of the file.
+        unit: a unit of time, or "iso", "filetime" (100 ns since 1601), "excel" (days since 1900).
+        format: strptime pattern of a time of day.
+        from_zero: does the first row become 0? Times of day always begin at 0.
+        restarts: a time that falls begins a new run: put it after the one before, `restart_gap_s` later.
+        step_s: without a column: time from one row to the next.
+    """
+
+    column: str | None = None
+    unit: str | None = None
+    format: str | None = None
+    from_zero: bool = True
+    restarts: bool = False
+    restart_gap_s: Annotated[float, Field(gt=0)] = 1.0
+    step_s: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "Time":
+        if (self.column is None) == (self.step_s is None):
+            raise ValueError("give either column or step_s")
+        if self.column is None and (self.unit or self.format or self.restarts):
+            raise ValueError("step_s stands alone; unit, format and restarts belong to a column")
+        if self.unit and self.format:
+            raise ValueError("give unit or format, not both")
+        if self.unit and self.unit not in FORMS and UNITS[canonical(self.unit)].kind != "time":
+            raise ValueError(f"unit {self.unit!r} is no unit of time; allowed: s, ms, min, h, … or {', '.join(FORMS)}")
+        return self
+
+
+class Run(Strict):
+    """`[run]`: a column of run numbers, or what begins a new run; without anything all is one run.
+
+    Attributes:
+        column: of the file.
+        direction_of: position column of the measurement: every reversal begins a run.
+        dead_band_mm: motion back by at most this much is no reversal.
+        gap_s: a longer pause between rows begins a run.
+        jump_mm: a longer way between rows, of any axis, begins a run.
+    """
+
+    column: str | None = None
+    direction_of: str | None = None
+    dead_band_mm: Annotated[float, Field(ge=0)] = 0.01
+    gap_s: Annotated[float, Field(gt=0)] | None = None
+    jump_mm: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "Run":
+        if self.column is not None and (self.direction_of or self.gap_s or self.jump_mm):
+            raise ValueError("give a column of run numbers, or what begins a new run, not both")
+        return self
+
+
+class Rows(Strict):
+    """`[rows]`: rows without a value in one of these columns of the file are left out, counted."""
+
+    require: tuple[str, ...] = ()
+
+
+class ImportMap(Strict):
+    """A whole map."""
+
+    source: Source = Source()
+    measurement: MeasurementTable
+    setup: dict[str, Any] = Field(default_factory=dict)
+    time: Time
+    run: Run = Run()
+    rows: Rows = Rows()
+    column: dict[str, Column]
+
+    @field_validator("column")
+    @classmethod
+    def _targets(cls, column: dict[str, Column]) -> dict[str, Column]:
+        for name in column:
+            if name in ("time_s", "run"):
+                raise ValueError(f"{name} has a table of its own, [{name.removesuffix('_s')}]")
+            if not TARGET.fullmatch(name):
+                raise ValueError(
+                    f"{name!r} is no column of a measurement; these are x_mm, dir_x, vx_mm_s, ax_mm_s2, SENSOR_degc, "
+                    "spindle_rpm, feed_mm_min, load_kg, angle_deg, reading_um, reading_urad, reading_x_um"
+                )
+        for name in (n for n, c in column.items() if c.minus is not None and n.endswith("_degc")):
+            raise ValueError(f"{name}: minus is for readings and positions; a difference of temperatures is none")
+        if not any(name.startswith("reading") for name in column):
+            raise ValueError("no reading: one of reading_um, reading_urad, reading_x_um … must come from somewhere")
+        return column
+
+
+def load_map(path: Path) -> ImportMap:
+    """Read a map.
+
+    Raises:
+        MeasurementError: file, section, key and what is allowed.
+    """
+    return validated(ImportMap, read_toml(path, MeasurementError), str(path), MeasurementError)
+
+
+def starter_map(reader: str, tables: Sequence[Table]) -> str:
+    """A map to begin with for a file: its columns stand there, what only people know is to be filled in."""
+    columns = [name for table in tables[:1] for name in table.columns]
+    time = next((n for n in columns if n.lower() in ("time", "t", "ts", "time_s", "zeit", "timestamp")), None)
+    source = [f'reader = "{reader}"']
+    if len(tables) > 1:
+        source.append(f'table = "{tables[0].name}"        # or one of: {", ".join(t.name for t in tables[1:])}')
+    first = next((n for n in columns if n != time), "?")
+    shown = "\n".join(f"#   {n}{_told(tables[0], n)}" for n in columns)
+    return f"""# Columns of the file:
+{shown}
+[source]
+{chr(10).join(source)}
+
+[measurement]
+instrument = "laser_linear"     # what read it
+axis = "X"
+component = "EXX"
+machine = "NAME"                # as in the machine file
+
+[setup]                         # what the instrument needs
+
+[time]
+{f"column = {_quoted(time)}" if time else "step_s = 1.0                    # the file has no time"}
+
+[run]                           # nothing here: all is one run
+# column = …, or direction_of = "x_mm", gap_s = 60, jump_mm = 50
+
+[column.x_mm]
+from = {_quoted(first)}
+unit = "mm"
+
+[column.reading_um]
+from = {_quoted(columns[-1] if columns else "?")}
+unit = "um"
+# minus = …                     # a reading is actual minus nominal
+"""
+
+
+def _told(table: Table, name: str) -> str:
+    unit = f" [{table.units[name]}]" if table.units.get(name) else ""
+    text = " (text)" if table.columns[name].dtype == object else ""
+    return unit + text
+
+
+def _quoted(text: str) -> str:
+    inner = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{inner}"'

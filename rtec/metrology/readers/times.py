@@ -1,0 +1,32 @@
+"""Times of day in the forms that programs write, as seconds from the first one."""
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+EPOCH_FILETIME = datetime(1601, 1, 1, tzinfo=UTC)
+EPOCH_EXCEL = datetime(1899, 12, 30, tzinfo=UTC)
+
+
+def filetime_text(ticks: int) -> str:
+    """A FILETIME (100 ns since 1601) as ISO text in UTC; the number itself where no calendar has it."""
+    try:
+        return (EPOCH_FILETIME + timedelta(microseconds=ticks // 10)).isoformat()
+    except OverflowError:
+        return f"FILETIME {ticks}"
+
+
+def parsed(text: str, pattern: str | None) -> datetime:
+    """A time of day; local times are taken as they stand, as if in UTC.
+
+    Args:
+        text: from the file.
+        pattern: strptime pattern; None reads ISO 8601.
+
+    Raises:
+        ValueError: the text is none.
+    """
+    moment = datetime.strptime(text, pattern) if pattern else datetime.fromisoformat(text)
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)

@@ -1,0 +1,166 @@
+"""Units that measuring programs write, and the one unit of each kind that rtec works in."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.tomlfile import nearest
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """`kind` tells what may be converted into what; value in the kind's base = (value + before) × factor."""
+
+    kind: str
+    factor: float
+    before: float = 0.0
+
+
+INCH_MM = 25.4
+URAD_PER_DEG = np.pi / 180.0 * 1e6
+
+UNITS: dict[str, Unit] = {
+    # length, base mm
+    "nm": Unit("length", 1e-6),
+    "um": Unit("length", 1e-3),
+    "mm": Unit("length", 1.0),
+    "cm": Unit("length", 10.0),
+    "m": Unit("length", 1000.0),
+    "inch": Unit("length", INCH_MM),
+    "mil": Unit("length", INCH_MM * 1e-3),
+    "uinch": Unit("length", INCH_MM * 1e-6),
+    # angle, base µrad
+    "nrad": Unit("angle", 1e-3),
+    "urad": Unit("angle", 1.0),
+    "mrad": Unit("angle", 1e3),
+    "rad": Unit("angle", 1e6),
+    "deg": Unit("angle", URAD_PER_DEG),
+    "arcmin": Unit("angle", URAD_PER_DEG / 60.0),
+    "arcsec": Unit("angle", URAD_PER_DEG / 3600.0),
+    "um/m": Unit("angle", 1.0),
+    "mm/m": Unit("angle", 1e3),
+    # temperature, base °C
+    "degc": Unit("temperature", 1.0),
+    "degf": Unit("temperature", 5.0 / 9.0, -32.0),
+    "k": Unit("temperature", 1.0, -273.15),
+    # time, base s
+    "ns": Unit("time", 1e-9),
+    "us": Unit("time", 1e-6),
+    "ms": Unit("time", 1e-3),
+    "s": Unit("time", 1.0),
+    "min": Unit("time", 60.0),
+    "h": Unit("time", 3600.0),
+    "d": Unit("time", 86400.0),
+    # speed, base mm/s
+    "mm/s": Unit("speed", 1.0),
+    "mm/min": Unit("speed", 1.0 / 60.0),
+    "m/s": Unit("speed", 1000.0),
+    "m/min": Unit("speed", 1000.0 / 60.0),
+    "inch/s": Unit("speed", INCH_MM),
+    "inch/min": Unit("speed", INCH_MM / 60.0),
+    # acceleration, base mm/s²
+    "mm/s2": Unit("acceleration", 1.0),
+    "m/s2": Unit("acceleration", 1000.0),
+    # turning, base 1/min
+    "rpm": Unit("turning", 1.0),
+    "1/s": Unit("turning", 60.0),
+    # mass, base kg
+    "kg": Unit("mass", 1.0),
+    "g": Unit("mass", 1e-3),
+    "t": Unit("mass", 1000.0),
+    "lb": Unit("mass", 0.45359237),
+    "1": Unit("number", 1.0),
+}
+
+ALIASES = {
+    "µm": "um",
+    "μm": "um",  # the Greek letter, not the sign for micro
+    "micron": "um",
+    "microns": "um",
+    "in": "inch",
+    "inches": "inch",
+    "thou": "mil",
+    "µinch": "uinch",
+    "µrad": "urad",
+    "μrad": "urad",
+    "µm/m": "um/m",
+    "μm/m": "um/m",
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "'": "arcmin",
+    '"': "arcsec",
+    "″": "arcsec",
+    "°c": "degc",
+    "c": "degc",
+    "celsius": "degc",
+    "°f": "degf",
+    "f": "degf",
+    "fahrenheit": "degf",
+    "kelvin": "k",
+    "µs": "us",
+    "μs": "us",
+    "sec": "s",
+    "seconds": "s",
+    "minutes": "min",
+    "hours": "h",
+    "days": "d",
+    "1/min": "rpm",
+    "hz": "1/s",
+    "mm/s²": "mm/s2",
+    "m/s²": "m/s2",
+    "": "1",
+}
+
+# The longest suffix that fits is the unit of a column.
+SUFFIXES = {
+    "_mm": "mm",
+    "_um": "um",
+    "_urad": "urad",
+    "_deg": "deg",
+    "_degc": "degc",
+    "_s": "s",
+    "_mm_s": "mm/s",
+    "_mm_s2": "mm/s2",
+    "_mm_min": "mm/min",
+    "_rpm": "rpm",
+    "_kg": "kg",
+}
+
+
+def canonical(name: str) -> str:
+    """Give the unit as it stands in `UNITS`.
+
+    Raises:
+        ValueError: no such unit; the nearest one is named.
+    """
+    word = name.strip().lower()
+    word = ALIASES.get(word, word)
+    if word not in UNITS:
+        raise ValueError(f"unit {name!r} is not known{nearest(word, UNITS)}")
+    return word
+
+
+def unit_of_column(column: str) -> str:
+    """Unit of a column of a measurement file by its name's ending; "1" for `run` and directions."""
+    fitting = [s for s in SUFFIXES if column.endswith(s)]
+    return SUFFIXES[max(fitting, key=len)] if fitting else "1"
+
+
+def convert(values: Floats, unit: str, target: str) -> Floats:
+    """Give values in another unit of the same kind.
+
+    Raises:
+        ValueError: the units measure different things, or are not known.
+    """
+    have, want = UNITS[canonical(unit)], UNITS[canonical(target)]
+    if have.kind != want.kind:
+        raise ValueError(f"{unit} is a unit of {have.kind}, {target} of {want.kind}")
+    if have == want:
+        return values
+    if not have.before and not want.before:
+        return values * (have.factor / want.factor)
+    return (values + have.before) * have.factor / want.factor - want.before
