@@ -2,8 +2,9 @@
 
     reading = H(instrument, pose) · component errors + nuisance
 
-`arms` gives `H · J`: how much each component error, µm or µrad, moves each reading, µm or µrad. All errors are of the
-tool relative to the workpiece; a reading is actual minus nominal.
+`arms` gives `H · J`: how much each component error, µm or µrad, moves each reading, µm or µrad; `arms_of` gives the
+same for one component at a time, which is light in memory. All errors are of the tool relative to the workpiece; a
+reading is actual minus nominal.
 """
 
 from abc import ABC, abstractmethod
@@ -14,10 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
+from rtec.errors import MeasurementError
 from rtec.machine import Machine
+from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Ints, Setup
+from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
+BLOCK = 16384
+"""Poses worked on at a time by `Instrument.arms_of`."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,10 @@ class Instrument(ABC):
     """An instrument with its set-up on one machine.
 
     Attributes:
+        name, title: in files, and for people.
+        setup_model: what `[setup]` may hold.
+        axis_use: must an axis be named, may it, or has the instrument none?
+        direct: unit of a component that it may read directly; None where it can't.
         setup: the `[setup]` table.
         axis: axis that it follows, where it has one.
         component: component that it reads directly, where it does.
@@ -50,6 +60,8 @@ class Instrument(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
     setup_model: ClassVar[type[Setup]]
+    axis_use: ClassVar[Literal["required", "optional", "none"]] = "optional"
+    direct: ClassVar[Literal["um", "urad"] | None] = None
 
     setup: Setup
     axis: str | None = None
@@ -68,10 +80,76 @@ class Instrument(ABC):
             pose_mm: (n, axes).
         """
 
+    def arms_of(self, machine: Machine, pose_mm: Floats, component: str) -> Floats:
+        """How one component error moves each reading, (readings, n): that column of `arms`, block by block.
+
+        Args:
+            machine: whose chain is used.
+            pose_mm: (n, axes).
+            component: its name, for example "EXX".
+
+        Raises:
+            MeasurementError: the machine has no such component.
+        """
+        index = component_index(machine, component, self.name)
+        out = np.empty((len(self.columns()), len(pose_mm)))
+        for start in range(0, len(pose_mm), BLOCK):
+            part = slice(start, start + BLOCK)
+            out[:, part] = self.arms(machine, pose_mm[part])[:, :, index]
+        return out
+
     @abstractmethod
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
         """What the instrument cannot know."""
 
+    def reads_while(self, axis: str | None) -> tuple[bool, ...]:
+        """Which of the readings are taken while an axis travels (None: at standstill); the others stay empty."""
+        del axis
+        return (True,) * len(self.columns())
+
     def check(self, machine: Machine, where: str) -> None:
-        """Raise MeasurementError where axis, component or set-up do not fit the machine."""
-        del machine, where
+        """Raise MeasurementError where axis, component or set-up do not fit the machine; all faults, one a line."""
+        faults = [f"{where}: {fault}" for fault in (*self._head_faults(machine), *self.faults(machine))]
+        if faults:
+            raise MeasurementError("\n".join(faults))
+
+    def faults(self, machine: Machine) -> list[str]:
+        """What in the set-up does not fit the machine, in words."""
+        del machine
+        return []
+
+    def _head_faults(self, machine: Machine) -> list[str]:
+        out = []
+        if self.axis is not None and self.axis_use == "none":
+            out.append(f"[measurement] axis: {self.name} follows no axis; leave the key out")
+        elif self.axis is not None and self.axis not in machine.axis_names:
+            hint = nearest(self.axis, machine.axis_names)
+            out.append(f"[measurement] axis {self.axis!r} is none of machine {machine.name!r}{hint}")
+        elif self.axis is None and self.axis_use == "required" and self.component is None:
+            axes = ", ".join(machine.axis_names)
+            out.append(f"[measurement] key 'axis' is missing; {self.name} follows one of: {axes}")
+        return out + self._component_faults(machine)
+
+    def _component_faults(self, machine: Machine) -> list[str]:
+        if self.component is None:
+            return []
+        if self.direct is None:
+            return [f"[measurement] component: {self.name} reads no component directly; leave the key out"]
+        fitting = [c for c in machine.components if component_unit(c) == self.direct]
+        if self.component in fitting:
+            return []
+        what = "in µm" if self.direct == "um" else "in µrad"
+        hint = nearest(self.component, fitting)
+        return [f"[measurement] component {self.component!r} is none that {self.name} reads {what}{hint}"]
+
+
+def component_index(machine: Machine, component: str, where: str) -> int:
+    """Column of a component in `Instrument.arms`.
+
+    Raises:
+        MeasurementError: the machine has no such component.
+    """
+    if component not in machine.components:
+        hint = nearest(component, machine.components)
+        raise MeasurementError(f"{where}: component {component!r} is none of machine {machine.name!r}{hint}")
+    return machine.components.index(component)

@@ -1,0 +1,145 @@
+"""Laser interferometer: linear (retroreflector) and angular (two retroreflectors on an arm).
+
+The optics that move go with the tool, the others stand on the workpiece's side; the reading is the same when they are
+exchanged, because only the motion of one relative to the other is read. A retroreflector reads where its centre is,
+whatever its own turn, and nothing across the beam.
+"""
+
+from dataclasses import dataclass
+
+from rtec.effects import State
+from rtec.machine import Machine
+from rtec.metrology.instruments.affine import (
+    ORIGIN,
+    AffineInstrument,
+    Scope,
+    Sign,
+    Turn,
+    Vector,
+    from_middle_m,
+    point,
+    slope,
+    turn,
+    zero,
+)
+from rtec.metrology.instruments.base import Floats, Nuisance
+from rtec.metrology.measurement import Ints, Setup
+from rtec.tomlfile import nearest
+
+
+class LaserLinearSetup(Setup):
+    """`[setup]` of a linear laser.
+
+    Attributes:
+        beam_offset_mm: from the tool tip to the retroreflector; across the beam this is the Abbe arm.
+        zero: is the display zeroed once, or at the start of every run?
+        slope: is an unknown slope (cosine error, air index) to be found with the fit? Whoever asks for it gives up
+            the machine's own scale error.
+        air_sensor: temperature sensor in the air of the beam, where the air's index was not corrected.
+        interferometer_mm: position of the axis at which the beam would have no length; needed with `air_sensor`. It
+            lies outside the range of the targets by the dead path.
+    """
+
+    beam_offset_mm: Vector = ORIGIN
+    zero: Scope = "setup"
+    slope: Scope = "none"
+    air_sensor: str | None = None
+    interferometer_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class LaserLinear(AffineInstrument):
+    """Distance along an axis, µm; positive as the axis is programmed positive."""
+
+    name = "laser_linear"
+    title = "Laser interferometer, linear"
+    setup_model = LaserLinearSetup
+    axis_use = "required"
+    direct = "um"
+    setup: LaserLinearSetup
+
+    def columns(self) -> tuple[str, ...]:
+        """One reading."""
+        return ("reading_um",)
+
+    def looks(self, machine: Machine) -> Floats:
+        """The reflector along the axis."""
+        return point(machine, machine.axis(self.axis or "").direction, self.setup.beam_offset_mm)[None]
+
+    def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
+        """Zero; slope and air where the set-up says so."""
+        del run
+        out = list(zero(len(state), 1, self.setup.zero, "um"))
+        if self.axis is None:
+            return tuple(out)
+        out += slope(from_middle_m(state.machine, state, self.axis), 1, self.setup.slope, "um_per_m")
+        if self.setup.air_sensor is not None and self.setup.interferometer_mm is not None:
+            path_m = (state.value(state.machine.axis(self.axis).channel) - self.setup.interferometer_mm) * 1e-3
+            out += slope(path_m * state.rise(self.setup.air_sensor), 1, "setup", "um_per_m_degc", "air")
+        return tuple(out)
+
+    def faults(self, machine: Machine) -> list[str]:
+        """A sensor that is not there; air without the beam's length; slope or air without an axis."""
+        out = []
+        sensor = self.setup.air_sensor
+        if sensor is not None and sensor not in machine.sensor_names:
+            hint = nearest(sensor, machine.sensor_names)
+            out.append(f"[setup] air_sensor {sensor!r} is none of machine {machine.name!r}{hint}")
+        if (sensor is None) != (self.setup.interferometer_mm is None):
+            out.append("[setup] air_sensor and interferometer_mm belong together; give both or neither")
+        if self.axis is None and (sensor is not None or self.setup.slope != "none"):
+            out.append("[measurement] key 'axis' is missing; slope and air_sensor need it")
+        return out
+
+
+class LaserAngularSetup(Setup):
+    """`[setup]` of an angular laser.
+
+    Attributes:
+        about: the turn that it reads, A B C about X Y Z; needed unless a component is named.
+        sign: -1 where the display counts against the right hand.
+        zero: is the display zeroed once, or at the start of every run?
+    """
+
+    about: Turn | None = None
+    sign: Sign = 1
+    zero: Scope = "setup"
+
+
+@dataclass(frozen=True)
+class LaserAngular(AffineInstrument):
+    """Turn of the tool relative to the workpiece about a direction across the beam, µrad, right-handed."""
+
+    name = "laser_angular"
+    title = "Laser interferometer, angular"
+    setup_model = LaserAngularSetup
+    axis_use = "required"
+    direct = "urad"
+    setup: LaserAngularSetup
+
+    def columns(self) -> tuple[str, ...]:
+        """One reading."""
+        return ("reading_urad",)
+
+    def affine(self, machine: Machine) -> Floats:
+        """With the sign of the display, also for a component that is read directly."""
+        return self.setup.sign * super().affine(machine)
+
+    def looks(self, machine: Machine) -> Floats:
+        """The turn."""
+        return turn(machine, self.setup.about or "A")[None]
+
+    def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
+        """Zero."""
+        del run
+        return zero(len(state), 1, self.setup.zero, "urad")
+
+    def faults(self, machine: Machine) -> list[str]:
+        """No turn named, or roll, which an angular laser can't see."""
+        if self.component is not None or self.axis not in machine.axis_names:
+            return []
+        if self.setup.about is None:
+            return ["[setup] key 'about' is missing; it is the turn that is read: A, B or C"]
+        if "ABC".index(self.setup.about) == "XYZ".index(machine.axis(self.axis or "").direction):
+            return [f"[setup] about {self.setup.about!r} is the roll of axis {self.axis}; a level reads that"]
+        return []

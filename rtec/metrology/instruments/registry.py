@@ -1,0 +1,58 @@
+"""The registry: every instrument by name, literally."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from rtec.errors import MeasurementError
+from rtec.machine import Machine
+from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.laser import LaserAngular, LaserLinear
+from rtec.metrology.instruments.level import Level
+from rtec.metrology.instruments.spindle_drift import SpindleDrift
+from rtec.metrology.instruments.squareness import SquarenessProbe
+from rtec.metrology.instruments.straightness import StraightnessProbe
+from rtec.metrology.instruments.tool_tip import ToolTip
+from rtec.metrology.instruments.work_piece import WorkPiece
+from rtec.tomlfile import nearest, validated
+
+INSTRUMENTS: dict[str, type[Instrument]] = {
+    "laser_linear": LaserLinear,
+    "laser_angular": LaserAngular,
+    "level": Level,
+    "straightness": StraightnessProbe,
+    "squareness": SquarenessProbe,
+    "spindle_drift": SpindleDrift,
+    "tool_tip": ToolTip,
+    "work_piece": WorkPiece,
+}
+
+
+def make_instrument(
+    name: str,
+    setup_table: Mapping[str, Any],
+    axis: str | None,
+    component: str | None,
+    machine: Machine,
+    where: str,
+) -> Instrument:
+    """Give an instrument set up on a machine.
+
+    Args:
+        name: key of `INSTRUMENTS`.
+        setup_table: `[setup]` of the measurement's file.
+        axis: that it follows; None where it has none.
+        component: that it reads directly; None where it reads a point or a turn through the chain.
+        machine: that it stands on.
+        where: file or option that says so, for messages.
+
+    Raises:
+        MeasurementError: no such instrument, an unknown key (with the nearest one), or something that the machine
+            does not have.
+    """
+    if name not in INSTRUMENTS:
+        raise MeasurementError(f"{where}: [measurement] no instrument {name!r}{nearest(name, INSTRUMENTS)}")
+    kind = INSTRUMENTS[name]
+    setup = validated(kind.setup_model, dict(setup_table), f"{where}: [setup]", MeasurementError)
+    instrument = kind(setup, axis, component)
+    instrument.check(machine, where)
+    return instrument

@@ -1,0 +1,93 @@
+"""Spindle drift probes [G 3.5, ISO 230-3]: how the tool wanders from the workpiece while nothing moves.
+
+Each probe is a point beside the tool tip and a direction, so radial pair, axial probe and the five probes of
+ISO 230-3 are one instrument; tilt is the difference of two radial probes over their distance.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from rtec.effects import State
+from rtec.machine import Machine
+from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Sign, Vector, point, zero
+from rtec.metrology.instruments.base import Floats, Nuisance
+from rtec.metrology.measurement import Ints, Setup
+from rtec.tomlfile import Strict
+
+PROBE = re.compile(r"[a-z][a-z0-9]*")
+
+
+class Probe(Strict):
+    """One probe.
+
+    Attributes:
+        direction: that it reads along.
+        offset_mm: from the tool tip to where it touches.
+        sign: +1: reads positive as the tool moves in `direction` relative to the workpiece; -1: the other way.
+    """
+
+    direction: Letter
+    offset_mm: Vector = ORIGIN
+    sign: Sign = 1
+
+
+class SpindleDriftSetup(Setup):
+    """`[setup]` of drift probes.
+
+    Attributes:
+        probe: by name; the column of probe `radial1` is `reading_radial1_um`.
+        zero: of each probe; once, or in every run.
+    """
+
+    probe: Annotated[dict[str, Probe], Field(min_length=1)]
+    zero: Scope = "setup"
+
+    @property
+    def distance_mm(self) -> float | None:
+        """Distance from probe `radial2` to `radial1`; None where there are no such two."""
+        if not {"radial1", "radial2"} <= set(self.probe):
+            return None
+        first, second = (np.array(self.probe[name].offset_mm) for name in ("radial1", "radial2"))
+        return float(np.linalg.norm(first - second))
+
+
+@dataclass(frozen=True)
+class SpindleDrift(AffineInstrument):
+    """Displacements at several probes, µm."""
+
+    name = "spindle_drift"
+    title = "Spindle drift probes"
+    setup_model = SpindleDriftSetup
+    axis_use = "optional"
+    setup: SpindleDriftSetup
+
+    def columns(self) -> tuple[str, ...]:
+        """One a probe, in the order of the set-up."""
+        return tuple(f"reading_{name}_um" for name in self.setup.probe)
+
+    def looks(self, machine: Machine) -> Floats:
+        """Each probe's point in its direction."""
+        probes = self.setup.probe.values()
+        return np.stack([p.sign * point(machine, p.direction, p.offset_mm) for p in probes])
+
+    def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
+        """Zero of each probe."""
+        del run
+        names = tuple(f"zero {name}" for name in self.setup.probe)
+        return zero(len(state), len(names), self.setup.zero, "um", names)
+
+    def faults(self, machine: Machine) -> list[str]:
+        """Names that make no column; two probes that cannot tell a tilt."""
+        del machine
+        out = [
+            f"[setup.probe.{name}] a probe's name is small letters and digits, and starts with a letter"
+            for name in self.setup.probe
+            if not PROBE.fullmatch(name)
+        ]
+        if self.setup.distance_mm == 0.0:
+            out.append("[setup.probe.radial2] offset_mm is that of radial1; they must be apart to tell a tilt")
+        return out

@@ -1,0 +1,120 @@
+"""Squareness of two axes against a square.
+
+One arm of the square is read while one axis travels, the other arm while the other does; in rows of the one the cell
+of the other reading stays empty. How the square lies on the table is not known: a common turn of both arms, found with
+the fit. A squareness that is known as one number (from a report) is read directly: `component = "EC0Y"`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtec.effects import State
+from rtec.machine import Machine
+from rtec.metrology.instruments.affine import (
+    ORIGIN,
+    AffineInstrument,
+    Scope,
+    Vector,
+    component_itself,
+    flipped,
+    from_middle_m,
+    point,
+    zero,
+)
+from rtec.metrology.instruments.base import Floats, Nuisance
+from rtec.metrology.measurement import Ints, Setup
+from rtec.tomlfile import nearest
+
+
+class SquarenessSetup(Setup):
+    """`[setup]` of a squareness measurement.
+
+    Attributes:
+        reference_axis: the other axis, whose arm of the square is the reference.
+        probe_offset_mm: from the tool tip to where the probe touches.
+        reversed_runs: runs with the square turned over about its reference arm; its own error of angle, then a
+            nuisance too, changes sign in them. Without any, the square is taken as right (correct the readings by
+            its certificate first).
+        zero: of each arm; once, or in every run.
+    """
+
+    reference_axis: str | None = None
+    probe_offset_mm: Vector = ORIGIN
+    reversed_runs: tuple[int, ...] = ()
+    zero: Scope = "setup"
+
+
+@dataclass(frozen=True)
+class SquarenessProbe(AffineInstrument):
+    """Displacement across each of two axes, µm, positive in the machine's directions; or a squareness, µrad."""
+
+    name = "squareness"
+    title = "Squareness: probe on both arms of a square"
+    setup_model = SquarenessSetup
+    axis_use = "required"
+    direct = "urad"
+    setup: SquarenessSetup
+
+    def columns(self) -> tuple[str, ...]:
+        """The two directions in the order X Y Z of the axes' names; one angle where a component is read."""
+        if self.component is not None:
+            return ("reading_urad",)
+        return tuple(f"reading_{a.lower()}_um" for a in self._axes())
+
+    def reads_while(self, axis: str | None) -> tuple[bool, ...]:
+        """Along the one axis while the other travels."""
+        if self.component is not None:
+            return (True,)
+        return tuple(axis is None or a != axis for a in self._axes())
+
+    def looks(self, machine: Machine) -> Floats:
+        """The probe's point along each of the two axes."""
+        directions = [machine.axis(a).direction for a in self._axes()]
+        return np.stack([point(machine, d, self.setup.probe_offset_mm) for d in directions])
+
+    def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
+        """Zero of each arm, how the square lies, and its own angle where it was turned over."""
+        if self.component is not None:
+            return zero(len(state), 1, "none", "urad")
+        machine, axes = state.machine, self._axes()
+        names = tuple(f"zero {a}" for a in axes)
+        out = list(zero(len(state), 2, self.setup.zero, "um", names))
+        lines = [np.eye(3)["XYZ".index(machine.axis(a).direction)] for a in axes]
+        along_m = [from_middle_m(machine, state, a) for a in axes]
+        # Turning the square by φ about the normal moves its arms as φ × (along); the probe reads against them.
+        normal = np.cross(lines[0], lines[1])
+        turned = np.stack(
+            [
+                -lines[0] @ np.cross(normal, lines[1]) * along_m[1],
+                -lines[1] @ np.cross(normal, lines[0]) * along_m[0],
+            ]
+        )
+        out.append(Nuisance("alignment", "urad", turned, "setup"))
+        if self.setup.reversed_runs:
+            own = np.zeros((2, len(state)))
+            row = axes.index(self.setup.reference_axis or "")
+            own[row] = turned[row] * flipped(run, self.setup.reversed_runs)
+            out.append(Nuisance("square", "urad", own, "setup"))
+        return tuple(out)
+
+    def faults(self, machine: Machine) -> list[str]:
+        """No second axis, or one along the first."""
+        if self.component is not None or self.axis not in machine.axis_names:
+            return []
+        other = self.setup.reference_axis
+        if other is None:
+            return ["[setup] key 'reference_axis' is missing; it is the axis along the square's other arm"]
+        if other not in machine.axis_names:
+            hint = nearest(other, machine.axis_names)
+            return [f"[setup] reference_axis {other!r} is none of machine {machine.name!r}{hint}"]
+        if machine.axis(other).direction == machine.axis(self.axis or "").direction:
+            return [f"[setup] reference_axis {other} runs in the direction of axis {self.axis}; they cannot be square"]
+        return []
+
+    def affine(self, machine: Machine) -> Floats:
+        """Both arms, or the component itself."""
+        return self.looks(machine) if self.component is None else component_itself(machine, self.component)
+
+    def _axes(self) -> tuple[str, ...]:
+        return tuple(sorted((self.axis or "", self.setup.reference_axis or "")))

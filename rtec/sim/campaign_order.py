@@ -1,0 +1,93 @@
+"""From what a user types to a campaign: set-up of the instrument, settings from a file and from options."""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rtec.errors import ConfigError, MeasurementError
+from rtec.machine import Machine
+from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.sim.campaign_settings import Settings
+from rtec.tomlfile import read_toml, validated
+
+DRIFT_PROBES: Mapping[str, Any] = {
+    "radial1": {"direction": "X"},
+    "radial2": {"direction": "X", "offset_mm": [0.0, 0.0, -60.0]},
+    "axial": {"direction": "Z"},
+}
+"""Of a spindle along Z, where the set-up names no probes: two radial ones 60 mm apart, and an axial one."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """An instrument as it is named on a command line."""
+
+    instrument: str
+    axis: str | None = None
+    component: str | None = None
+    setup: Sequence[str] = ()
+
+    def make(self, machine: Machine) -> Instrument:
+        """Set it up.
+
+        Raises:
+            MeasurementError: the instrument, a key, or something that the machine does not have.
+        """
+        table = setup_table(self.setup)
+        if self.instrument == "spindle_drift" and "probe" not in table:
+            table["probe"] = dict(DRIFT_PROBES)
+        return make_instrument(self.instrument, table, self.axis, self.component, machine, "simulate")
+
+
+def setup_table(items: Sequence[str]) -> dict[str, Any]:
+    """Give the `[setup]` table of `key=value` texts; values as in TOML, or plain words.
+
+    Raises:
+        MeasurementError: a text is no key=value, or a key stands twice.
+    """
+    lines = []
+    for item in items:
+        key, mark, value = (part.strip() for part in item.partition("="))
+        if not mark or not key:
+            raise MeasurementError(f"--set {item!r} is no key=value, for example beam_offset_mm=[0,150,80]")
+        try:
+            tomllib.loads(f"value = {value}")
+        except tomllib.TOMLDecodeError:
+            value = "'" + value.replace("'", "") + "'"
+        lines.append(f"{key} = {value}")
+    try:
+        return tomllib.loads("\n".join(lines))
+    except tomllib.TOMLDecodeError as e:
+        raise MeasurementError(f"--set {' '.join(items)}: {e}") from e
+
+
+def settings_of(file: Path | None, options: Mapping[str, Mapping[str, Any]], heads: Mapping[str, Any]) -> Settings:
+    """Give settings: those of a file, and over them the options that were typed (not None).
+
+    Args:
+        file: TOML with the tables of `Settings`.
+        options: by table: key to value.
+        heads: keys that stand in no table.
+
+    Raises:
+        ConfigError: file or options say something that cannot be.
+    """
+    content = dict(read_toml(file)) if file is not None else {}
+    if file is not None:
+        validated(Settings, content, str(file))
+    for name, table in options.items():
+        typed = {k: v for k, v in table.items() if v is not None}
+        if typed:
+            content[name] = {**content.get(name, {}), **typed}
+    content |= {k: v for k, v in heads.items() if v is not None}
+    if heads.get("protocol") is not None and content.get("phase"):
+        raise ConfigError(f"{file}: [[phase]] and the option --protocol both say what the day is; leave one out")
+    return validated(Settings, content, "simulate")
+
+
+def table_path(out: Path) -> Path:
+    """Where the table goes: NAME.csv unless the name ends in .csv or .parquet."""
+    return out if out.suffix in (".csv", ".parquet") else out.with_name(f"{out.name}.csv")

@@ -1,0 +1,166 @@
+"""What a simulated measurement is made of: targets, protocol, temperatures, noise; also as a TOML file.
+
+Every table may be left out; what is left out follows from machine and instrument.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from rtec.tomlfile import Strict
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Targets(Strict):
+    """Where is read.
+
+    Attributes:
+        axes: that travel, one after another; by default the instrument's axis, or all for an instrument without one.
+        range_mm: first and last target; by default the travel less 2 % at each end.
+        step_mm: between targets; by default a twentieth of the range.
+        keep_step: take the step even where it is a multiple of the pitch, which hides the error that repeats with it.
+        dwell_s: standing at each target until it is read.
+        readings: taken at each target, one after another in the dwell.
+        feed_mm_min: between targets.
+        both_directions: there and back; by default yes, but not for a work piece.
+        at_mm: where the other axes stand, by name; with several places every line is measured at each. By default
+            the middle of the travel.
+    """
+
+    axes: tuple[str, ...] | None = None
+    range_mm: tuple[float, float] | None = None
+    step_mm: Positive | None = None
+    keep_step: bool = False
+    dwell_s: Positive = 3.0
+    readings: Annotated[int, Field(ge=1)] = 1
+    feed_mm_min: Positive = 3000.0
+    both_directions: bool | None = None
+    at_mm: dict[str, Annotated[tuple[float, ...], Field(min_length=1)]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _range_rises(self) -> "Targets":
+        if self.range_mm is not None and self.range_mm[0] >= self.range_mm[1]:
+            raise ValueError(f"range_mm {list(self.range_mm)}: the first must be below the second")
+        return self
+
+
+class Phase(Strict):
+    """A part of the day: either measuring, or letting the machine be.
+
+    Attributes:
+        name: for people.
+        cycles: measuring cycles; 0: none.
+        hours: how long it lasts where nothing is measured in cycles.
+        on: is the machine switched on?
+        rpm: spindle speed.
+        moving: share of the time in which the axes go to and fro at the feed.
+        read_every_s: readings at standstill, as drift probes take them; None: none.
+    """
+
+    name: str
+    cycles: Annotated[int, Field(ge=0)] = 0
+    hours: NotNegative = 0.0
+    on: bool = True
+    rpm: float = 0.0
+    moving: Share = 0.0
+    read_every_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "Phase":
+        if bool(self.cycles) == bool(self.hours):
+            raise ValueError("a phase has either cycles or hours")
+        if self.cycles and (self.moving or self.read_every_s):
+            raise ValueError("moving and read_every_s are for phases with hours; cycles move and read by themselves")
+        return self
+
+
+class Body(Strict):
+    """First-order body under one temperature sensor: it goes towards the air's temperature plus these rises.
+
+    Attributes:
+        tau_s: time constant.
+        on_degc: rise with the machine on and standing, for ever.
+        axis_degc: rise with an axis moving at 100 mm/s, for ever, by axis name.
+        spindle_degc: rise at 1000 1/min, for ever; goes with the power 1.2 of the speed.
+        follows: another sensor on the same body (collinear); nothing else is said then.
+        share: how much of that body's rise above the air this one has.
+    """
+
+    tau_s: Positive = 3600.0
+    on_degc: float = 0.0
+    axis_degc: dict[str, float] = Field(default_factory=dict)
+    spindle_degc: float = 0.0
+    follows: str | None = None
+    share: float = 1.0
+
+
+class Sensors(Strict):
+    """Faults that all temperature sensors share in kind: offset (drawn once each), noise, lag, resolution."""
+
+    offset_degc: NotNegative = 0.1
+    noise_degc: NotNegative = 0.02
+    lag_s: NotNegative = 10.0
+    resolution_degc: NotNegative = 0.01
+
+
+class Thermal(Strict):
+    """Air and bodies; a sensor that has no body here gets one by its name (axis, spindle, air, else structure)."""
+
+    air_degc: float = 20.0
+    swing_degc: NotNegative = 1.0
+    walk_degc: NotNegative = 0.3
+    walk_tau_s: Positive = 7200.0
+    body: dict[str, Body] = Field(default_factory=dict)
+    sensors: Sensors = Sensors()
+
+
+class Noise(Strict):
+    """Faults of the readings, µm (µrad where a reading is an angle).
+
+    Attributes:
+        white_um: standard deviation of independent noise.
+        drift_um: standard deviation of noise that goes on from reading to reading (Ornstein-Uhlenbeck).
+        drift_tau_s: its correlation time.
+        run_offset_um: standard deviation of what each run is off as a whole.
+        resolution_um: steps of the display.
+        outliers: share of readings that are wrong by about `outlier_um`, either way.
+        lost: share of readings that are missing.
+    """
+
+    white_um: NotNegative = 0.3
+    drift_um: NotNegative = 0.0
+    drift_tau_s: Positive = 1800.0
+    run_offset_um: NotNegative = 0.0
+    resolution_um: NotNegative = 0.0
+    outliers: Share = 0.0
+    outlier_um: NotNegative = 20.0
+    lost: Annotated[float, Field(ge=0, lt=1)] = 0.0
+
+
+QUIET = Noise(white_um=0.0)
+PERFECT = Sensors(offset_degc=0.0, noise_degc=0.0, lag_s=0.0, resolution_degc=0.0)
+Preset = Literal["warm_up", "cold", "drift", "parts"]
+
+
+class Settings(Strict):
+    """A whole campaign.
+
+    Attributes:
+        protocol: name of a ready one.
+        phase: phases of one's own; win over `protocol`.
+        log_every_s: also write a row without reading so often between the cycles, so that slow channels are known.
+        nuisance: by name (zero, slope, …): standard deviation of what the instrument does not know, in its unit; by
+            default 5 µm, 20 µrad, 10 µm/m. 0: none.
+    """
+
+    targets: Targets = Targets()
+    protocol: Preset | None = None
+    phase: tuple[Phase, ...] = ()
+    cycles: Annotated[int, Field(ge=1)] = 5
+    thermal: Thermal = Thermal()
+    noise: Noise = Noise()
+    nuisance: dict[str, NotNegative] = Field(default_factory=dict)
+    log_every_s: Positive | None = None
