@@ -1,0 +1,208 @@
+"""`rtec iso230`, `straightness`, `parallelism`, `drift`: from readings to the figures of a report."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rich.console import Console
+
+    from rtec.metrology.measurement import Measurement
+    from rtec.metrology.procedures.iso230 import Visits
+    from rtec.report.html import Page, Table
+
+PIPED_WIDTH = 110
+_Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+_Report = Annotated[
+    Path | None, typer.Option("--report", metavar="DIR", help="Write figures, report.html and result.json here.")
+]
+_Machine = Annotated[
+    Path | None, typer.Option("--machine", "-m", help="Machine file; needed for measurements with a TOML beside.")
+]
+_Table = Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with one line of names.", show_default=False)]
+
+
+def iso230(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="ecmc .dat, or measurements of instrument laser_linear.", show_default=False
+        ),
+    ],
+    machine: _Machine = None,
+    pitch_mm: Annotated[
+        float | None, typer.Option("--pitch", min=1e-6, help="Pitch, mm, where the machine file does not tell it.")
+    ] = None,
+    swap: Annotated[bool, typer.Option("--swap", help="In a .dat take FWD as backward.")] = False,
+    report: _Report = None,
+    as_json: _Json = False,
+) -> None:
+    """Positioning of an axis after ISO 230-2: A, R, E, M, B by direction and together, coverage factor 2.
+
+    Drift between the cycles is told apart from repeatability. Warns where targets are multiples of the pitch, because
+    the error that repeats with the pitch is hidden then.
+
+    Example: `rtec iso230 x-axis_ISO230.dat --pitch 5 --report out/x`
+
+    `rtec iso230 laser-x.csv --machine configs/machines/turning-centre.toml --json`
+    """
+    from rtec.metrology.procedures.iso230 import positioning
+    from rtec.report.procedures_iso230 import iso230_page
+
+    results = []
+    for file in files:
+        visits, own_pitch_mm = _visits(file, machine, swap)
+        results.append(positioning(visits, pitch_mm or own_pitch_mm))
+    _give(lambda figures: iso230_page(results, figures), {"tests": results}, report, as_json)
+
+
+def straightness(
+    table: _Table,
+    machine: _Machine = None,
+    method: Annotated[
+        str | None, typer.Option("--method", help="reversal, pair or face; by default what the columns allow.")
+    ] = None,
+    report: _Report = None,
+    as_json: _Json = False,
+) -> None:
+    """Straightness with an arbor and its reversal, by a pair of probes, or on a turned face with orthogonality.
+
+    Columns: x_mm (or z_mm, ...), spindle_deg (0 or 180), probe1_um, probe2_um; run numbers repeated sets. Probes read
+    positive as the gap closes; probe 1 stands on the positive side. Or a measurement of instrument straightness with
+    reversed_runs.
+
+    Example: `rtec straightness z-arbor.csv --report out/z`
+    """
+    from rtec.metrology.procedures.tables_in import straightness_table
+    from rtec.report.procedures_straightness import straightness_page
+
+    if _is_measurement(table):
+        from rtec.metrology.procedures.measured import straightness_of
+
+        axis, result = straightness_of(_measurement(table, machine))
+    else:
+        axis, result = straightness_table(table, method)
+    _give(lambda figures: straightness_page(table.name, axis, result, figures), result, report, as_json)
+
+
+def parallelism(table: _Table, report: _Report = None, as_json: _Json = False) -> None:
+    """Parallelism of a motion to the spindle's axis, from best-fit circles of two probes on a turning arbor.
+
+    Columns: z_mm (place along the motion, two or more), angle_deg, probe1_um, probe2_um.
+
+    Example: `rtec parallelism z-circles.csv --json`
+    """
+    from rtec.metrology.procedures.tables_in import parallelism_table
+    from rtec.report.procedures_straightness import parallelism_page
+
+    axis, result = parallelism_table(table)
+    _give(lambda figures: parallelism_page(table.name, axis, result, figures), result, report, as_json)
+
+
+def drift(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="CSV, or a measurement of instrument spindle_drift.", show_default=False),
+    ],
+    machine: _Machine = None,
+    radial1: Annotated[str | None, typer.Option("--radial1", help="Column of the first radial probe.")] = None,
+    radial2: Annotated[str | None, typer.Option("--radial2", help="Column of the second one.")] = None,
+    axial: Annotated[str | None, typer.Option("--axial", help="Column of the axial probe.")] = None,
+    distance_mm: Annotated[
+        float | None, typer.Option("--distance", min=1e-6, help="Between the radial probes, mm; gives the tilt.")
+    ] = None,
+    report: _Report = None,
+    as_json: _Json = False,
+) -> None:
+    """Spindle thermal drift: radial, axial and tilt, with a time constant for every phase of constant speed.
+
+    Columns: time_s, spindle_rpm, probes in um, temperatures (..._degc). Run 8 h, off overnight, at several speeds.
+
+    Example: `rtec drift spindle.csv --radial1 ch1_um --radial2 ch2_um --axial ch5_um --distance 100`
+    """
+    from rtec.metrology.procedures.tables_in import drift_table
+    from rtec.report.procedures_drift import drift_page
+
+    columns = {n: c for n, c in (("radial1", radial1), ("radial2", radial2), ("axial", axial)) if c}
+    if _is_measurement(file):
+        from rtec.metrology.procedures.measured import drift_of
+
+        result = drift_of(_measurement(file, machine), distance_mm)
+    else:
+        result = drift_table(file, columns, distance_mm)
+    _give(lambda figures: drift_page(result, figures), result, report, as_json)
+
+
+def _visits(file: Path, machine: Path | None, swap: bool) -> "tuple[Visits, float | None]":
+    """Deviations of one file, and the pitch of its axis where the machine file knows it."""
+    if file.suffix == ".dat":
+        from rtec.metrology.procedures.iso230_dat import read_dat
+
+        return read_dat(file, swap), None
+    from rtec.metrology.procedures.iso230_stops import visits_of
+
+    measurement = _measurement(file, machine)
+    visits = visits_of(measurement)
+    return visits, measurement.machine.axis(str(measurement.instrument.axis)).pitch_mm
+
+
+def _measurement(file: Path, machine: Path | None) -> "Measurement":
+    from rtec.errors import ConfigError
+    from rtec.machine import load_machine
+    from rtec.metrology.files import load_measurement
+
+    if machine is None:
+        raise ConfigError(f"{file}: is a measurement; name the machine that it was made on with --machine")
+    return load_measurement(file, load_machine(machine))
+
+
+def _is_measurement(file: Path) -> bool:
+    return file.suffix in (".toml", ".parquet") or file.with_suffix(".toml").is_file()
+
+
+def _give(page_of: "Callable[[bool], Page]", facts: object, report: Path | None, as_json: bool) -> None:
+    """Write the report where wanted, then print tables or JSON."""
+    from rtec.report.procedures import plain, write_page
+
+    path = write_page(page_of(True), facts, report) if report else None
+    if as_json:
+        typer.echo(json.dumps(plain(facts) | {"report": str(path) if path else None}, indent=2, ensure_ascii=False))
+        return
+    _show(page_of(False))
+    if path:
+        typer.echo(f"Report: {path}")
+
+
+def _show(page: "Page") -> None:
+    from rich.console import Console
+
+    console = Console(markup=False, highlight=False)
+    if not console.is_terminal:
+        console = Console(markup=False, highlight=False, width=PIPED_WIDTH)
+    console.print(page.lead + "\n")
+    for section in page.sections:
+        if section.table is None and not section.text:
+            continue
+        console.print(section.heading, style="bold")
+        for sentence in section.text:
+            console.print(f"- {sentence}")
+        if section.table is not None:
+            _print_table(console, section.table)
+        console.print()
+
+
+def _print_table(console: "Console", table: "Table") -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    grid = Grid(box=SIMPLE_HEAD, pad_edge=False)
+    for k, name in enumerate(table.head):
+        grid.add_column(Text(name), justify="left" if k in table.words else "right")
+    for row in table.rows:
+        grid.add_row(*(Text(cell) for cell in row))
+    console.print(grid)

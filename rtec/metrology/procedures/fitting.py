@@ -1,0 +1,162 @@
+"""Least squares as the procedures need it: few numbers, readings that follow each other in time, honest errors.
+
+Readings taken one after the other err together. A standard error that supposes them independent is then too small, so
+every error here is widened by the residual's own correlation time: n readings count as n / correlation time.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import MeasurementError
+
+Floats = NDArray[np.float64]
+DEPENDENT = 1e-9
+"""Columns whose combination is smaller than this share of the largest cannot be told apart."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A best-fit line and what is left of the readings.
+
+    Attributes:
+        slope: per unit of position.
+        slope_se: its standard error, NaN from fewer than three readings.
+        offset: at position zero.
+        residual: reading minus line, (n,).
+    """
+
+    slope: float
+    slope_se: float
+    offset: float
+    residual: Floats
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fit, linear but for θ.
+
+    Attributes:
+        values: linear coefficients, (k,).
+        theta: the others, (q,).
+        errors: standard errors, coefficients first, (k + q,), widened by `correlation`.
+        residual: (n,).
+        rms: root mean square of the residual.
+        correlation: how many readings count as one.
+    """
+
+    values: Floats
+    theta: Floats
+    errors: Floats
+    residual: Floats
+    rms: float
+    correlation: float
+
+
+def best_line(position: Floats, reading: Floats) -> Line:
+    """Least-squares line, (n,) and (n,).
+
+    Raises:
+        MeasurementError: fewer than two different positions.
+    """
+    spread = position - position.mean()
+    size = float(spread @ spread)
+    if size == 0.0 or len(position) < 2:
+        raise MeasurementError("a best-fit line needs readings at two places at least")
+    slope = float(spread @ reading) / size
+    residual = reading - reading.mean() - slope * spread
+    left = len(position) - 2
+    error = float(np.sqrt(residual @ residual / left / size)) if left > 0 else float("nan")
+    return Line(slope, error, float(reading.mean() - slope * position.mean()), residual)
+
+
+def correlation_time(residual: Floats) -> float:
+    """How many readings in a row count as one: 1 + 2 Σ ρ_k, summed up to the first ρ_k that is not positive; >= 1."""
+    centred = residual - residual.mean()
+    n = len(centred)
+    power = np.abs(np.fft.rfft(centred, 2 * n)) ** 2
+    covariance = np.fft.irfft(power)[:n]
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho = covariance / covariance[0]
+    ends = np.flatnonzero(rho <= 0.0)
+    return 1.0 + 2.0 * float(rho[1 : ends[0] if len(ends) else n].sum())
+
+
+def separable_fit(
+    build: Callable[[Floats], tuple[Floats, Floats]],
+    reading: Floats,
+    starts: Sequence[Floats],
+    low: Floats,
+    high: Floats,
+    *,
+    errors: bool = True,
+) -> Fit:
+    """Fit `reading = offset(θ) + design(θ) · values` by variable projection.
+
+    Args:
+        build: θ -> design, (n, k), and offset, (n,).
+        reading: (n,), without gaps.
+        starts: places to search from; the best end counts.
+        low, high: bounds of θ, (q,).
+        errors: work out standard errors; without, they are NaN and terms may be impossible to tell apart.
+
+    Raises:
+        MeasurementError: fewer readings than numbers to find, or columns that these readings cannot tell apart.
+    """
+    from scipy.optimize import least_squares
+
+    def left(theta: Floats) -> Floats:
+        return _left(build, reading, theta)[1]
+
+    found = [least_squares(left, start, bounds=(low, high), x_scale=high - low, max_nfev=80) for start in starts]
+    theta = min(found, key=lambda f: float(f.cost)).x if found else np.zeros(0)
+    values, residual = _left(build, reading, theta)
+    free = len(reading) - len(values) - len(theta)
+    if free <= 0:
+        raise MeasurementError(f"{len(reading)} readings for {len(values) + len(theta)} numbers; take more")
+    rows = correlation_time(residual)
+    unit = np.full(len(values) + len(theta), np.nan)
+    if errors:
+        unit = unit_errors(np.concatenate([build(theta)[0], _slopes(build, values, theta, high - low)], axis=1))
+    sigma = float(np.sqrt(residual @ residual / free))
+    rms = float(np.sqrt(np.mean(residual**2)))
+    return Fit(values, theta, sigma * np.sqrt(rows) * unit, residual, rms, rows)
+
+
+def _left(build: Callable[[Floats], tuple[Floats, Floats]], reading: Floats, theta: Floats) -> tuple[Floats, Floats]:
+    design, offset = build(theta)
+    size = np.linalg.norm(design, axis=0)
+    values = np.linalg.lstsq(design / np.where(size > 0, size, 1.0), reading - offset, rcond=None)[0]
+    values = values / np.where(size > 0, size, 1.0)
+    return values, reading - offset - design @ values
+
+
+def _slopes(build: Callable[[Floats], tuple[Floats, Floats]], values: Floats, theta: Floats, span: Floats) -> Floats:
+    columns = []
+    for i in range(len(theta)):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = theta.copy()
+            moved[i] += sign * 1e-5 * span[i]
+            design, offset = build(moved)
+            ends.append(offset + design @ values)
+        columns.append((ends[0] - ends[1]) / (2e-5 * span[i]))
+    return np.array(columns).reshape(len(theta), -1).T if columns else np.zeros((len(build(theta)[1]), 0))
+
+
+def unit_errors(design: Floats) -> Floats:
+    """Standard errors of the coefficients of a design, (n, k), for independent noise of one, (k,).
+
+    Raises:
+        MeasurementError: columns that cannot be told apart.
+    """
+    size = np.linalg.norm(design, axis=0)
+    if (size == 0).any():
+        raise MeasurementError(f"nothing in these readings shows number {int(np.argmin(size)) + 1} of the fit")
+    _, singular, directions = np.linalg.svd(design / size, full_matrices=False)
+    if singular[-1] < DEPENDENT * singular[0]:
+        raise MeasurementError("these readings cannot tell all the terms of the fit apart; measure where they differ")
+    return np.asarray(np.linalg.norm(directions.T / singular, axis=1) / size, dtype=np.float64)
