@@ -61,19 +61,13 @@ def export(
 
     Example: rtec log export run.arrows run.parquet
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
+    from rtec.cli.progress import bar
     from rtec.runtime.log import LogReader
     from rtec.runtime.log_export import export as export_log
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %"))
-    with (
-        LogReader(log) as reader,
-        Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as bar,
-    ):
-        task = bar.add_task(out.name, total=max(reader.rows, 1))
-        rows = export_log(reader, out, lambda done: bar.update(task, completed=done))
+    with LogReader(log) as reader, bar(out.name) as progress:
+        total = reader.rows
+        rows = export_log(reader, out, lambda done: progress(done, total))
     typer.echo(f"{rows} rows written to {out}")
 
 
@@ -147,7 +141,7 @@ def _headings(layout: "Layout", *, degc: bool) -> list[str]:
     titles = ("counts {}", "requested {} µm", "applied {} µm", "output {}")
     per_axis = [title.format(axis) for axis in layout.axes for title in titles]
     temperatures = [f"{sensor} °C" for sensor in layout.sensors] if degc else []
-    return ["time s", "mode", *per_axis, "flags", *temperatures]
+    return ["time s", "mode", *per_axis, *temperatures, "flags"]
 
 
 def _cells(samples: "Samples", commands: "Commands", *, degc: bool) -> Iterator[list[str]]:
@@ -159,8 +153,14 @@ def _cells(samples: "Samples", commands: "Commands", *, degc: bool) -> Iterator[
         )
         for counts, requested_um, applied_um, output in per_axis:
             cells += [str(counts), f"{requested_um:.3f}", f"{applied_um:.3f}", str(output)]
-        cells.append(f"{commands.flags[i]:#x}")
-        yield cells + ([f"{t:.3f}" for t in samples.degc[i]] if degc else [])
+        temperatures = [f"{t:.3f}" for t in samples.degc[i]] if degc else []
+        yield [*cells, *temperatures, _flags(int(commands.flags[i]))]
+
+
+def _flags(bits: int) -> str:
+    from rtec.correction.guard import Flag
+
+    return ",".join(f.name.lower() for f in Flag if bits & f and f.name) or "-"
 
 
 def _table(headings: list[str], *, header: bool) -> "Table":
@@ -168,11 +168,13 @@ def _table(headings: list[str], *, header: bool) -> "Table":
     from rich.text import Text
 
     table = Table(box=None, show_header=header, pad_edge=False)
+    *headings, last = headings
     for heading in headings:
         # As wide as usual values, so that the rows that follow later stand below the first ones.
         width = max(12, len(heading)) if heading else None
         # Text: a sensor name with brackets is no markup.
         table.add_column(Text(heading), justify="right" if heading else "left", min_width=width, no_wrap=bool(heading))
+    table.add_column(Text(last), no_wrap=bool(last))
     return table
 
 

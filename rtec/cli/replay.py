@@ -38,10 +38,13 @@ def replay(
 
     `rtec replay configs/mouse-capture.toml mouse.sr --out corrected.sr`
     """
+    from rtec.errors import ConfigError
     from rtec.runtime.config import load_setup
 
     setup = load_setup(config)
     if log.suffix == ".sr":
+        if check:
+            raise ConfigError("--check compares with logged commands; a capture has none, leave it out")
         _capture(setup, log, out, as_json)
     else:
         _log(setup, log, out, check, as_json)
@@ -76,6 +79,7 @@ def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool
 
 
 def _capture(setup: "Setup", capture: Path, out: Path | None, as_json: bool) -> None:
+    from rtec.cli.flags import flag_lines
     from rtec.cli.progress import bar
     from rtec.runtime.replay_capture import replay_capture
 
@@ -90,6 +94,8 @@ def _capture(setup: "Setup", capture: Path, out: Path | None, as_json: bool) -> 
         typer.echo(json.dumps(facts, indent=2))
         return
     typer.echo(f"{report.samples} samples, {report.duration_s:g} s, {report.cycles} cycles")
+    for line in flag_lines(report.flags_seen):
+        typer.echo(line)
     for name, axis in report.axes.items():
         typer.echo(
             f"axis {name}: raw {axis.raw_counts:+d}, inserted {axis.inserted_counts:+d}, "

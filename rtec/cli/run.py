@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def run(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="Run file: machine, model, devices, limits.")],
     duration: Annotated[
-        float | None, typer.Option("--duration", "-d", min=0.001, help="Seconds; without it, until Ctrl-C.")
+        float | None, typer.Option("--duration", "-d", min=0.001, max=1e9, help="Seconds; without it, until Ctrl-C.")
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Check every file and device, read each once, command nothing.")

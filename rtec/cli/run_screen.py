@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from rtec.cli.flags import flag_lines
 from rtec.runtime.config import Setup
 from rtec.runtime.supervisor import Report, Status
 
@@ -75,9 +76,8 @@ def show_report(setup: Setup, report: Report) -> None:
     console.print(_axes(report.status, report.largest_um))
     missed = summary["deadline_misses"]
     console.print(f"deadlines missed: {missed}", style="bold red" if missed else "green", highlight=False)
-    for name, share in report.flags_seen.items():
-        if name != "LIMITED":
-            console.print(f"{name.lower().replace('_', ' ')}: {100 * share:.2g} % of cycles", style="yellow")
+    for line in flag_lines(report.flags_seen):
+        console.print(line, style="yellow", highlight=False)
     if summary["driver_errors"]:
         console.print(f"device errors: {summary['driver_errors']}, the last: {summary['last_error']}", style="bold red")
     for warning in report.warnings:
@@ -93,7 +93,8 @@ def show_report(setup: Setup, report: Report) -> None:
 def show_dry_run(setup: Setup, found: dict[str, Any]) -> None:
     """Print what a dry run read."""
     console = Console()
-    table = Table(title=f"{setup.machine.name}: dry run, nothing was commanded", title_justify="left")
+    console.print(f"{setup.machine.name}: dry run, nothing was commanded", highlight=False)
+    table = Table()
     for name in ("input", "value", "age"):
         table.add_column(name, justify="left" if name == "input" else "right")
     for name, value, age in found["inputs"]:

@@ -21,7 +21,7 @@ class Flag(IntFlag):
     STALE_COUNTS = 1
     """The counts are older than allowed."""
     STALE_TEMPERATURE = 2
-    """A temperature that the model reads is older than allowed, or has never been read."""
+    """A temperature that the model reads is older than allowed; or it, or the spindle speed, is not known."""
     SENSOR_FAULT = 4
     """A temperature is outside what its sensor can give: a broken wire or sensor."""
     OUT_OF_RANGE = 8
@@ -55,7 +55,7 @@ HOLD_REASONS = int(
 
 REASONS = {
     Flag.STALE_COUNTS: "counts are stale",
-    Flag.STALE_TEMPERATURE: "a temperature is stale or was never read",
+    Flag.STALE_TEMPERATURE: "a temperature (or the spindle speed) is stale or was never read",
     Flag.SENSOR_FAULT: "a temperature sensor reads what it cannot",
     Flag.OUT_OF_RANGE: "outside the range that the model was fitted in",
     Flag.OVER_STOP_LIMIT: "the model asks for more than the stop limit",

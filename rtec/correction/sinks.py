@@ -60,6 +60,11 @@ class _OffsetSink(Strict):
     period_s: Annotated[float, Field(gt=0)] = 0.020
     max_um: Annotated[float, Field(gt=0)] = 1000.0
 
+    @property
+    def unit_um(self) -> float:
+        """One unit, µm."""
+        return self.resolution_um
+
     def scale(self, axis: Axis) -> SinkScale:
         """Controller units, of the correction's own sign."""
         del axis
@@ -87,6 +92,11 @@ class PhaseSink(Strict):
     bits: Annotated[int, Field(ge=4, le=24)] = 8
     range_mm: Annotated[float, Field(gt=0)] = 0.1
     period_s: Annotated[float, Field(ge=0)] = 0.020
+
+    @property
+    def unit_um(self) -> float:
+        """One step, µm."""
+        return 2e3 * self.range_mm / float(2**self.bits)
 
     def scale(self, axis: Axis) -> SinkScale:
         """Steps of 2 · range / 2^bits (0.78 µm for 8 bits over ±0.1 mm), of the correction's own sign."""

@@ -62,14 +62,13 @@ class CaptureAxis(Strict):
     """`[capture.axis.X]`: channels of one axis in a logic-analyser capture, and what the controller can follow.
 
     Attributes:
-        a, b: names of the lines; z of the index line, where there is one.
+        a, b: names of the lines; every other line, the index too, stays as it is.
         start_mm: position at the first sample.
         min_edge_separation_us: least time between an inserted edge and any other.
     """
 
     a: str
     b: str
-    z: str | None = None
     start_mm: float = 0.0
     min_edge_separation_us: Annotated[float, Field(gt=0)] = 1.0
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError, DriverUnavailable, RtecError
 from rtec.machine import Machine
 from rtec.runtime.clock import Clock
@@ -73,6 +74,7 @@ def make_devices(setup: Setup, clock: Clock) -> dict[str, Device]:
         except RtecError as e:
             faults.append(str(e))
     faults += _role_faults(out, setup.file.role, str(setup.path))
+    faults += _sink_faults(out, setup)
     if faults:
         raise ConfigError("\n".join(faults))
     return out
@@ -109,7 +111,10 @@ def _make(name: str, table: Mapping[str, Any], machine: Machine, clock: Clock, p
     kind = driver_class(driver, where)
     options_model: type[BaseModel] = kind.options_model
     options = validated(options_model, {k: v for k, v in table.items() if k != "driver"}, where)
-    device: Device = kind(options, machine, clock, path.parent)
+    try:
+        device: Device = kind(options, machine, clock, path.parent)
+    except RtecError as e:
+        raise ConfigError("\n".join(f"{where} {line}" for line in str(e).splitlines())) from e
     return device
 
 
@@ -126,3 +131,16 @@ def _role_faults(devices: Mapping[str, object], role: Roles, source: str) -> lis
         for what, name, kind in wanted
         if name in devices and not isinstance(devices[name], kind)
     ]
+
+
+def _sink_faults(devices: Mapping[str, object], setup: Setup) -> list[str]:
+    """Compensated axes whose kind of output the actuator does not take."""
+    actuator = devices.get(setup.file.role.actuator)
+    if not isinstance(actuator, Actuator):
+        return []
+    out = []
+    for axis in (a for a in setup.machine.axes if a.compensate):
+        why = actuator.refuses(setup.file.output.get(axis.name, PulseSink()))
+        if why:
+            out.append(f"{setup.path}: [output.{axis.name}] [device.{setup.file.role.actuator}] {why}")
+    return out

@@ -62,7 +62,10 @@ def _run(config: Path, ring_name: str, pipe: Connection, cycles: int | None) -> 
         loop = Loop(step, ports, clock, setup.period_ns, rows, ring.ordered_mode)
         warnings = _rehearse(setup, ports, output)
         pipe.send(("ready", {"output": output.tolist(), "warnings": warnings}))
-        loop.run(cycles, _after_cycle(loop, ring, os.getppid()))
+        try:
+            loop.run(cycles, _after_cycle(loop, ring, os.getppid()))
+        finally:
+            ports.actuator.hold()
         return summary(loop, step)
 
 

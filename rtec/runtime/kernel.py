@@ -89,6 +89,8 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
         "news": news,
         "sensors": [line for s in kernel.sensors for line in _SENSOR.format(s=s).splitlines()],
         "spindle": _SPINDLE.format(s=spindle).splitlines() if kernel.uses_spindle else [],
+        # Only sensors age: a model without any would else hold for ever once its first cycle is old enough.
+        "age": ["if t - oldest[0] > max_age[1]:", "    why |= 2"] if kernel.sensors else [],
         "keep": keep,
         "wanted": wanted,
     }
@@ -176,8 +178,7 @@ def step(
                 ready[0] = 1
                 slow_at[0] = t
         why |= slow_why[0]
-        if t - oldest[0] > max_age[1]:
-            why |= 2
+        {age}
         order = mode[n]
         if ready[0] == 1:
             tip = fast_part(m, q, d)

@@ -122,8 +122,10 @@ class LogReader:
                 self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
             whole = pa.py_buffer(self._memory)
             self._source, self._address, self.bytes = pa.BufferReader(whole), whole.address, whole.size
-        except _Broken as error:
-            raise LogError(f"log {self.path}: cannot be opened: {_first_line(error)}") from error
+        except OSError as error:
+            raise LogError(f"log {self.path}: cannot be opened: {error.strerror or error}") from error
+        except ValueError as error:  # nothing to map
+            raise LogError(f"log {self.path}: is empty") from error
 
     def _index(self) -> None:
         """Find the end and row count of every batch not seen yet."""

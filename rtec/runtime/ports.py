@@ -11,6 +11,8 @@ from typing import Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.sinks import Sink
+
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
@@ -63,6 +65,13 @@ class SpindleSource(Protocol):
 class Actuator(Protocol):
     """Puts the correction into the machine: an encoder box, a controller's offset register, a D/A."""
 
+    def refuses(self, sink: Sink) -> str:
+        """Say why it cannot take this kind of output, or outputs of this unit; "" where it can.
+
+        Counts put into a register, or units of another size, would make the error larger: asked before anything runs.
+        """
+        ...
+
     def apply(self, output: IntArray) -> None:
         """Command the absolute output of every axis in the actuator's own units (for pulses: inserted counts).
 
@@ -78,5 +87,5 @@ class Actuator(Protocol):
         ...
 
     def hold(self) -> None:
-        """Keep the last output until told otherwise; called on leaving and on any fault."""
+        """Keep the last output until told otherwise; called when the loop ends, however it ends."""
         ...

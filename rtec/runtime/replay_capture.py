@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.guard import Flag
 from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import Edges, counts_at, decode_edges, pack
 from rtec.correction.sinks import PulseSink
-from rtec.errors import ConfigError
+from rtec.errors import ConfigError, LogError
 from rtec.machine import Axis
 from rtec.runtime import sigrok
 from rtec.runtime.config import CaptureAxis, CaptureTable, Setup
@@ -42,11 +43,20 @@ class CaptureAxisReport:
 
 @dataclass(frozen=True)
 class CaptureReport:
-    """What a capture's replay came to."""
+    """What a capture's replay came to.
+
+    Attributes:
+        samples, duration_s: of the capture.
+        cycles: of the step.
+        flags_seen: share of cycles that carried each flag, by the flag's name.
+        axes: by name.
+        capture_out, table_out: what was written.
+    """
 
     samples: int
     duration_s: float
     cycles: int
+    flags_seen: dict[str, float]
     axes: dict[str, CaptureAxisReport]
     capture_out: Path
     table_out: Path
@@ -65,9 +75,10 @@ def replay_capture(
         progress: told stages done and stages in all.
 
     Raises:
-        ConfigError: no `[capture]` section, or an axis' sink does not insert pulses.
-        LogError: the capture cannot be read, or has no such channels.
+        ConfigError: no `[capture]` section, an axis' sink that does not insert pulses, or a name that is taken.
+        LogError: the capture cannot be read, has no such channels, or what comes of it cannot be written.
     """
+    _check_names(path, out, table)
     wanted = _wanted(setup)
     tell = progress or (lambda *_: None)
     stages = 3 + len(wanted.axis)
@@ -100,7 +111,20 @@ def replay_capture(
     _write_table(table, columns)
     tell(stages, stages)
     n = len(capture.samples)
-    return CaptureReport(n, n / capture.samplerate_hz, len(samples), reports, out, table)
+    return CaptureReport(n, n / capture.samplerate_hz, len(samples), _flags_seen(commands.flags), reports, out, table)
+
+
+def _flags_seen(flags: Ints) -> dict[str, float]:
+    shares = {flag.name or str(flag): float(np.mean((flags & int(flag)) != 0)) for flag in Flag}
+    return {name: share for name, share in shares.items() if share > 0.0}
+
+
+def _check_names(path: Path, out: Path, table: Path) -> None:
+    if out.suffix != ".sr":
+        raise ConfigError(f"{out}: a corrected capture ends in .sr; its table of counts gets the same name with .csv")
+    for new in (out, table):
+        if new.exists() and new.samefile(path):
+            raise ConfigError(f"{new}: is the capture itself, which is never overwritten; choose another name")
 
 
 def _wanted(setup: Setup) -> CaptureTable:
@@ -191,5 +215,8 @@ def _write_table(path: Path, columns: dict[str, Column]) -> None:
         for row in zip(*columns.values(), strict=True)
     ]
     part = path.with_name(path.name + ".part")
-    part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    part.replace(path)
+    try:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        part.replace(path)
+    except OSError as e:
+        raise LogError(f"{path}: cannot be written: {e.strerror or e}") from e

@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
@@ -119,7 +120,8 @@ class Supervisor:
             process = context.Process(
                 target=fast_path, args=(self.setup.path, ring.name, there, cycles), name="rtec-loop", daemon=True
             )
-            process.start()
+            with _signals_wait():
+                process.start()
             there.close()
             try:
                 return self._supervise(ring, here, process)
@@ -258,6 +260,20 @@ def _signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]
     finally:
         for number, old in previous.items():
             signal.signal(number, old)
+
+
+@contextmanager
+def _signals_wait() -> Iterator[None]:
+    """A child started meanwhile is deaf to Ctrl-C from its first instruction, until it says itself what to do with it.
+
+    Here a signal that comes meanwhile is handled afterwards.
+    """
+    resource_tracker.ensure_running()  # started by `Process.start` it would let the signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def new_log_path(setup: Setup) -> Path | None:

@@ -27,11 +27,13 @@ class FaultyOptions(SimOptions):
         happens: what: Ctrl-C in the terminal, the death of everything or of the supervisor, silence for 200 cycles,
             or a port that is not there.
         told: a file that notes what the actuator was told.
+        has: output that the actuator holds already when it is opened.
     """
 
     at_cycle: int = 0
     happens: Literal["nothing", "ctrl_c", "kill_all", "kill_supervisor", "silence", "no_port"] = "nothing"
     told: Path | None = None
+    has: tuple[int, ...] = ()
 
 
 class FaultyDriver(SimDriver):
@@ -48,6 +50,8 @@ class FaultyDriver(SimDriver):
         if self.faults.happens == "no_port":
             raise DriverUnavailable("/dev/ttyUSB7: no such port; plug it in, or name another")
         super().__enter__()
+        if self.faults.has:
+            super().apply(np.array(self.faults.has, np.int64))
         return self
 
     def read_counts(self, counts: NDArray[np.int64]) -> int:
@@ -68,8 +72,12 @@ class FaultyDriver(SimDriver):
         self._note(f"apply {output.tolist()}")
         super().apply(output)
 
+    def hold(self) -> None:
+        self._note("held")
+        super().hold()
+
     def __exit__(self, *rest: object) -> None:
-        self._note("held and closed")
+        self._note("closed")
         super().__exit__(*rest)  # type: ignore[arg-type]
 
     def _note(self, text: str) -> None:
@@ -79,6 +87,19 @@ class FaultyDriver(SimDriver):
 
 
 REHEARSAL = 100
+
+
+CTRL_C_AT_ONCE = """
+import os, signal, sys
+if any("spawn_main" in word for word in sys.orig_argv):
+    os.killpg(0, signal.SIGINT)
+"""
+
+
+def interrupt_at_once(folder: Path, env: dict[str, str]) -> dict[str, str]:
+    """Somebody presses Ctrl-C in the first instant of the loop's process, before any code of rtec runs in it."""
+    (folder / "sitecustomize.py").write_text(CTRL_C_AT_ONCE, encoding="utf-8")
+    return env
 
 
 def install(folder: Path) -> dict[str, str]:

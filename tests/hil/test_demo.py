@@ -19,6 +19,7 @@ from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, Story, config_folder, tell
 from rtec.errors import ConfigError, RtecError
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
+from rtec.report import figures
 from rtec.runtime.records import MODE_OFF
 from rtec.sim.truth import Truth, load_truth
 
@@ -238,6 +239,23 @@ def test_figures_are_pictures(written: Path) -> None:
         pixels = imread(written / name)
         assert min(pixels.shape[:2]) > 300
         assert np.ptp(pixels[..., :3]) > 0.5
+
+
+def test_figures_draw_the_uncorrected_day_as_uncorrected(told: Story, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the day without correction is the one with the larger errors, in every panel that has both."""
+    drawn: list[tuple[object, ...]] = []
+    for name in ("over_time", "straightness_bars", "profiles"):
+        draw = getattr(figures, name)
+
+        def spied(*given: Any, draw: Any = draw) -> bytes:
+            drawn.extend(next(g for g in given if isinstance(g, list)))
+            return bytes(draw(*given))
+
+        monkeypatch.setattr(figures, name, spied)
+    page.page_of(told)
+    assert len(drawn) == 8
+    for *_, off, on in drawn:
+        assert np.abs(np.asarray(off)).max() > np.abs(np.asarray(on)).max()
 
 
 def test_result_file_says_what_the_page_says(told: Story, written: Path) -> None:

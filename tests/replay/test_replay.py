@@ -2,6 +2,7 @@
 
 import csv
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ from rtec.runtime import sigrok
 from rtec.runtime.clock import VirtualClock
 from rtec.runtime.config import Setup, load_setup
 from rtec.runtime.log import LogReader, LogWriter
-from rtec.runtime.records import Layout
+from rtec.runtime.records import Commands, Layout, Samples
 from rtec.runtime.replay import replay_log
 from rtec.runtime.replay_capture import replay_capture
+from rtec.runtime.step import Step
 from tests import setups
 from tests.real_data import real_file
 from tests.unit.test_loop import run
@@ -23,12 +25,12 @@ from tests.unit.test_loop import run
 GRAY = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
 
 
-def logged(tmp_path: Path, cycles: int = 2000, first_output: list[int] | None = None) -> tuple[Setup, Path]:
+def logged(tmp_path: Path, cycles: int = 2000) -> tuple[Setup, Path]:
     """A log of a run on the virtual clock."""
     made = setups.setup(tmp_path)
     samples, commands, loop, _ = run(made, VirtualClock(10**9), cycles)
     log = tmp_path / "run.arrows"
-    header = {**made.log_header(), "initial_output": json.dumps(first_output or [0, 0])}
+    header = {**made.log_header(), "initial_output": json.dumps([0, 0])}
     with LogWriter(log, loop_layout(made), header) as writer:
         for start in range(0, cycles, 300):
             writer.write(samples.rows(start, start + 300), commands.rows(start, start + 300))
@@ -66,6 +68,19 @@ def test_one_changed_bit_is_found(tmp_path: Path) -> None:
     report = replay_log(made, log, check=True)
     assert report.different == 1
     assert [(d.row, d.field) for d in report.differences] == [(1400, "applied_um")]
+
+
+@pytest.mark.parametrize("field", ["requested_um", "applied_um", "output", "flags"])
+def test_a_change_in_any_field_is_found(tmp_path: Path, field: str) -> None:
+    """Oracle: the row and field that were changed before the log was written."""
+    made = setups.setup(tmp_path)
+    samples, commands = taken_over(made, [0, 0])
+    getattr(commands, field)[7] += 1
+    log = tmp_path / "run.arrows"
+    with LogWriter(log, loop_layout(made), made.log_header()) as writer:
+        writer.write(samples, commands)
+    report = replay_log(made, log, check=True)
+    assert [(d.row, d.field) for d in report.differences] == [(7, field)]
 
 
 def test_another_machine_is_refused(tmp_path: Path) -> None:
@@ -138,6 +153,75 @@ def test_the_command_line_on_a_capture(tmp_path: Path, capsys: pytest.CaptureFix
     axis = facts["axes"]["X"]
     assert axis["raw_counts"] + axis["inserted_counts"] == axis["corrected_counts"]
     assert (tmp_path / "o.csv").exists()
+    assert "HELD" not in facts["flags_seen"]
+
+
+def test_a_capture_begins_where_the_run_file_says(tmp_path: Path) -> None:
+    """Oracle: the model's scale, 30 µm/m, asks for -3 µm more at 100 mm than at 0."""
+    capture, asked = real_file("quadrature", "rotary-sin.sr"), {}
+    for start_mm in (0.0, 100.0):
+        folder = tmp_path / f"{start_mm:g}"
+        folder.mkdir()
+        made = with_capture(folder, X={"a": "0", "b": "1", "start_mm": start_mm})
+        replay_capture(made, capture, folder / "o.sr", folder / "o.csv")
+        with (folder / "o.csv").open(encoding="utf-8") as file:
+            asked[start_mm] = float(next(csv.DictReader(file))["requested_X_um"])
+    assert asked[100.0] - asked[0.0] == pytest.approx(-3.0, abs=1e-5)
+
+
+def test_a_capture_whose_correction_was_held_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is inserted where a sensor is said to read what it cannot; the reader must learn why."""
+    capture = real_file("quadrature", "rotary-sin.sr")
+    made = with_capture(tmp_path, X={"a": "0", "b": "1", "start_mm": 100.0})
+    text = made.path.read_text(encoding="utf-8").replace("T_spindle_front = 33.0", "T_spindle_front = 1372.0")
+    made.path.write_text(text, encoding="utf-8")
+    assert status(["replay", str(made.path), str(capture), "--out", str(tmp_path / "o.sr")]) == 0
+    said = capsys.readouterr().out
+    assert "sensor fault: 100 % of cycles" in said
+    assert "inserted +0" in said
+
+
+def test_a_capture_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made = with_capture(tmp_path, X={"a": "0", "b": "1"})
+    capture = tmp_path / "own.sr"
+    capture.write_bytes(real_file("quadrature", "rotary-sin.sr").read_bytes())
+    kept = capture.read_bytes()
+    command = ["replay", str(made.path), str(capture)]
+    for more, message in (
+        (["--out", str(capture)], "is the capture itself"),
+        (["--out", str(tmp_path / "o.csv")], "a corrected capture ends in .sr"),
+        (["--check"], "--check compares with logged commands"),
+    ):
+        assert status([*command, *more]) == 2
+        assert message in capsys.readouterr().err
+    assert capture.read_bytes() == kept
+    assert not (tmp_path / "o.csv").exists()
+
+
+def test_a_replay_begins_with_the_ledger_that_the_run_began_with(tmp_path: Path) -> None:
+    """Oracle: the log's own first commands, of a run that took over 40 and -30 counts, its correction ordered off."""
+    made = setups.setup(tmp_path)
+    log = tmp_path / "run.arrows"
+    samples, commands = taken_over(made, [40, -30])
+    header = {**made.log_header(), "initial_output": "[40, -30]"}
+    with LogWriter(log, loop_layout(made), header) as writer:
+        writer.write(samples, commands)
+    assert commands.output[0].tolist() == [40, -30]
+    assert replay_log(made, log, check=True).different == 0
+    without = tmp_path / "without.arrows"
+    with LogWriter(without, loop_layout(made), {**made.log_header(), "initial_output": "[0, 0]"}) as writer:
+        writer.write(samples, commands)
+    assert replay_log(made, without, check=True).different > 0
+
+
+def taken_over(made: Setup, output: list[int]) -> tuple[Samples, Commands]:
+    step = Step(made.step_settings())
+    step.resume(np.array(output))
+    samples = Samples.empty(step.layout, 20)
+    samples.time_ns[:] = samples.counts_time_ns[:] = 10**9 + np.arange(20) * 1_000_000
+    samples.degc[:] = 20.0
+    samples.degc_time_ns[:] = 10**9
+    return samples, step.run(samples)
 
 
 def test_a_capture_needs_its_section_and_its_channels(tmp_path: Path) -> None:
@@ -148,3 +232,21 @@ def test_a_capture_needs_its_section_and_its_channels(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no channel named 'A'; the channels are '0', '1'"):
         replay_capture(wrong, capture, tmp_path / "o.sr", tmp_path / "o.csv")
     assert not (tmp_path / "o.sr").exists()
+
+
+def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
+    """Peak of what Python and numpy allocate; oracle: a log twenty times as long needs no more."""
+    made, log = logged(tmp_path, 2000)
+    long = tmp_path / "long.arrows"
+    with LogReader(log) as reader, LogWriter(long, reader.layout, reader.header) as writer:
+        blocks = list(reader.blocks())
+        for _ in range(20):
+            for samples, commands in blocks:
+                writer.write(samples, commands)
+    peaks = []
+    for path in (log, log, long):  # the first run also compiles and imports
+        tracemalloc.start()
+        replay_log(made, path)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[2] < 1.1 * peaks[1] + 50_000

@@ -49,6 +49,8 @@ def test_import_and_help_load_nothing_heavy() -> None:
         (["run"], 2),
         (["run", "absent.toml"], 2),
         (["run", "absent.toml", "--duration", "0"], 2),
+        (["run", "absent.toml", "--duration", "inf"], 2),
+        (["run", "absent.toml", "--duration", "nan"], 2),
         (["log", "info", "absent.arrows"], 2),
         (["replay", "absent.toml", "absent.arrows"], 2),
     ],

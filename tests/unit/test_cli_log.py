@@ -51,7 +51,15 @@ def row_shown(i: int) -> list[str]:
     mode = ("off", "on", "hold")[i % 3]
     x = [f"{10 * i}", f"{0.1 * i:.3f}", f"{0.01 * i:.3f}", f"{i}"]
     z = [f"{-10 * i}", f"{0.2 * i:.3f}", f"{0.02 * i:.3f}", f"{2 * i}"]
-    return [f"{5 + i / 1000:.6f}", mode, *x, *z, hex(i)]
+    return [f"{5 + i / 1000:.6f}", mode, *x, *z, flags_shown(i)]
+
+
+def flags_shown(i: int) -> str:
+    names = (
+        "stale_counts", "stale_temperature", "sensor_fault", "out_of_range", "over_stop_limit", "over_warning_limit",
+        "ordered_hold",
+    )  # fmt: skip
+    return ",".join(name for bit, name in enumerate(names) if i >> bit & 1) or "-"
 
 
 def test_info_json(log: Path) -> None:
@@ -110,8 +118,8 @@ def test_tail(log: Path, options: list[str], n: int) -> None:
 def test_tail_with_temperatures(log: Path) -> None:
     result = runner.invoke(log_cli.app, ["tail", str(log), "-n", "1", "--degc"], catch_exceptions=False)
     heading, row = table(result.stdout)
-    assert heading[-4:] == ["T_bed", "°C", "[red]T", "°C"]
-    assert row == [*row_shown(100), "70.000", "45.000"]
+    assert heading[-5:] == ["T_bed", "°C", "[red]T", "°C", "flags"]
+    assert row == [*row_shown(100)[:-1], "70.000", "45.000", row_shown(100)[-1]]
 
 
 class _EventfulClock(VirtualClock):
@@ -147,7 +155,8 @@ def test_tail_follows_a_growing_log(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert result.exit_code == 130
     lines = table(result.stdout)
     assert lines[1:] == [row_shown(i) for i in range(6, 40)]
-    assert len({len(line) for line in result.stdout.splitlines()[1:]}) == 1, "columns stay below each other"
+    flags_at = {line.rstrip().rindex(" ") for line in result.stdout.splitlines()}
+    assert len(flags_at) == 1, "columns stay below each other"
 
 
 @pytest.mark.parametrize("command", ["info", "tail", "export"])

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.correction.sinks import Sink
 from rtec.errors import DriverTimeout
 from rtec.runtime.clock import VirtualClock
 from rtec.runtime.config import Setup
@@ -88,6 +89,9 @@ def test_raw_plus_inserted_is_what_the_controller_closes_its_loop_on(tmp_path: P
         machine = box.machine
 
         class Watch:
+            def refuses(self, sink: Sink) -> str:
+                return box.refuses(sink)
+
             def apply(self, output: IntArray) -> None:
                 box.apply(output)
                 account.append(tuple((machine.inserted_counts - output).tolist()))
@@ -132,6 +136,26 @@ def test_a_silent_encoder_box_holds_the_correction_and_costs_no_cycle(tmp_path: 
     assert age[silent_to - 1] == (silent_to - silent_from) * 1_000_000
     held = commands.applied_um[silent_from + 60 : silent_to]
     np.testing.assert_array_equal(held, np.broadcast_to(held[0], held.shape))
+
+
+def test_a_silent_spindle_is_not_taken_for_its_last_speed(tmp_path: Path) -> None:
+    """A speed has no instant that the guard could judge: where it is not read it is not a number."""
+
+    def wrapped(ports: Ports) -> Ports:
+        class Silent:
+            reads = 0
+
+            def read_spindle(self) -> float:
+                self.reads += 1
+                if 30 < self.reads <= 50:
+                    raise DriverTimeout("spindle: no answer")
+                return 2000.0
+
+        return Ports(ports.counts, ports.temperatures, Silent(), ports.actuator)
+
+    samples, _, loop, _ = run(setup(tmp_path), VirtualClock(10**9), 60, wrapped)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(samples.spindle_rpm)), np.arange(30, 50))
+    assert loop.stats.driver_errors == 20
 
 
 def test_rows_are_used_in_a_circle(tmp_path: Path) -> None:

@@ -219,6 +219,52 @@ def test_a_sensor_that_the_model_does_not_read_stops_nothing() -> None:
     assert not any(f & Flag.HELD for f in flags_of(Step(settings()), data))
 
 
+def test_a_model_that_reads_no_temperature_has_none_that_could_be_stale() -> None:
+    step = Step(settings(model=Model(MACHINE, (fitted("scale", [30.0], component="EXX", axis="X"),))))
+    data = samples(400, step)
+    data.degc[:] = np.nan
+    data.degc_time_ns[:] = 0
+    data.time_ns[200:] += 40 * NS  # longer than any temperature may be old
+    data.counts_time_ns[:] = data.time_ns
+    assert step.sensors == ()
+    assert not any(f & (Flag.HELD | Flag.STALE_TEMPERATURE) for f in flags_of(step, data))
+
+
+@pytest.mark.parametrize(("counts", "held"), [(201_000, False), (201_001, True), (-1_000, False), (-1_001, True)])
+def test_both_ends_of_the_models_range_hold(counts: int, held: bool) -> None:
+    """Oracle: the model's `valid_range` of x, -1 to 201 mm, at 1000 counts/mm."""
+    step = Step(settings())
+    data = samples(3, step)
+    data.counts[:, 0] = counts
+    assert all(bool(f & Flag.OUT_OF_RANGE) == held for f in flags_of(step, data))
+
+
+def test_a_spindle_speed_outside_the_models_range_holds() -> None:
+    """Oracle: the model's `valid_range` of spindle_rpm."""
+    growth = fitted("spindle_growth", [5.0], [600.0, 1.0], component="EZ0spindle")
+    step = Step(settings(model=Model(MACHINE, (growth,), valid_range={"spindle_rpm": (0.0, 3000.0)})))
+    for rpm, flag in ((3000.0, Flag(0)), (3001.0, Flag.OUT_OF_RANGE), (np.nan, Flag.STALE_TEMPERATURE)):
+        data = samples(2, step)
+        data.spindle_rpm[:] = rpm
+        wrong = Flag.OUT_OF_RANGE | Flag.STALE_TEMPERATURE
+        assert [f & wrong for f in flags_of(step, data)] == [flag, flag]
+
+
+def test_after_a_pause_nothing_jumps() -> None:
+    """Oracle: slew limit times the longest time that a cycle counts for, half a second here."""
+    step = Step(settings(SLOW))
+    data = samples(40, step)
+    data.counts[:] = data.counts[0]
+    data.degc[:] = 45.0
+    data.time_ns[20:] += 60 * NS
+    data.counts_time_ns[:] = data.time_ns
+    data.degc_time_ns[:] = data.time_ns[:, None]
+    commands = step.run(data)
+    assert np.abs(commands.requested_um).max() > 40.0
+    moved_um = np.abs(np.diff(commands.applied_um, axis=0))
+    assert 0.0 < moved_um[19].max() <= 20.0 * 0.5 * (1 + 1e-9)
+
+
 def test_over_the_stop_limit_is_not_followed() -> None:
     tight = Limits(warning_um=2, stop_um=4, slew_um_s=1e6, acceleration_um_s2=1e10)
     step = Step(settings(tight))
@@ -266,6 +312,19 @@ def test_a_long_hold_fades_where_so_configured() -> None:
     assert np.flatnonzero(fading)[0] == pytest.approx(6002, abs=2)  # 3 s, stale after 1 s more, fading after 2 s more
     assert np.abs(commands.applied_um[5999]).max() > 3.0
     np.testing.assert_array_equal(commands.applied_um[-1], [0.0, 0.0])
+
+
+def test_a_hold_that_ended_does_not_count_towards_the_next() -> None:
+    """Two holds of 1.5 s with a second between them, where 2 s of hold would fade: nothing fades."""
+    step = Step(settings(SLOW, guard=GuardSettings(fade_after_s=2.0)))
+    data = samples(6000, step)
+    data.counts[:] = data.counts[0]
+    data.degc[:] = 24.0
+    data.mode[1000:2500] = MODE_HOLD
+    data.mode[3500:5000] = MODE_HOLD
+    flags = step.run(data).flags
+    assert np.count_nonzero(flags & int(Flag.HELD)) == 3000
+    assert not np.any(flags & int(Flag.FADING))
 
 
 def test_outputs_are_the_applied_correction_in_the_sinks_units() -> None:

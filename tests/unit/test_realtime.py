@@ -1,0 +1,28 @@
+"""What the loop's process asks of the system. Oracle: the system's own account of the process, in one of its own."""
+
+import json
+import os
+import subprocess
+import sys
+
+CODE = """
+import gc, json, os
+from rtec.runtime.config import Realtime
+from rtec.runtime.realtime import prepare_process
+said = prepare_process(Realtime(priority=7))
+locked = next(line for line in open("/proc/self/status") if line.startswith("VmLck:")).split()[1]
+print(json.dumps([said, gc.isenabled(), os.sched_getscheduler(0) == os.SCHED_FIFO, os.sched_getparam(0).sched_priority,
+                  int(locked), len(os.sched_getaffinity(0))]))
+"""
+
+
+def test_what_is_granted_holds_and_what_is_refused_is_said() -> None:
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
+    said, collects, fifo, priority, locked_kib, processors = json.loads(done.stdout)
+    assert not collects
+    assert processors == 1 or "processor" in said[0]
+    assert (fifo and priority == 7) or "SCHED_FIFO priority 7" in said[0]
+    assert locked_kib > 0 or "locking memory" in said[0]
+    assert len(said) <= 1
+    if os.geteuid() == 0 and fifo and locked_kib:
+        assert said == []
