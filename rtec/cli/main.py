@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from rtec import __version__
-from rtec.cli import demo, log, replay, run
+from rtec.cli import demo, effects, fit, import_, log, procedures, replay, run, simulate
 from rtec.errors import RtecError
 
 app = typer.Typer(
@@ -28,6 +28,12 @@ Begin with `rtec demo`: a machine that needs no hardware, uncorrected and correc
 app.command()(demo.demo)
 app.command()(run.run)
 app.command()(replay.replay)
+app.command("import")(import_.import_)
+app.command()(simulate.simulate)
+app.command()(fit.fit)
+app.command()(effects.effects)
+for _procedure in (procedures.iso230, procedures.straightness, procedures.parallelism, procedures.drift):
+    app.command()(_procedure)
 app.add_typer(log.app, name="log")
 
 

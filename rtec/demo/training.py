@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, State, effect_class
 from rtec.machine import Machine
+from rtec.metrology.characterise.run import characterise
+from rtec.metrology.characterise.wanted import Wanted
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.model.fit import fit_model
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import Truth
 from rtec.tomlfile import digest, validated
@@ -121,10 +124,15 @@ def measure(machine: Machine, truth: Truth, seed: int, progress: Progress | None
 
 
 def fit_day(day: MeasuringDay, tip_um: Floats | None = None, name: str = "turning-centre") -> Model:
-    """Fit the model to the readings of a day (or to others at the same instants)."""
-    tip = day.tip_um if tip_um is None else tip_um
-    sums = {"measuring-day": digest([day.state.time_s.tolist(), np.nan_to_num(tip).tolist()])}
-    return fit_model(effects(), day.state, tip, name=name, measurements=sums)
+    """Characterise the machine from the readings of a day, as `rtec fit --effects` does.
+
+    Args:
+        day: what was read.
+        tip_um: other readings at the same instants.
+        name: of the model.
+    """
+    readings = _measurement(day, day.tip_um if tip_um is None else tip_um)
+    return characterise([readings], wanted=Wanted((), tuple(effects())), name=name).model
 
 
 def held_out_rms_um(day: MeasuringDay) -> tuple[float, float]:
@@ -133,6 +141,24 @@ def held_out_rms_um(day: MeasuringDay) -> tuple[float, float]:
     model = fit_day(day, np.where(out[:, None], np.nan, day.tip_um))
     left = day.tip_um - model.predict(day.state)
     return tuple(float(np.sqrt(np.nanmean(left[part] ** 2))) for part in (~out, out))  # type: ignore[return-value]
+
+
+def _measurement(day: MeasuringDay, tip_um: Floats) -> Measurement:
+    """The readings of X and Z as a measurement; a session is a run, together with the work before the next."""
+    machine = day.state.machine
+    setup = {"directions": ["X", "Z"], "zero": "none"}
+    probe = make_instrument("tool_tip", setup, None, None, machine, "measuring-day")
+    content = digest([day.state.time_s.tolist(), np.nan_to_num(tip_um).tolist()])
+    return Measurement(
+        name="measuring-day",
+        instrument=probe,
+        machine=machine,
+        run=np.maximum.accumulate(np.maximum(day.session, 0)),
+        time_s=day.state.time_s,
+        channels=day.state.channels,
+        readings={"reading_x_um": tip_um[:, 0], "reading_z_um": tip_um[:, 2]},
+        sha256=content,
+    )
 
 
 class _Notebook:

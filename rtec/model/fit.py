@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter, State
 from rtec.errors import ModelError
+from rtec.machine import Machine
 from rtec.model.design import Design, Floats
 from rtec.model.model import FittedEffect, Model, names_of
 
@@ -80,10 +81,10 @@ def fit_model(
     errors = noise_um * _unit_errors(design, matrix, values, theta)
     return Model(
         machine=state.machine,
-        effects=tuple(_fitted(design, values, theta, errors)),
+        effects=tuple(fitted_effects(design.effects, state.machine, values, theta, errors)),
         name=name,
         reference_degc=state.reference_degc,
-        valid_range=_valid_range(design, margin or Margin()),
+        valid_range=valid_range(design.effects, [(state, design.rows)], margin or Margin()),
         noise_um=noise_um,
         measurements=measurements or {},
         history=({"change": "fit", "readings": len(residual), "numbers": len(values) + len(theta)},),
@@ -98,7 +99,7 @@ def _search(design: Design, free: Sequence[Parameter]) -> Floats:
     """
     from scipy.optimize import least_squares
 
-    scales = [_Scale.of(p) for p in free]
+    scales = [SearchScale.of(p) for p in free]
     basis = np.linalg.qr(design.fixed)[0]
     reading = design.reading - basis @ (basis.T @ design.reading)
 
@@ -113,7 +114,7 @@ def _search(design: Design, free: Sequence[Parameter]) -> Floats:
 
 
 @dataclass(frozen=True)
-class _Scale:
+class SearchScale:
     """A parameter's bounds as 0 … 1, straight or logarithmic."""
 
     low: float
@@ -121,7 +122,8 @@ class _Scale:
     log: bool
 
     @classmethod
-    def of(cls, parameter: Parameter) -> "_Scale":
+    def of(cls, parameter: Parameter) -> "SearchScale":
+        """Give the scale of a parameter; ModelError where it has no bounds."""
         low, high = parameter.low, parameter.high
         if not np.isfinite([low, high]).all():
             raise ModelError(f"fit: non-linear parameter {parameter.name!r} has no bounds to search within")
@@ -129,10 +131,12 @@ class _Scale:
         return cls(np.log(low), np.log(high), True) if log else cls(low, high, False)
 
     def value(self, place: float) -> float:
+        """Give the parameter at a place in 0 … 1."""
         there = self.low + (self.high - self.low) * place
         return float(np.exp(there)) if self.log else float(there)
 
     def place(self, value: float) -> float:
+        """Give the place of a parameter, 0 … 1 within the bounds."""
         there = np.log(value) if self.log else value
         return float((there - self.low) / (self.high - self.low))
 
@@ -192,10 +196,13 @@ def _slopes(design: Design, values: Floats, theta: Floats) -> tuple[Floats, NDAr
     return np.array(columns).reshape(-1, len(design.reading)).T, inside
 
 
-def _fitted(design: Design, values: Floats, theta: Floats, errors: Floats) -> list[FittedEffect]:
+def fitted_effects(
+    effects: Sequence[Effect], machine: Machine, values: Floats, theta: Floats, errors: Floats
+) -> list[FittedEffect]:
+    """Give each effect its numbers: coefficients, non-linear parameters, and the standard errors of both in a row."""
     out, first, first_free = [], 0, 0
-    for effect in design.effects:
-        linear, free = names_of(effect, design.state.machine)
+    for effect in effects:
+        linear, free = names_of(effect, machine)
         ends = first + len(linear), first_free + len(free)
         names = (*linear, *free)
         found = [*errors[first : ends[0]], *errors[len(values) + first_free : len(values) + ends[1]]]
@@ -211,17 +218,29 @@ def _fitted(design: Design, values: Floats, theta: Floats, errors: Floats) -> li
     return out
 
 
-def _valid_range(design: Design, margin: Margin) -> dict[str, tuple[float, float]]:
-    """Range of every channel that the effects read, where there are readings, with the margin."""
-    machine = design.state.machine
+def valid_range(
+    effects: Sequence[Effect], read: Sequence[tuple[State, NDArray[np.int64]]], margin: Margin
+) -> dict[str, tuple[float, float]]:
+    """Range of every channel that the effects read, where there are readings, with the margin.
+
+    Args:
+        effects: whose channels.
+        read: states, and the rows of each that have a reading; a state without a channel says nothing of it.
+        margin: how far beyond.
+    """
+    machine = read[0][0].machine
+    directions = {a.direction_channel for a in machine.axes}
     out = {}
-    for channel in sorted({c for e in design.effects for c in e.channels(machine)}):
-        seen = design.state.value(channel)[design.rows]
-        low, high = float(seen.min()), float(seen.max())
+    for channel in sorted({c for e in effects for c in e.channels(machine)}):
+        seen = [state.value(channel)[rows] for state, rows in read if _has(state, channel) and len(rows)]
+        low, high = float(min(s.min() for s in seen)), float(max(s.max() for s in seen))
         extra = margin.share * (high - low)
         if channel in machine.sensor_names:
             extra = max(extra, margin.least_degc)
-        if channel in {a.direction_channel for a in machine.axes}:
-            extra = 0.0
-        out[channel] = (low - extra, high + extra)
+        out[channel] = (low, high) if channel in directions else (low - extra, high + extra)
     return out
+
+
+def _has(state: State, channel: str) -> bool:
+    position = next((a.channel for a in state.machine.axes if a.direction_channel == channel), channel)
+    return channel in state.channels or position in state.channels

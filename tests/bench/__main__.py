@@ -6,10 +6,16 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench import cycle, quadrature, startup, wakeup
+from tests.bench import cycle, fit, quadrature, startup, wakeup
 from tests.bench.table import Row
 
-PARTS = {"cycle": cycle.rows, "quadrature": quadrature.rows, "startup": startup.rows, "wakeup": wakeup.rows}
+PARTS = {
+    "cycle": cycle.rows,
+    "fit": fit.rows,
+    "quadrature": quadrature.rows,
+    "startup": startup.rows,
+    "wakeup": wakeup.rows,
+}
 
 
 def main(wanted: list[str]) -> None:

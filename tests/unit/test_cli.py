@@ -1,5 +1,6 @@
 """The command line: help that teaches, lazy imports, exit status. Oracle: `formats.md`'s table of exit status."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -82,3 +83,15 @@ def test_errors_become_one_clear_message(
     monkeypatch.setattr("rtec.runtime.config.load_setup", fail)
     assert status(["run", "x.toml"]) == code
     assert capsys.readouterr().err == text
+
+
+def test_effects_are_named_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the registry; a near miss names the nearest."""
+    from rtec.effects import EFFECTS
+
+    assert status(["effects", "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)) == set(EFFECTS)
+    assert status(["effects", "axis_expansion"]) == 0
+    assert "ΔT" in capsys.readouterr().out
+    assert status(["effects", "axis_expansio"]) == 2
+    assert "did you mean 'axis_expansion'" in capsys.readouterr().err

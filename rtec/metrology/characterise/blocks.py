@@ -1,0 +1,107 @@
+"""Cuts a measurement into blocks that are left out together, and that count as one in a standard error.
+
+Neighbouring readings share the drift of the hour, so leaving out single readings proves nothing. Where there are
+enough runs, a block is one or more whole runs; else it is a stretch of hours.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.metrology.measurement import Measurement
+
+Ints = NDArray[np.int64]
+
+ENOUGH_RUNS = 6
+"""From so many runs on, whole runs are left out; below, stretches of time."""
+MOST_BLOCKS = 40
+FOLDS = 10
+STRETCH_H = 4.0
+"""A thermal cycle's part: long against the machine's quick drift, short against a day."""
+FEWEST = 8
+"""A measurement too short for five such stretches is cut into so many equal ones."""
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Where blocks begin, and what they belong to.
+
+    Attributes:
+        edges: first row of each block, and the number of rows, (blocks + 1,).
+        fold: which blocks are left out together, (blocks,).
+        run_edges: first row of each run, and the number of rows, (runs + 1,).
+        by_time: blocks are stretches of time, so a run may lie in several.
+    """
+
+    edges: Ints
+    fold: Ints
+    run_edges: Ints
+    by_time: bool
+
+    def at(self, rows: Ints) -> "Blocks":
+        """The same cuts where only some rows are left; a block that has none left goes."""
+        edges = np.searchsorted(rows, self.edges)
+        kept = np.diff(edges) > 0
+        runs = np.unique(np.searchsorted(rows, self.run_edges))
+        return Blocks(np.append(edges[:-1][kept], edges[-1]), self.fold[kept], runs, self.by_time)
+
+    @property
+    def by_fold(self) -> "Blocks":
+        """Blocks that are left out together made one: less to keep where only the held-out error is wanted."""
+        first = np.concatenate([[True], np.diff(self.fold) != 0])
+        return Blocks(np.append(self.edges[:-1][first], self.edges[-1]), self.fold[first], self.run_edges, self.by_time)
+
+    @property
+    def one(self) -> "Blocks":
+        """Everything in one block, where only the sum is wanted."""
+        ends = np.array([self.edges[0], self.edges[-1]])
+        return Blocks(ends, np.zeros(1, dtype=np.int64), self.run_edges, self.by_time)
+
+    @property
+    def described(self) -> str:
+        """In words, for reports."""
+        if self.by_time:
+            return f"{len(self.fold)} stretches of time"
+        return f"{len(self.fold)} blocks of whole runs in {len(set(self.fold.tolist()))} parts"
+
+
+def cut(measurement: Measurement, leave_out_h: float | None = None) -> Blocks:
+    """Cut one measurement.
+
+    Args:
+        measurement: its rows are in order of time; a run number that comes back later is another run.
+        leave_out_h: length of what is left out, hours; None: whole runs where there are at least 6, else 4 h, or an
+            eighth where the whole is shorter than 20 h.
+    """
+    run_edges = edges_of(measurement.run)
+    if leave_out_h is None and len(run_edges) > ENOUGH_RUNS:
+        return _by_runs(run_edges)
+    return _by_time(measurement, run_edges, leave_out_h)
+
+
+def edges_of(label: Ints) -> Ints:
+    """First row of each stretch of equal labels, and the number of rows."""
+    change = np.flatnonzero(np.diff(label)) + 1
+    return np.concatenate([[0], change, [len(label)]]).astype(np.int64)
+
+
+def _by_runs(run_edges: Ints) -> Blocks:
+    runs = len(run_edges) - 1
+    blocks = min(runs, MOST_BLOCKS)
+    first = np.unique(np.arange(blocks + 1) * runs // blocks)
+    fold = np.arange(blocks) * min(FOLDS, blocks) // blocks
+    return Blocks(run_edges[first], fold, run_edges, by_time=False)
+
+
+def _by_time(measurement: Measurement, run_edges: Ints, leave_out_h: float | None) -> Blocks:
+    n, hours = len(measurement), (measurement.time_s - measurement.time_s[0]) / 3600.0
+    span = float(hours[-1])
+    if span <= 0.0:
+        hours, span = np.arange(n) / max(n - 1, 1), 1.0
+    length = leave_out_h or (STRETCH_H if span >= 5 * STRETCH_H else span / FEWEST)
+    # What is left at the end, if shorter than half a stretch, belongs to the last one.
+    count = max(int(span / length + 0.5), 1)
+    label = np.minimum((hours / length).astype(np.int64), count - 1)
+    edges = edges_of(label)
+    return Blocks(edges, np.arange(len(edges) - 1), run_edges, by_time=True)
