@@ -215,6 +215,16 @@ def test_faults_of_the_measurements() -> None:
     assert any(w.code == "sensor_unused" and "T_bed" in w.text for w in result.warnings)
 
 
+def test_sensor_that_hardly_varies_is_no_cause() -> None:
+    """Oracle: a sensor that moved by 0.3 K, to which the readings were tied."""
+    m = example()
+    degc = 20.0 + 0.15 * np.sin(m.time_s / 3000.0)
+    m = replace(with_readings(m, warm(m) + 5.0 * (degc - 20.0)), channels={**m.channels, "T_air": degc})
+    result = characterise([m])
+    assert any(w.code == "sensor_unused" and "T_air is not used: it varied by 0.3 K" in w.text for w in result.warnings)
+    assert not any("T_air" in label for label in labels(result))
+
+
 def test_model_knows_where_it_comes_from() -> None:
     """Oracle: ranges of the channels, widened by hand; the measurement's sum; the errors of the result."""
     m = replace(example(), sha256="ab" * 32)

@@ -12,6 +12,7 @@ from rtec.metrology.characterise.estimate import Estimate, estimate
 from rtec.metrology.characterise.search import starting_terms
 from rtec.metrology.characterise.source import Source
 from rtec.metrology.characterise.stream import Term
+from rtec.metrology.characterise.thin import thinned
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect
 from tests.unit.characterise_examples import MACHINE, Probe, ProbeSetup, Tip, effect, measurement, runs
@@ -60,16 +61,17 @@ def test_time_constant_and_its_standard_error() -> None:
 
 
 def test_grid_finds_the_valley() -> None:
-    """Oracle: a pitch 0.7 % from the nominal one; a search from the nominal one alone ends in another valley."""
+    """Oracle: a pitch 1.6 % from the nominal one; a search from the nominal one alone ends in another valley."""
     axes = tuple(replace(a, pitch_mm=5.0) if a.name == "X" else a for a in MACHINE.axes)
     machine = replace(MACHINE, axes=axes)
     m = replace(measurement(runs([40] * 20), noise_um=0.05), machine=machine)
-    wave = 1.3 * np.sin(2 * np.pi * m.channels["x"] / 5.035)
+    wave = 1.3 * np.sin(2 * np.pi * m.channels["x"] / 5.08)
     m = replace(m, readings={"reading_um": m.readings["reading_um"] + wave})
     cyclic = effect("cyclic_screw", "EXX", axis="X")
     start = starting_terms([cyclic], [Source.of(m)])
+    assert start[0].theta["pitch"] == pytest.approx(5.08, abs=0.012)  # the grid has steps of 0.011 mm
     fit = estimate([Source.of(m)], start)
-    assert fit.terms[0].theta["pitch"] == pytest.approx(5.035, abs=2e-4)
+    assert fit.terms[0].theta["pitch"] == pytest.approx(5.08, abs=2e-4)
     assert np.hypot(*fit.values[:2]) == pytest.approx(1.3, abs=0.02)
 
 
@@ -153,6 +155,44 @@ def test_too_few_readings() -> None:
     terms = [Term(effect("polynomial_position", "EXX", axis="X", degrees=list(range(1, 9))))]
     with pytest.raises(ModelError, match="take more"):
         estimate([Source.of(m)], terms)
+
+
+def test_weights_follow_what_the_fit_leaves() -> None:
+    """Oracle: the noise that was added; neighbouring readings of the first differ by far more: it jumps in X."""
+    rng = np.random.default_rng(6)
+    jumping = replace(measurement(runs([40] * 20), noise_um=0.1, seed=3), name="jumping")
+    x = rng.uniform(0.0, 200.0, len(jumping))
+    jumping = replace(jumping, channels={**jumping.channels, "x": x})
+    steady = replace(measurement(runs([40] * 20), noise_um=1.0, seed=4), name="steady")
+    both = [
+        replace(m, readings={"reading_um": m.readings["reading_um"] + 0.2 * m.channels["x"]}) for m in (jumping, steady)
+    ]
+    fit = estimate([Source.of(m) for m in both], [Term(SCALE)])
+    weights = [1.0 / s.weight.max() for s in fit.sources]
+    np.testing.assert_allclose(weights, [0.1, 1.0], rtol=0.1)
+
+
+def test_thinned_readings_keep_directions_and_fall_in_no_step() -> None:
+    """Oracle: the whole measurement's own directions; a fixed stride would have one difference only."""
+    m = example()
+    m = replace(m, channels={k: v for k, v in m.channels.items() if k != "d_x"})
+    source = Source.of(m)
+    few = thinned(source, 200).measurement
+    rows = np.searchsorted(m.time_s, few.time_s)
+    assert 200 <= len(few) <= 220
+    assert len(np.unique(np.diff(rows))) > 3
+    assert np.array_equal(few.channels["d_x"], m.state().value("d_x")[rows])
+    assert set(few.run) == set(m.run)
+
+
+def test_very_many_readings_give_what_few_give() -> None:
+    """Oracle: the truth; a first look at fewer readings finds noise and time constant for all of them."""
+    m = measurement(runs([2000] * 20), instrument=Probe(ProbeSetup(), component="EXX"), noise_um=0.5)
+    m = replace(m, readings={"reading_um": m.readings["reading_um"] + true_readings(m)})
+    fit = fitted(m, tau=300.0)
+    found = np.append(fit.values[:3], fit.terms[2].theta["tau"])
+    assert np.all(np.abs(found - [12.0, 3.0, 1.4, 1500.0]) < 4 * fit.errors)
+    assert fit.noise[0][0] == pytest.approx(0.5, rel=0.02)
 
 
 def test_several_columns_with_noise_of_their_own() -> None:

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from rtec.errors import ModelError
 from rtec.metrology.characterise import noise
 from rtec.metrology.characterise.noise import Outlier
-from rtec.metrology.characterise.normal import NOTHING, UNSEEN, Normal
+from rtec.metrology.characterise.normal import Normal
 from rtec.metrology.characterise.search import Polished, polish
 from rtec.metrology.characterise.source import Source, flat
 from rtec.metrology.characterise.stream import Progress, Term, gather, predict
+from rtec.metrology.characterise.telling import check_seen
 from rtec.metrology.characterise.thin import thinned
-from rtec.model import FittedEffect
 
 Floats = NDArray[np.float64]
 
@@ -28,8 +28,6 @@ SAME = 0.2
 """Noise of columns that changed against each other by less than this share is not worth another fit."""
 FEWER = 10_000
 """A first look at very many readings takes so many instants."""
-NAMED = 0.05
-"""Terms with at least this share in a direction that no reading sees are named."""
 
 
 @dataclass(frozen=True)
@@ -215,42 +213,3 @@ def _noise(sources: Sequence[Source], residuals: Sequence[Floats], normal: Norma
         least = np.maximum(1e-9 * np.nanmax(np.abs(source.measurement.matrix()), axis=1, initial=0.0), 1e-12)
         out.append(np.maximum(np.sqrt(squares) / max(share, 1e-3), least))
     return out
-
-
-def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
-    """Raise ModelError where the readings do not decide the terms' coefficients; the message names the terms."""
-    if normal.freedom < 1:
-        raise ModelError(
-            f"fit: {int(normal.readings.sum())} readings for {normal.width} coefficients and "
-            f"{len(normal.extra) + int(normal.lost.sum())} nuisances; take more"
-        )
-    blind = sorted({int(normal.owner[k]) for k in np.flatnonzero(normal.share_left() < NOTHING)})
-    if blind:
-        raise ModelError(
-            f"fit: no reading shows {names(terms, blind)}; nothing that it depends on was there, "
-            "or the instrument cannot tell it from its own zero"
-        )
-    scaled, _ = normal.scaled()
-    part, directions = np.linalg.eigh(scaled)
-    sets = []
-    for k in np.flatnonzero(part < UNSEEN * part[-1]):
-        row = np.abs(directions[:, k])
-        share = np.flatnonzero(row >= NAMED * row.max())
-        said = names(terms, sorted({int(normal.owner[i]) for i in share if i < normal.width}))
-        nuisances = [normal.extra[i - normal.width] for i in share if i >= normal.width]
-        sets.append(", ".join([*([said] if said else []), *nuisances]))
-    if any(sets):
-        raise ModelError(
-            "\n".join(f"fit: the readings cannot tell these apart: {s}" for s in dict.fromkeys(sets))
-            + "\nleave one out, or measure where they differ"
-        )
-
-
-def names(terms: Sequence[Term], which: Sequence[int]) -> str:
-    """Terms by effect, component and what they depend on, for messages."""
-    return ", ".join(label(terms[i]) for i in which)
-
-
-def label(term: Term) -> str:
-    """Short name of a term."""
-    return FittedEffect(term.effect, {}).label

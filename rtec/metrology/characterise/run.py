@@ -10,7 +10,7 @@ from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
 from rtec.metrology.characterise import noise
 from rtec.metrology.characterise.choose import Choice, choose
-from rtec.metrology.characterise.estimate import Estimate, check_seen, estimate
+from rtec.metrology.characterise.estimate import Estimate, estimate
 from rtec.metrology.characterise.noise import Outlier
 from rtec.metrology.characterise.report import assemble
 from rtec.metrology.characterise.result import Characterisation
@@ -19,6 +19,7 @@ from rtec.metrology.characterise.screen import Screened, screen
 from rtec.metrology.characterise.search import starting_terms
 from rtec.metrology.characterise.source import Source
 from rtec.metrology.characterise.stream import Term, gather
+from rtec.metrology.characterise.telling import check_seen
 from rtec.metrology.characterise.thin import thinned
 from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.characterise.tidy import tidied

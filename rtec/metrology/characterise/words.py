@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.characterise.estimate import Estimate, label
+from rtec.metrology.characterise.estimate import Estimate
 from rtec.metrology.characterise.noise import Outlier, rough_noise
 from rtec.metrology.characterise.result import Warn
 from rtec.metrology.characterise.rivals import Rival
 from rtec.metrology.characterise.source import Source
+from rtec.metrology.characterise.telling import label
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def _left_over(fit: Estimate) -> list[Warn]:
             text = (
                 f"{source.measurement.name}: what is left is {ratio:.1f} times the noise between neighbouring readings"
             )
-            out.append(Warn("left_over", text, "something is missing from the model: look with `rtec diagnose`"))
+            out.append(Warn("left_over", text, "something is missing from the model: look where and when it is left (`--report`)"))
     return out
 
 
