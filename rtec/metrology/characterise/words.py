@@ -68,7 +68,13 @@ def _left_over(fit: Estimate) -> list[Warn]:
             text = (
                 f"{source.measurement.name}: what is left is {ratio:.1f} times the noise between neighbouring readings"
             )
-            out.append(Warn("left_over", text, "something is missing from the model: look where and when it is left (`--report`)"))
+            out.append(
+                Warn(
+                    "left_over",
+                    text,
+                    "something is missing from the model: look where and when it is left (`--report`)",
+                )
+            )
     return out
 
 
