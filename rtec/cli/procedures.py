@@ -9,13 +9,10 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rich.console import Console
-
     from rtec.metrology.measurement import Measurement
     from rtec.metrology.procedures.iso230 import Visits
-    from rtec.report.html import Page, Table
+    from rtec.report.html import Page
 
-PIPED_WIDTH = 110
 _Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 _Report = Annotated[
     Path | None, typer.Option("--report", metavar="DIR", help="Write figures, report.html and result.json here.")
@@ -166,43 +163,13 @@ def _is_measurement(file: Path) -> bool:
 
 def _give(page_of: "Callable[[bool], Page]", facts: object, report: Path | None, as_json: bool) -> None:
     """Write the report where wanted, then print tables or JSON."""
+    from rtec.cli.show import show_page
     from rtec.report.procedures import plain, write_page
 
     path = write_page(page_of(True), facts, report) if report else None
     if as_json:
         typer.echo(json.dumps(plain(facts) | {"report": str(path) if path else None}, indent=2, ensure_ascii=False))
         return
-    _show(page_of(False))
+    show_page(page_of(False))
     if path:
         typer.echo(f"Report: {path}")
-
-
-def _show(page: "Page") -> None:
-    from rich.console import Console
-
-    console = Console(markup=False, highlight=False)
-    if not console.is_terminal:
-        console = Console(markup=False, highlight=False, width=PIPED_WIDTH)
-    console.print(page.lead + "\n")
-    for section in page.sections:
-        if section.table is None and not section.text:
-            continue
-        console.print(section.heading, style="bold")
-        for sentence in section.text:
-            console.print(f"- {sentence}")
-        if section.table is not None:
-            _print_table(console, section.table)
-        console.print()
-
-
-def _print_table(console: "Console", table: "Table") -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table as Grid
-    from rich.text import Text
-
-    grid = Grid(box=SIMPLE_HEAD, pad_edge=False)
-    for k, name in enumerate(table.head):
-        grid.add_column(Text(name), justify="left" if k in table.words else "right")
-    for row in table.rows:
-        grid.add_row(*(Text(cell) for cell in row))
-    console.print(grid)

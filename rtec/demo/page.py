@@ -1,8 +1,5 @@
 """The demo's report: what the story found, in words, tables and figures; written whole or not at all."""
 
-import json
-import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +10,9 @@ from rtec.demo.leftover import WHY
 from rtec.demo.live import RATE_HZ
 from rtec.demo.sizes import line
 from rtec.demo.story import FINER, Story
-from rtec.errors import RtecError
 from rtec.report import figures
-from rtec.report.html import Figure, Page, Section, Table, render
+from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.procedures import write_page
 
 TITLE = "A turning centre over a day, uncorrected and corrected"
 
@@ -28,23 +25,7 @@ def write_report(story: Story, folder: Path) -> Path:
     Raises:
         RtecError: the folder cannot be written.
     """
-    page = page_of(story)
-    files = {s.figure.name: s.figure.png for s in page.sections if s.figure}
-    files["result.json"] = (json.dumps(story.facts(), indent=2) + "\n").encode()
-    files["report.html"] = render(page).encode()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        hidden = Path(tempfile.mkdtemp(prefix=".demo-", dir=folder))
-        try:
-            for name, content in files.items():
-                (hidden / name).write_bytes(content)
-            for name in files:
-                (hidden / name).replace(folder / name)
-        finally:
-            shutil.rmtree(hidden, ignore_errors=True)
-    except OSError as e:
-        raise RtecError(f"{folder}: the report cannot be written: {e.strerror}") from e
-    return folder / "report.html"
+    return write_page(page_of(story), story.facts(), folder)
 
 
 def page_of(story: Story) -> Page:

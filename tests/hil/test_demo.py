@@ -19,7 +19,7 @@ from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, Story, config_folder, tell
 from rtec.errors import ConfigError, RtecError
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
-from rtec.report import figures
+from rtec.report import figures, procedures
 from rtec.runtime.records import MODE_OFF
 from rtec.sim.truth import Truth, load_truth
 
@@ -279,7 +279,7 @@ def test_nothing_half_written(told: Story, tmp_path: Path, monkeypatch: pytest.M
 
     other = replace(told, seed=told.seed + 100)
     with monkeypatch.context() as m:
-        m.setattr(page, "render", interrupted)
+        m.setattr(procedures, "render", interrupted)
         with pytest.raises(KeyboardInterrupt):
             page.write_report(other, tmp_path)
     with monkeypatch.context() as m:
