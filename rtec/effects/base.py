@@ -1,7 +1,7 @@
 """What an effect is: arguments, parameters with units, and basis functions of the state."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -23,6 +23,8 @@ class Parameter:
         unit: as in model files and JSON, for example `um_per_m_degc`.
         start: where a search begins (non-linear parameters).
         low, high: bounds of the search.
+        typical: a usual size, in its unit; with it the program judges what a measurement could have shown.
+        grid: values that a search tries first (non-linear parameters); none: even in the logarithm, low to high.
     """
 
     name: str
@@ -30,6 +32,46 @@ class Parameter:
     start: float = 0.0
     low: float = -float("inf")
     high: float = float("inf")
+    typical: float = 1.0
+    grid: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Confusion:
+    """What an effect may be taken for.
+
+    Attributes:
+        effect: name of the other in the registry, or in words what is no effect.
+        why: what they have in common.
+        separate_by: the experiment that tells them apart.
+    """
+
+    effect: str
+    why: str
+    separate_by: str
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a set of measurements offers to an effect that looks for its arguments.
+
+    Attributes:
+        machine: the machine.
+        component: the component error that the effect would feed.
+        axis: axis whose motion it is; None for a fixed link.
+        sensors: temperatures that were recorded and vary.
+        channels: every channel that was recorded and varies, by name, with its lowest and highest value.
+        span_s: length of the longest measurement.
+        step_s: time between readings, typically.
+    """
+
+    machine: Machine
+    component: str
+    axis: Axis | None
+    sensors: tuple[str, ...]
+    channels: Mapping[str, tuple[float, float]]
+    span_s: float
+    step_s: float
 
 
 @dataclass(frozen=True)
@@ -41,8 +83,9 @@ class About:
         equation: as text; `e` is the component error.
         typical: usual size.
         seen_by: instruments that show it.
-        confused_with: what looks alike, and the experiment that separates.
+        confused_with: what looks alike, in short.
         source: where the equation comes from.
+        confusions: what looks alike, one by one, each with the experiment that separates.
     """
 
     title: str
@@ -51,6 +94,7 @@ class About:
     seen_by: str
     confused_with: str
     source: str
+    confusions: tuple[Confusion, ...] = ()
 
 
 class Effect(Strict, ABC):
@@ -88,6 +132,12 @@ class Effect(Strict, ABC):
             channels: the state, as arrays or as symbols.
             theta: the non-linear parameters by name.
         """
+
+    @classmethod
+    def suggest(cls, around: Surroundings) -> Iterator["Effect"]:
+        """Instances worth trying for a component error; none where this effect does not feed such a component."""
+        del around
+        return iter(())
 
     @property
     def unit(self) -> Literal["um", "urad"]:

@@ -1,0 +1,225 @@
+"""What a diagnosis says: verdict, candidates with their evidence, what was absent, what could not be tested."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from rtec.effects import Effect
+
+Verdict = Literal["nothing_missing", "missing_effect", "ambiguous", "unknown_effect"]
+
+
+@dataclass(frozen=True)
+class Number:
+    """A fitted number; `se` is None where it is not known."""
+
+    value: float
+    se: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Another candidate that these readings cannot tell from this one.
+
+    Attributes:
+        effect, component: which.
+        why: in words.
+        separating_test: experiment that tells them apart.
+        gain: expected log Bayes factor of that experiment; None where it was not worked out.
+    """
+
+    effect: str
+    component: str
+    why: str
+    separating_test: str
+    gain: float | None = None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One candidate, by how well the readings speak for it.
+
+    Attributes:
+        rank: 1 is the best.
+        effect: with its arguments.
+        theta: its non-linear parameters.
+        parameters: every number with its standard error, coefficients first.
+        heldout_drop: relative fall of the residual's mean square on runs that were not used for the fit.
+        confidence: posterior probability among all candidates and "none".
+        log_evidence: gain in log evidence over the current model.
+        p: family-wise probability that chance alone would look as good.
+        size_um: root mean square of what it adds to the readings, in the unit of the measurements (`Diagnosis.unit`).
+        accepted: passed every check.
+        group: shares rank 1's group: these readings cannot tell it from rank 1.
+        confused_with: with what else it may be confused, and the test that separates.
+        why_not: why it was not accepted or not preferred, in words; empty for rank 1 when accepted.
+    """
+
+    rank: int
+    effect: Effect
+    theta: Mapping[str, float]
+    parameters: Mapping[str, Number]
+    channels: tuple[str, ...]
+    heldout_drop: float
+    confidence: float
+    log_evidence: float
+    p: float
+    size_um: float
+    accepted: bool
+    group: bool
+    confused_with: tuple[Alike, ...] = ()
+    why_not: str = ""
+
+    @property
+    def label(self) -> str:
+        """Short name for tables: effect, component, and what it depends on."""
+        extra = [
+            str(getattr(self.effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(self.effect, k, None)
+        ]
+        return f"{self.effect.effect}({', '.join([self.effect.component, *extra])})"
+
+
+@dataclass(frozen=True)
+class NotTestable:
+    """An effect that these measurements could not have shown, whatever its size.
+
+    Attributes:
+        effect, component: which; an empty component stands for all.
+        why: what was never moved or recorded.
+        test: the measurement that would show it.
+    """
+
+    effect: str
+    component: str
+    why: str
+    test: str
+
+
+@dataclass(frozen=True)
+class Absent:
+    """An effect that was looked for and not found.
+
+    Attributes:
+        effect, component: which.
+        smallest: the smallest size that would have been seen, in `unit`, root mean square in the readings.
+        unit: "um" or "urad".
+    """
+
+    effect: str
+    component: str
+    smallest: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Structure that no effect of the catalogue explains.
+
+    Attributes:
+        component: where it acts, as the readings see it; empty where several are as good.
+        channels: variables that it depends on.
+        shape: "smooth", "periodic" or "steps".
+        period: of a periodic one, with its unit; None otherwise.
+        p: family-wise probability of it by chance.
+        r2: share of the residual's variance that it explains on runs left out.
+        grid: shape for figures: channel name to values (k,), and "value" to the fitted shape, (k,) or (k, l).
+    """
+
+    component: str
+    channels: tuple[str, ...]
+    shape: Literal["smooth", "periodic", "steps"]
+    period: Number | None
+    p: float
+    r2: float
+    grid: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing in a model, as far as these measurements can tell.
+
+    Attributes:
+        verdict: see `Verdict`.
+        sentence: the answer in one sentence.
+        unit: "um"; "urad" where the measurements read angles only; "noise" (multiples of it) where there are both.
+        rms_residual: of readings minus prediction, nuisances taken out.
+        noise_floor: what noise alone would leave.
+        adequacy: gain of rank 1 over the best gain of any smooth or periodic model; below 0.7 no effect of the
+            catalogue fits.
+        findings: best first.
+        unknown: what is left unexplained, if anything.
+        not_testable, absent: what could not be checked, and what was checked and not found.
+        notes: what was done to the data, in words (spikes left out, temperatures smoothed, …).
+        noise: fitted noise by measurement, in words.
+    """
+
+    verdict: Verdict
+    sentence: str
+    unit: Literal["um", "urad", "noise"]
+    rms_residual: float
+    noise_floor: float
+    adequacy: float | None
+    findings: tuple[Finding, ...]
+    unknown: Unknown | None
+    not_testable: tuple[NotTestable, ...]
+    absent: tuple[Absent, ...]
+    notes: tuple[str, ...]
+    noise: tuple[str, ...]
+    seed: int = 1
+
+    @property
+    def group(self) -> tuple[Finding, ...]:
+        """Rank 1 and what cannot be told from it, where rank 1 was accepted; empty otherwise."""
+        return tuple(f for f in self.findings if f.group and self.findings[0].accepted)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "unit": self.unit,
+            "rms_residual_um": self.rms_residual,
+            "noise_floor_um": self.noise_floor,
+            "adequacy": self.adequacy,
+            "candidates": [_finding(f) for f in self.findings],
+            "unknown": _unknown(self.unknown),
+            "not_testable": [vars(n) for n in self.not_testable],
+            "absent": [vars(a) for a in self.absent],
+            "noise": list(self.noise),
+            "notes": list(self.notes),
+            "seed": self.seed,
+        }
+
+
+def _finding(f: Finding) -> dict[str, Any]:
+    return {
+        "rank": f.rank,
+        "effect": f.effect.effect,
+        "component": f.effect.component,
+        "arguments": f.effect.model_dump(mode="json", exclude={"effect", "component"}, exclude_none=True),
+        "channels": list(f.channels),
+        "parameters": {k: vars(n) for k, n in f.parameters.items()},
+        "heldout_drop": f.heldout_drop,
+        "confidence": f.confidence,
+        "log_evidence": f.log_evidence,
+        "p": f.p,
+        "size_um": f.size_um,
+        "accepted": f.accepted,
+        "same_group_as_rank_1": f.group,
+        "confused_with": [vars(a) for a in f.confused_with],
+        "why_not": f.why_not,
+    }
+
+
+def _unknown(u: Unknown | None) -> dict[str, Any] | None:
+    if u is None:
+        return None
+    return {
+        "component": u.component,
+        "channels": list(u.channels),
+        "shape": u.shape,
+        "period": vars(u.period) if u.period else None,
+        "p": u.p,
+        "r2": u.r2,
+    }
