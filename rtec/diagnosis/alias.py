@@ -1,0 +1,84 @@
+"""Which candidates these readings cannot tell apart, and why."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.result import Alike
+from rtec.effects import Effect
+from rtec.effects.registry import all_effects
+
+Floats = NDArray[np.float64]
+
+SAME = 0.99
+"""Cosine between two contributions from which on they are one to these readings."""
+WITHIN = math.log(20.0)
+
+
+def cosine(a: Floats, b: Floats) -> float:
+    """Cosine between two contributions."""
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return abs(float(a @ b)) / size if size > 0 else 0.0
+
+
+def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
+    """Say why another effect is confused with one, and what separates them.
+
+    Args:
+        one: the effect in question.
+        other: the other.
+        cos: cosine between what the two contribute to the readings.
+        log_odds: log evidence of the one over the other.
+    """
+    why, test = _told(one, other)
+    if cos > SAME:
+        how = f"in these readings the two are the same shape (cosine {cos:.3f})"
+    else:
+        how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"
+    return Alike(other.effect, other.component, f"{how}; {why}" if why else how, test)
+
+
+def _told(one: Effect, other: Effect) -> tuple[str, str]:
+    """What the catalogue says about two effects, either way round."""
+    kinds = all_effects()
+    for a, b in ((one, other), (other, one)):
+        for confusion in kinds[a.effect].about.confusions if a.effect in kinds else ():
+            if confusion.effect == b.effect:
+                return confusion.why, confusion.separate_by
+    return "", _generic(one, other)
+
+
+def _generic(one: Effect, other: Effect) -> str:
+    """What separates two effects that the catalogue does not name together: move what drives only one of them."""
+    mine, yours = _drivers(one), _drivers(other)
+    only, others = sorted(mine - yours), sorted(yours - mine)
+    if one.component != other.component:
+        return (
+            f"measure where {one.component} and {other.component} act differently: another offset of the instrument, "
+            "or one that reads one of them directly"
+        )
+    if only and others:
+        return f"change {' or '.join(only)} while {' and '.join(others)} stays as it is, and the other way round"
+    if only or others:
+        return f"change {' or '.join(only or others)} with everything else as it is"
+    return "measure again with other values of what drives them, in another order"
+
+
+def _drivers(effect: Effect) -> set[str]:
+    given = effect.model_dump(exclude={"effect", "component"}, exclude_none=True)
+    return {str(v) for k, v in given.items() if k in ("sensor", "front", "back", "axis", "other", "across")}
+
+
+def diverse(order: Sequence[int], kinds: Sequence[tuple[str, str]], most: int, of_a_kind: int) -> list[int]:
+    """The first of an order, at most so many of one kind (effect and component)."""
+    count: dict[tuple[str, str], int] = {}
+    out = []
+    for i in order:
+        count[kinds[i]] = count.get(kinds[i], 0) + 1
+        if count[kinds[i]] <= of_a_kind:
+            out.append(i)
+        if len(out) == most:
+            break
+    return out

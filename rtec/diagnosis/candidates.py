@@ -1,0 +1,179 @@
+"""The library of a search: every effect of the registry, for every component error that the readings see."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.readings import Readings
+from rtec.effects import Effect, Parameter, State
+from rtec.effects.base import Surroundings
+from rtec.effects.registry import all_effects
+from rtec.errors import ModelError
+from rtec.machine import Machine
+from rtec.metrology.characterise.seen import Seen, seen_components
+from rtec.metrology.characterise.source import Source
+
+Floats = NDArray[np.float64]
+
+GRID = 6
+"""Values of a non-linear parameter that are tried where the effect names none."""
+MOST = 48
+"""Combinations of non-linear parameters that are tried, at most."""
+REAL = {"degc": 0.3, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
+"""Changes below this are noise of the channel, not a cause that was moved."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be missing.
+
+    Attributes:
+        effect: with its arguments.
+        thetas: values of its non-linear parameters that are tried; one empty one where there are none.
+    """
+
+    effect: Effect
+    thetas: tuple[Mapping[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Untried:
+    """An effect that could not be a candidate for a component, and why."""
+
+    effect: str
+    component: str
+    why: str
+
+
+def library(readings: Readings, only: Sequence[str] | None = None) -> tuple[list[Candidate], list[Untried]]:
+    """Give every candidate, and what could not be one.
+
+    Args:
+        readings: what was measured.
+        only: names of effects; None for all.
+    """
+    out: list[Candidate] = []
+    untried: list[Untried] = []
+    kinds = all_effects()
+    for seen in visible(readings):
+        around = surroundings(readings, seen)
+        for name, kind in kinds.items():
+            if only is not None and name not in only:
+                continue
+            found = [_candidate(e, readings) for e in kind.suggest(around)]
+            out += [c for c in found if c is not None]
+            why = kind.missing(around)
+            if not any(found) and why:
+                untried.append(Untried(name, seen.name, why))
+    return out, untried
+
+
+def visible(readings: Readings) -> list[Seen]:
+    """Component errors that the readings see."""
+    return seen_components([Source.of(m) for m in readings.measurements])
+
+
+def surroundings(readings: Readings, seen: Seen) -> Surroundings:
+    """What the readings that see a component offer to an effect."""
+    machine = readings.machine
+    arms = readings.arms(seen.name)
+    parts = sorted({s.source for s in readings.series if np.abs(arms[s.part]).max(initial=0.0) > 0.0})
+    sources = [(readings.measurements[i], readings.states[i]) for i in parts]
+    varying: dict[str, tuple[float, float]] = {}
+    for name in _names(machine, seen):
+        span = _span([s for _, s in sources], name)
+        if span is not None and span[1] - span[0] > real(machine, name):
+            varying[name] = span
+    times = [m.time_s for m, _ in sources]
+    steps = [np.diff(t) for t in times]
+    return Surroundings(
+        machine=machine,
+        component=seen.name,
+        axis=seen.axis if seen.moves else None,
+        sensors=tuple(s for s in machine.sensor_names if s in varying),
+        channels=varying,
+        span_s=max((float(t[-1] - t[0]) for t in times), default=0.0),
+        step_s=min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=1.0),
+    )
+
+
+def real(machine: Machine, channel: str) -> float:
+    """Change of a channel below which it was not moved, in its unit."""
+    if channel in machine.sensor_names:
+        return REAL["degc"]
+    if channel in {a.channel for a in machine.axes}:
+        return REAL["mm"]
+    head = channel.split("_", maxsplit=1)[0]
+    kinds = {"spindle": "rpm", "load": "kg", "force": "n", "v": "mm_s", "a": "mm_s", "s": "mm", "feed": "mm_s"}
+    return REAL[kinds.get(head, "other")]
+
+
+def _names(machine: Machine, seen: Seen) -> list[str]:
+    out = [*machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "time_s", "feed_mm_min"]
+    for axis in machine.axes:
+        out += [axis.channel, axis.direction_channel, axis.velocity_channel, axis.acceleration_channel]
+        out.append(axis.since_reversal_channel)
+    del seen
+    return out
+
+
+def _span(states: Sequence[State], name: str) -> tuple[float, float] | None:
+    """Lowest and highest value of a channel; None where one of the measurements has not recorded all of it."""
+    values = []
+    for state in states:
+        try:
+            value = np.asarray(state.value(name), dtype=np.float64)
+        except ModelError:
+            return None
+        if not np.isfinite(value).all():
+            return None
+        values.append(value)
+    if not values:
+        return None
+    return min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+
+
+def _candidate(effect: Effect, readings: Readings) -> Candidate | None:
+    try:
+        effect.check(readings.machine, "diagnose")
+    except ModelError:
+        return None
+    return Candidate(effect, tuple(_thetas(effect.nonlinear(readings.machine), readings)))
+
+
+def _thetas(parameters: Sequence[Parameter], readings: Readings) -> Iterator[Mapping[str, float]]:
+    grids = [_grid(p, readings) for p in parameters]
+    while np.prod([len(g) for g in grids]) > MOST:
+        longest = max(range(len(grids)), key=lambda i: len(grids[i]))
+        grids[longest] = grids[longest][::2]
+    for values in itertools.product(*grids):
+        yield {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
+
+
+def _grid(parameter: Parameter, readings: Readings) -> tuple[float, ...]:
+    if parameter.grid:
+        return parameter.grid
+    if parameter.unit == "s" and parameter.name.startswith("t0"):
+        return _instants(readings)
+    low, high = parameter.low, parameter.high
+    if not np.isfinite([low, high]).all() or low >= high:
+        return (parameter.start,)
+    if low > 0.0:
+        return tuple(np.geomspace(low, high, GRID + 2)[1:-1].tolist())
+    return tuple(np.linspace(low, high, GRID + 2)[1:-1].tolist())
+
+
+def _instants(readings: Readings) -> tuple[float, ...]:
+    """Instants at which something may have happened: between runs, else evenly."""
+    times = np.concatenate([s.time_s for s in readings.series])
+    starts = []
+    for s in readings.series:
+        first = np.flatnonzero(np.diff(s.run)) + 1
+        starts += (0.5 * (s.time_s[first - 1] + s.time_s[first])).tolist()
+    if len(starts) < 4:
+        starts = np.linspace(times.min(), times.max(), 34)[1:-1].tolist()
+    found = np.unique(np.round(starts, 3))
+    return tuple(found[:: max(1, len(found) // 32)].tolist())

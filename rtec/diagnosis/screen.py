@@ -1,0 +1,276 @@
+"""Evidence for every candidate at once: whitened, the current model taken out, Zellner's g-prior.
+
+For a candidate with k columns of which the base leaves the orthonormal directions D, and the whitened readings r that
+the base leaves: `R² = |Dᵀr|² / |r|²`, and with g = n the log evidence over the base alone is
+`½ (n - k_B - k) ln(1 + n) - ½ (n - k_B) ln(1 + n (1 - R²)) - ½ n_θ ln n`  (Liang et al. 2008).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.candidates import Candidate
+from rtec.diagnosis.noise import Whitener
+from rtec.diagnosis.readings import Readings
+from rtec.errors import ModelError
+
+Floats = NDArray[np.float64]
+Single = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Tell = Callable[[int, int], None]
+
+ABSORBED = 2e-3
+"""A direction of which the base leaves less than this share of its norm is absorbed."""
+CHUNK = 96
+"""Columns that are whitened together."""
+
+
+@dataclass(frozen=True)
+class Projected:
+    """The whitened base, taken out of everything.
+
+    Attributes:
+        whitener: the noise.
+        q: orthonormal basis of the whitened base, (m, k_B).
+        left: whitened readings less the base, (m,).
+    """
+
+    whitener: Whitener
+    q: Floats
+    left: Floats
+
+    @classmethod
+    def of(cls, whitener: Whitener, base: Floats, values: Floats) -> "Projected":
+        """Whiten and project."""
+        q = orthonormal(whitener(base))
+        white = whitener(values)
+        return cls(whitener, q, white - q @ (q.T @ white))
+
+    def take_out(self, white: Floats) -> Floats:
+        """Whitened columns less the base, (m, p)."""
+        return np.asarray(white - self.q @ (self.q.T @ white))
+
+    @cached_property
+    def squares(self) -> float:
+        """Sum of squares of what is left."""
+        return float(self.left @ self.left)
+
+    @cached_property
+    def freedom(self) -> float:
+        """Readings less everything found from them."""
+        readings = self.whitener.readings
+        lost = sum(s.nuisance.shape[1] * (int(s.run[-1]) + 1) for s in readings.series)
+        return float(max(len(readings) - self.q.shape[1] - lost, 4))
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A candidate at one value of its non-linear parameters.
+
+    Attributes:
+        candidate: its number.
+        theta: number among the candidate's values.
+        first, count: its directions in `Screen.directions`.
+        size: norm of each of its whitened columns before and after the base is taken out, (k, 2).
+    """
+
+    candidate: int
+    theta: int
+    first: int
+    count: int
+    size: Floats
+
+
+@dataclass(frozen=True)
+class Screen:
+    """What the readings say for every candidate.
+
+    Attributes:
+        projected: readings, whitened, less the base.
+        candidates: as given.
+        variants: those that the base does not absorb.
+        directions: orthonormal directions of all, (m, columns).
+        log_evidence: of each variant, (variants,).
+        absorbed: candidates of which the base leaves nothing.
+    """
+
+    projected: Projected
+    candidates: tuple[Candidate, ...]
+    variants: tuple[Variant, ...]
+    directions: Single
+    log_evidence: Floats
+    absorbed: tuple[int, ...]
+
+    @cached_property
+    def counts(self) -> Ints:
+        """Directions of each variant."""
+        return np.array([v.count for v in self.variants], dtype=np.int64)
+
+    @cached_property
+    def penalties(self) -> Ints:
+        """Non-linear parameters of each variant that were searched."""
+        thetas = [self.candidates[v.candidate].thetas for v in self.variants]
+        return np.array([len(t[0]) if len(t) > 1 else 0 for t in thetas], dtype=np.int64)
+
+    @cached_property
+    def best(self) -> dict[int, int]:
+        """Best variant of each candidate."""
+        out: dict[int, int] = {}
+        for i, v in enumerate(self.variants):
+            if v.candidate not in out or self.log_evidence[i] > self.log_evidence[out[v.candidate]]:
+                out[v.candidate] = i
+        return out
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Candidates by evidence, best first."""
+        return sorted(self.best, key=lambda c: -self.log_evidence[self.best[c]])
+
+    def contribution(self, candidate: int) -> Floats:
+        """Whitened part of what is left that a candidate explains, (m,)."""
+        v = self.variants[self.best[candidate]]
+        d = self.directions[:, v.first : v.first + v.count].astype(np.float64)
+        return np.asarray(d @ (d.T @ self.projected.left))
+
+    def explained(self, candidate: int) -> float:
+        """Sum of squares that a candidate explains beyond chance, in units of the noise variance."""
+        v = self.variants[self.best[candidate]]
+        d = self.directions[:, v.first : v.first + v.count].astype(np.float64)
+        t = d.T @ self.projected.left
+        return float(t @ t) - v.count * self.projected.squares / self.projected.freedom
+
+    def family_p(self, draws: int, rng: np.random.Generator) -> tuple[float, Floats]:
+        """Probability that chance alone makes the best of all look as good, and the evidences that chance made.
+
+        Draws white noise, takes the base out, and takes the best evidence over the whole library each time.
+        """
+        if not self.variants:
+            return 1.0, np.zeros(0)
+        n, tops = len(self.projected.left), []
+        for start in range(0, draws, 100):
+            noise = rng.standard_normal((n, min(100, draws - start)), dtype=np.float32)
+            t2 = (self.directions.T @ noise) ** 2
+            base = self.projected.q.T.astype(np.float32) @ noise
+            whole = (noise**2).sum(axis=0) - (base**2).sum(axis=0)
+            r2 = _sums(t2, self.variants) / whole
+            tops.append(evidence(r2, self.counts[:, None], self.penalties[:, None], self.projected).max(axis=0))
+        chance = np.concatenate(tops).astype(np.float64)
+        return float((1 + np.sum(chance >= self.log_evidence.max())) / (draws + 1)), chance
+
+
+def screen(
+    readings: Readings,
+    candidates: Sequence[Candidate],
+    projected: Projected,
+    tell: Tell | None = None,
+) -> Screen:
+    """Weigh every candidate."""
+    made = _Columns(readings, projected)
+    total = sum(len(c.thetas) for c in candidates)
+    done = 0
+    for i, candidate in enumerate(candidates):
+        for j, theta in enumerate(candidate.thetas):
+            made.add(i, j, candidate, theta)
+            done += 1
+            if tell and done % 50 == 0:
+                tell(done, total)
+    made.flush()
+    if tell:
+        tell(total, total)
+    directions = (
+        np.concatenate(made.directions, axis=1) if made.directions else np.zeros((len(readings), 0), np.float32)
+    )
+    variants = tuple(made.variants)
+    t = (
+        directions.T.astype(np.float64) @ projected.left
+        if directions.shape[1] < 4000
+        else (directions.T @ projected.left.astype(np.float32)).astype(np.float64)
+    )
+    out = Screen(projected, tuple(candidates), variants, directions, np.zeros(len(variants)), ())
+    r2 = _sums((t**2)[:, None], variants)[:, 0] / max(projected.squares, 1e-300)
+    found = evidence(r2, out.counts, out.penalties, projected)
+    there = {v.candidate for v in variants}
+    absorbed = tuple(i for i in range(len(candidates)) if i not in there)
+    return Screen(projected, tuple(candidates), variants, directions, found, absorbed)
+
+
+def evidence(r2: Floats, columns: Ints, thetas: Ints, projected: Projected) -> Floats:
+    """Log evidence over the base alone, Zellner's g-prior with g = n."""
+    n, free = float(len(projected.left)), projected.freedom
+    left = np.maximum(1.0 - r2, 1e-12)
+    return np.asarray(0.5 * (free - columns) * np.log1p(n) - 0.5 * free * np.log1p(n * left) - 0.5 * thetas * np.log(n))
+
+
+def orthonormal(columns: Floats) -> Floats:
+    """An orthonormal basis of columns, (m, rank)."""
+    size = np.linalg.norm(columns, axis=0)
+    kept = columns[:, size > 0] / size[size > 0]
+    if not kept.shape[1]:
+        return kept
+    gram = kept.T @ kept
+    value, vector = np.linalg.eigh(gram)
+    good = value > 1e-9 * value[-1]
+    q = kept @ (vector[:, good] / np.sqrt(value[good]))
+    # Once more: what the Gram matrix lost in precision comes back.
+    return np.asarray(np.linalg.qr(q)[0], dtype=np.float64)
+
+
+class _Columns:
+    """Makes, whitens and projects columns chunk by chunk; equal basis functions are worked out once."""
+
+    def __init__(self, readings: Readings, projected: Projected) -> None:
+        self.readings, self.projected = readings, projected
+        self.variants: list[Variant] = []
+        self.directions: list[Single] = []
+        self.width = 0
+        self._waiting: list[tuple[int, int, Floats]] = []
+
+    def add(self, number: int, theta_number: int, candidate: Candidate, theta: Mapping[str, float]) -> None:
+        """Take one variant."""
+        try:
+            columns = self.readings.columns(candidate.effect, theta)
+        except ModelError:
+            return  # a measurement that sees the component lacks a channel: told by `library`
+        if not np.isfinite(columns).all():
+            return
+        self._waiting.append((number, theta_number, columns))
+        if sum(c.shape[1] for _, _, c in self._waiting) >= CHUNK:
+            self.flush()
+
+    def flush(self) -> None:
+        """Whiten and project what waits."""
+        if not self._waiting:
+            return
+        white = self.projected.whitener(np.concatenate([c for _, _, c in self._waiting], axis=1))
+        before = np.linalg.norm(white, axis=0)
+        left = self.projected.take_out(white)
+        at = 0
+        for number, theta, columns in self._waiting:
+            k = columns.shape[1]
+            self._keep(number, theta, left[:, at : at + k], before[at : at + k])
+            at += k
+        self._waiting.clear()
+
+    def _keep(self, number: int, theta: int, left: Floats, before: Floats) -> None:
+        scaled = left[:, before > 0] / before[before > 0]
+        if not scaled.shape[1]:
+            return
+        value, vector = np.linalg.eigh(scaled.T @ scaled)
+        good = value > ABSORBED**2
+        if not good.any():
+            return
+        found = (scaled @ (vector[:, good] / np.sqrt(value[good]))).astype(np.float32)
+        after = np.linalg.norm(left, axis=0)
+        count = int(good.sum())
+        self.variants.append(Variant(number, theta, self.width, count, np.stack([before, after], axis=1)))
+        self.directions.append(found)
+        self.width += count
+
+
+def _sums(squares: NDArray[np.floating], variants: Sequence[Variant]) -> Floats:
+    """Sum of squares over the directions of each variant, (columns, draws) to (variants, draws)."""
+    first = np.array([v.first for v in variants], dtype=np.int64)
+    return np.asarray(np.add.reduceat(squares, first, axis=0)) if len(first) else np.zeros((0, squares.shape[1]))

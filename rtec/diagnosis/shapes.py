@@ -1,0 +1,237 @@
+"""Shapes without a name: what any smooth or periodic dependence on one or two variables would explain.
+
+They judge whether the best effect of the catalogue is good enough (adequacy), and where none is, they say on which
+variables the error depends, whether smoothly or periodically, and with which period.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.candidates import real
+from rtec.diagnosis.readings import Readings
+from rtec.diagnosis.screen import ABSORBED, Projected
+
+Floats = NDArray[np.float64]
+
+LINE, PLANE = 6, 4
+"""Basis functions of a curve over one variable, and along each side of a surface over two."""
+PERIODS = 240
+CYCLES = (2.5, 0.2)
+"""A period must be seen so often at least; and be longer than this many typical steps."""
+LEADERS = 6
+"""Variables that go into surfaces over two."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A smooth or periodic dependence.
+
+    Attributes:
+        group: reading columns that it acts on, as told to people.
+        variables: channel names.
+        kind: smooth or periodic.
+        period: of a periodic one, in the unit of its variable.
+        raw: its columns, (m, k).
+    """
+
+    group: str
+    variables: tuple[str, ...]
+    kind: Literal["smooth", "periodic"]
+    period: float | None
+    raw: Floats
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A shape and what it explains.
+
+    Attributes:
+        shape: which.
+        directions: orthonormal, whitened, less the base, (m, k).
+        explained: sum of squares beyond chance, in units of the noise variance.
+        log_evidence: over the base alone.
+    """
+
+    shape: Shape
+    directions: Floats
+    explained: float
+    log_evidence: float
+
+    @cached_property
+    def count(self) -> int:
+        """Numbers that it has."""
+        return int(self.directions.shape[1])
+
+
+def variables(readings: Readings) -> dict[str, Floats]:
+    """Channels that vary and that every measurement recorded, by name, (m,) each."""
+    machine = readings.machine
+    out: dict[str, Floats] = {}
+    names = [a.channel for a in machine.axes] + [a.direction_channel for a in machine.axes]
+    names += ["feed_mm_min", *(a.velocity_channel for a in machine.axes), "spindle_rpm", "load_kg", "force_n"]
+    names += [*machine.sensor_names]
+    for name in names:
+        value = readings.channel(name)
+        if np.isfinite(value).all() and np.ptp(value) > real(machine, name):
+            out[name] = value
+    for name in ("feed_mm_min",):
+        if name in out and any(v.startswith("v_") for v in out):
+            out.pop(name)
+    out["time_s"] = readings.time_s
+    return out
+
+
+def groups(readings: Readings) -> dict[str, NDArray[np.bool_]]:
+    """Reading columns that belong together: the same column of the same kind of set-up."""
+    out: dict[str, NDArray[np.bool_]] = {}
+    for s in readings.series:
+        m = readings.measurements[s.source]
+        what = m.instrument.component or " ".join(filter(None, (m.instrument.name, m.instrument.axis)))
+        column = s.column.removeprefix("reading_").removesuffix("um").removesuffix("urad").strip("_")
+        name = f"{what} {column}".strip()
+        mask = out.setdefault(name, np.zeros(len(readings), dtype=bool))
+        mask[s.part] = True
+    return out
+
+
+def weigh(projected: Projected, shape: Shape) -> Weighed | None:
+    """Whiten a shape, take the base out, and say what it explains; None where the base absorbs it."""
+    white = projected.whitener(shape.raw)
+    before = np.linalg.norm(white, axis=0)
+    good = before > 0
+    if not good.any():
+        return None
+    scaled = projected.take_out(white[:, good]) / before[good]
+    value, vector = np.linalg.eigh(scaled.T @ scaled)
+    keep = value > ABSORBED**2 * 25.0
+    if not keep.any():
+        return None
+    d = scaled @ (vector[:, keep] / np.sqrt(value[keep]))
+    t = d.T @ projected.left
+    noise = projected.squares / projected.freedom
+    return Weighed(shape, d, float(t @ t) - d.shape[1] * noise, _evidence(projected, float(t @ t), d.shape[1], shape))
+
+
+def _evidence(projected: Projected, square: float, count: int, shape: Shape) -> float:
+    n, free = float(len(projected.left)), projected.freedom
+    left = max(1.0 - square / max(projected.squares, 1e-300), 1e-12)
+    searched = 1 if shape.kind == "periodic" else 0
+    value = 0.5 * (free - count) * np.log1p(n) - 0.5 * free * np.log1p(n * left) - 0.5 * searched * np.log(n)
+    return float(value)
+
+
+def smooth_shapes(readings: Readings, projected: Projected) -> list[Weighed]:
+    """Curves over every variable, then surfaces over pairs of those that lead."""
+    known = variables(readings)
+    out: list[Weighed] = []
+    for group, mask in groups(readings).items():
+        lines = []
+        for name, value in known.items():
+            found = weigh(projected, Shape(group, (name,), "smooth", None, curve(value, LINE) * mask[:, None]))
+            if found is not None:
+                lines.append(found)
+        lines.sort(key=lambda w: -w.log_evidence)
+        out += lines
+        leaders = [w.shape.variables[0] for w in lines[:LEADERS]]
+        directions = [n for n in known if n.startswith("d_") and n not in leaders]
+        for a, b in itertools.combinations([*leaders, *directions], 2):
+            raw = surface(known[a], known[b]) * mask[:, None]
+            found = weigh(projected, Shape(group, (a, b), "smooth", None, raw))
+            if found is not None:
+                out.append(found)
+    return out
+
+
+def periodic_shapes(readings: Readings, projected: Projected, best: int = 3) -> list[Weighed]:
+    """Sine and cosine over positions and time: the best periods of each variable."""
+    machine = readings.machine
+    known = variables(readings)
+    wanted = [a.channel for a in machine.axes if a.channel in known]
+    out: list[Weighed] = []
+    for group, mask in groups(readings).items():
+        for name in wanted:
+            value = known[name][mask]
+            found = [
+                w
+                for period in periods(value)
+                if (w := weigh(projected, _wave(group, name, known[name], mask, period))) is not None
+            ]
+            found.sort(key=lambda w: -w.log_evidence)
+            out += found[:best]
+    return out
+
+
+def periods(value: Floats) -> Floats:
+    """Periods worth trying over a variable."""
+    places = np.unique(np.round(value, 6))
+    span = float(np.ptp(value))
+    if len(places) < 6 or span <= 0:
+        return np.zeros(0)
+    step = float(np.median(np.diff(places)))
+    longest = span / CYCLES[0]
+    shortest = max(2.05 * step, span / (0.5 * PERIODS))
+    if shortest >= longest:
+        return np.zeros(0)
+    # Even in frequency: as fine as the span can tell.
+    count = min(int(3.0 * span * (1.0 / shortest - 1.0 / longest)) + 2, PERIODS)
+    return np.asarray(1.0 / np.linspace(1.0 / longest, 1.0 / shortest, count))
+
+
+def _wave(group: str, name: str, value: Floats, mask: NDArray[np.bool_], period: float) -> Shape:
+    angle = 2.0 * np.pi * value / period
+    raw = np.stack([np.sin(angle), np.cos(angle)], axis=1) * mask[:, None]
+    return Shape(group, (name,), "periodic", float(period), raw)
+
+
+def curve(value: Floats, count: int) -> Floats:
+    """Smooth basis over a variable, without the constant, (m, ≤ count): natural splines on its quantiles."""
+    places = np.unique(value)
+    if len(places) <= 3:
+        # Two or three values: one column for each but the first.
+        return np.stack([(value == p).astype(np.float64) for p in places[1:]], axis=1)
+    u = (value - places[0]) / (places[-1] - places[0])
+    knots = np.unique(np.quantile(u, np.linspace(0.0, 1.0, count + 1)))
+    columns = [u]
+    last = _ramp(u, knots[-2], knots[-1])
+    columns += [_ramp(u, k, knots[-1]) - last for k in knots[:-2]]
+    whole = np.stack(columns, axis=1)
+    return np.asarray(whole - whole.mean(axis=0))
+
+
+def _ramp(u: Floats, knot: float, end: float) -> Floats:
+    span = max(end - knot, 1e-9)
+    return np.asarray((np.maximum(u - knot, 0.0) ** 3 - np.maximum(u - end, 0.0) ** 3) / span)
+
+
+def surface(a: Floats, b: Floats) -> Floats:
+    """Smooth basis over two variables: curves of each and their products, (m, k)."""
+    one, two = curve(a, PLANE), curve(b, PLANE)
+    one, two = (c / np.maximum(np.abs(c).max(axis=0), 1e-12) for c in (one, two))
+    cross = (one[:, :, None] * two[:, None, :]).reshape(len(a), -1)
+    return np.concatenate([one, two, cross], axis=1)
+
+
+def family_p(projected: Projected, shapes: Sequence[Weighed], draws: int, rng: np.random.Generator) -> float:
+    """Probability that chance alone makes the best of all shapes look as good."""
+    if not shapes:
+        return 1.0
+    n = len(projected.left)
+    noise = rng.standard_normal((n, draws))
+    base = projected.q.T @ noise
+    whole = (noise**2).sum(axis=0) - (base**2).sum(axis=0)
+    top = np.full(draws, -np.inf)
+    free, m = projected.freedom, float(n)
+    for w in shapes:
+        r2 = ((w.directions.T @ noise) ** 2).sum(axis=0) / whole
+        searched = 0.5 * np.log(m) if w.shape.kind == "periodic" else 0.0
+        left = np.maximum(1.0 - r2, 1e-12)
+        value = 0.5 * (free - w.count) * np.log1p(m) - 0.5 * free * np.log1p(m * left) - searched
+        top = np.maximum(top, value)
+    best = max(w.log_evidence for w in shapes)
+    return float((1 + np.sum(top >= best)) / (draws + 1))

@@ -1,0 +1,89 @@
+"""The answer as a good colleague would say it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rtec.diagnosis.result import Diagnosis, Finding
+
+UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
+
+
+def with_sentence(d: Diagnosis, smallest: float) -> Diagnosis:
+    """The diagnosis with its verdict in one sentence.
+
+    Args:
+        d: without a sentence.
+        smallest: the smallest size that would have been seen of every effect that was looked for.
+    """
+    return replace(d, sentence=_sentence(d, smallest))
+
+
+def _sentence(d: Diagnosis, smallest: float) -> str:
+    unit = UNITS[d.unit]
+    if d.verdict == "missing_effect":
+        f = d.findings[0]
+        return (
+            f"{f.label} is missing: it makes {f.size_um:.2g} {unit} of the {d.rms_residual:.2g} {unit} that are left, "
+            f"and on runs that were not used {f.heldout_drop:.0%} of the mean square goes with it"
+        )
+    if d.verdict == "ambiguous":
+        names = _names(d)
+        test = next((a.separating_test for a in d.findings[0].confused_with if a.separating_test), "")
+        way = f"; to tell them apart: {test}" if test else ""
+        return f"one of {names} is missing, and these readings cannot say which{way}"
+    if d.verdict == "unknown_effect" and d.unknown is not None:
+        where = " and ".join(d.unknown.channels)
+        how = (
+            f"with a period of {d.unknown.period.value:.4g} {d.unknown.period.unit}" if d.unknown.period else "smoothly"
+        )
+        near = ""
+        if d.findings and d.adequacy is not None:
+            share = max(d.adequacy, 0.0)
+            near = f"; the closest, {d.findings[0].label}, explains only {share:.0%} of what can be explained"
+        return f"something is missing that no effect of the catalogue describes: it depends {how} on {where}{near}"
+    limit = f" above {smallest:.2g} {unit}" if math.isfinite(smallest) else ""
+    left = f"{d.rms_residual:.2g} {unit} are left, noise is {d.noise_floor:.2g}"
+    return f"nothing missing that these readings could show{limit}: {left}"
+
+
+def _names(d: Diagnosis) -> str:
+    first = d.findings[0]
+    names = [first.label, *(f.label for f in d.group if f.rank > 1)]
+    names += [f"{a.effect}({a.component})" for a in first.confused_with]
+    return ", ".join(list(dict.fromkeys(names))[:4])
+
+
+def why_not(mine: float, best: float, gain: float, same: bool) -> str:
+    """Why a candidate is not preferred."""
+    if same:
+        return "as likely as rank 1 to these readings"
+    if gain <= 0.0:
+        return "does not lower the error on runs left out"
+    behind = best - mine
+    return f"{math.exp(min(behind, 30.0)):.2g} times less likely than rank 1"
+
+
+def unit_of_channel(name: str) -> str:
+    """Unit of a channel."""
+    if name in ("spindle_rpm", "load_kg", "force_n", "time_s", "feed_mm_min"):
+        return {"spindle_rpm": "rpm", "load_kg": "kg", "force_n": "N", "time_s": "s", "feed_mm_min": "mm/min"}[name]
+    head = name.split("_", maxsplit=1)[0]
+    return {"v": "mm/s", "a": "mm/s2", "d": "1", "T": "degC"}.get(head, "mm")
+
+
+def notes(spikes: int, readings: int, names: Sequence[str]) -> tuple[str, ...]:
+    """What was done to the data."""
+    out = []
+    if spikes:
+        said = "reading is" if spikes == 1 else "readings are"
+        out.append(f"{spikes} single {said} far from all neighbours and left out ({spikes / (readings + spikes):.1%})")
+    out.append("temperatures are smoothed over ±8 min for the search; a model gets them as they are read")
+    if len(names) > 1:
+        out.append(f"one answer for {len(names)} measurements: {', '.join(names)}")
+    return tuple(out)
+
+
+def accepted(findings: Sequence[Finding]) -> bool:
+    """Whether rank 1 passed every check."""
+    return bool(findings) and findings[0].accepted
