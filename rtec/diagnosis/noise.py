@@ -187,9 +187,9 @@ def _orthonormal(columns: Floats) -> Floats:
     size = np.linalg.norm(columns, axis=0)
     kept = columns[:, size > 0] / size[size > 0]
     if not kept.shape[1]:
-        return kept
+        return np.asarray(kept)
     u, s, _ = np.linalg.svd(kept, full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * s[0]])
+    return np.asarray(u[:, s > 1e-9 * s[0]], dtype=np.float64)
 
 
 def _has_zero(series: Series) -> bool:

@@ -209,7 +209,7 @@ def orthonormal(columns: Floats) -> Floats:
     size = np.linalg.norm(columns, axis=0)
     kept = columns[:, size > 0] / size[size > 0]
     if not kept.shape[1]:
-        return kept
+        return np.asarray(kept)
     gram = kept.T @ kept
     value, vector = np.linalg.eigh(gram)
     good = value > 1e-9 * value[-1]

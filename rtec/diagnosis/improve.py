@@ -1,0 +1,107 @@
+"""Diagnose and add, again and again, until nothing significant is left or the error is at the noise floor."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from rtec.diagnosis.add import Added, add, new_effect
+from rtec.diagnosis.diagnose import ALPHA, DRAWS, diagnose
+from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+
+Stage = Callable[[str, int, int], None]
+Reason = Literal["nothing_missing", "unknown_effect", "ambiguous", "stopped", "at_floor", "no_gain", "steps"]
+
+AT_FLOOR = 1.05
+"""Held-out error over the noise floor from which on nothing more is looked for."""
+LITTLE = 0.02
+"""A relative fall of the held-out error below this is not worth an effect."""
+MOST = 8
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is asked before an effect is added.
+
+    Attributes:
+        diagnosis: with its candidates.
+        finding: proposed.
+        number: of the step, from 1.
+    """
+
+    diagnosis: Diagnosis
+    finding: Finding
+    number: int
+
+
+@dataclass(frozen=True)
+class Improved:
+    """A model improved step by step.
+
+    Attributes:
+        model: the last one.
+        steps: what was added, in order.
+        diagnoses: one for each step, and the last, which found nothing more or was not followed.
+        reason: why it ended.
+    """
+
+    model: Model
+    steps: tuple[Added, ...]
+    diagnoses: tuple[Diagnosis, ...]
+    reason: Reason
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data, for JSON."""
+        return {
+            "reason": self.reason,
+            "steps": [s.facts() for s in self.steps],
+            "last_diagnosis": self.diagnoses[-1].facts() if self.diagnoses else None,
+            "model_sha256": self.model.hash,
+        }
+
+
+def improve(
+    model: Model,
+    measurements: Sequence[Measurement],
+    *,
+    ask: Callable[[Choice], Finding | None] | None = None,
+    seed: int = 1,
+    alpha: float = ALPHA,
+    draws: int = DRAWS,
+    stage: Stage | None = None,
+) -> Improved:
+    """Add what is missing until nothing significant is.
+
+    Args:
+        model: the current model.
+        measurements: of its machine.
+        ask: which candidate to add, None to stop; without it the best is added where the readings decide, and also
+            where several cannot be told apart (they predict the same here).
+        seed, alpha, draws: of the diagnosis.
+        stage: told how far it is.
+
+    Raises:
+        MeasurementError: as `diagnose`.
+    """
+    steps: list[Added] = []
+    diagnoses: list[Diagnosis] = []
+    while len(steps) < MOST:
+        found = diagnose(model, measurements, seed=seed, alpha=alpha, draws=draws, stage=stage)
+        diagnoses.append(found)
+        if not found.findings or not found.findings[0].accepted:
+            reason: Reason = "unknown_effect" if found.verdict == "unknown_effect" else "nothing_missing"
+            return Improved(model, tuple(steps), tuple(diagnoses), reason)
+        choice = found.findings[0]
+        picked = ask(Choice(found, choice, len(steps) + 1)) if ask else choice
+        if picked is None:
+            return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
+        values = {k: n.value for k, n in picked.parameters.items()}
+        added = add(model, [new_effect(picked.effect, model, picked.theta, values)], measurements, stage=stage)
+        if added.after.held_out > (1.0 - LITTLE) * added.before.held_out:
+            return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
+        steps.append(added)
+        model = added.model
+        if added.after.held_out <= AT_FLOOR * added.floor:
+            return Improved(model, tuple(steps), tuple(diagnoses), "at_floor")
+    return Improved(model, tuple(steps), tuple(diagnoses), "steps")

@@ -1,0 +1,201 @@
+"""Refits all numbers of a model together, non-linear ones too, under the noise that the readings show.
+
+What the given measurements do not show stays as it is: numbers move from where they are, and the less sure a number
+was, the freer it moves.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.base import slope
+from rtec.diagnosis.noise import Whitener, find_noise, refine
+from rtec.diagnosis.readings import Readings
+from rtec.diagnosis.refit import inverse, solve
+from rtec.effects import Effect, Parameter
+from rtec.errors import MeasurementError, ModelError
+from rtec.model import FittedEffect
+from rtec.model.fit import SearchScale
+from rtec.model.model import names_of
+
+Floats = NDArray[np.float64]
+
+LOOSE = 30.0
+"""So many of its standard errors a number may move without being held back."""
+NEW = 1e6
+"""Standard deviation of the prior of a number nobody has fitted yet, over its usual size."""
+ROUNDS = 2
+EVALUATIONS = 40
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint refit.
+
+    Attributes:
+        effects: with their numbers.
+        whitener: the noise.
+        columns: of every linear number, then terms of the set-up, (m, p).
+        left: readings less the fit, (m,).
+    """
+
+    effects: tuple[FittedEffect, ...]
+    whitener: Whitener
+    columns: Floats
+    left: Floats
+
+
+@dataclass
+class _Work:
+    """Effects with the columns that do not change while non-linear parameters are searched for."""
+
+    effects: Sequence[Effect]
+    readings: Readings
+    start: Sequence[FittedEffect]
+    still: dict[int, Floats] = field(default_factory=dict)
+
+    def columns(self, thetas: Sequence[Mapping[str, float]]) -> Floats:
+        parts = [np.zeros((len(self.readings), 0))]
+        for i, (effect, theta) in enumerate(zip(self.effects, thetas, strict=True)):
+            if theta:
+                parts.append(_columns(effect, theta, self.readings))
+                continue
+            if i not in self.still:
+                self.still[i] = _columns(effect, theta, self.readings)
+            parts.append(self.still[i])
+        return np.concatenate([*parts, self.readings.setup], axis=1)
+
+
+def joint_fit(effects: Sequence[FittedEffect], readings: Readings, *, search: bool = True) -> Joint:
+    """Refit effects together.
+
+    Args:
+        effects: with the numbers to start from; a new one with `errors` empty and coefficients zero.
+        readings: what was measured, with the channels that the loop will see.
+        search: also search for non-linear parameters.
+
+    Raises:
+        MeasurementError: a channel that an effect needs was not recorded.
+    """
+    work = _Work([f.effect for f in effects], readings, effects)
+    thetas = [dict(f.theta) for f in effects]
+    columns = work.columns(thetas)
+    whitener = find_noise(readings, columns)
+    free = _free(effects, readings) if search else []
+    for _ in range(ROUNDS if free else 1):
+        if free:
+            thetas = _polish(work, whitener, thetas, free)
+            columns = work.columns(thetas)
+        values = _values(effects, readings, whitener, columns)
+        whitener = refine(whitener, readings.values - columns @ values, 30)
+    values = _values(effects, readings, whitener, columns)
+    fitted = _numbers(effects, readings, whitener, columns, thetas, values)
+    return Joint(fitted, whitener, columns, readings.values - columns @ values)
+
+
+def _columns(effect: Effect, theta: Mapping[str, float], readings: Readings) -> Floats:
+    try:
+        return readings.columns(effect, theta)
+    except ModelError as e:
+        raise MeasurementError(f"{effect.effect}({effect.component}) cannot be worked out: {e}") from e
+
+
+def _free(effects: Sequence[FittedEffect], readings: Readings) -> list[tuple[int, Parameter]]:
+    """Non-linear parameters with bounds, of effects that the readings see."""
+    return [
+        (i, p)
+        for i, f in enumerate(effects)
+        if np.abs(readings.arms(f.effect.component)).max() > 0.0
+        for p in f.effect.nonlinear(readings.machine)
+        if np.isfinite([p.low, p.high]).all()
+    ]
+
+
+def _polish(
+    work: _Work, whitener: Whitener, thetas: list[dict[str, float]], free: Sequence[tuple[int, Parameter]]
+) -> list[dict[str, float]]:
+    """Variable projection on the whitened readings."""
+    from scipy.optimize import least_squares
+
+    scales = [SearchScale.of(p) for _, p in free]
+    target = whitener(work.readings.values)
+
+    def at(x: Floats) -> list[dict[str, float]]:
+        out = [dict(t) for t in thetas]
+        for (i, p), s, v in zip(free, scales, x, strict=True):
+            out[i][p.name] = s.value(float(v))
+        return out
+
+    def left(x: Floats) -> Floats:
+        white = whitener(work.columns(at(x)))
+        return np.asarray(target - white @ solve(white, target))
+
+    start = np.array([s.place(thetas[i][p.name]) for (i, p), s in zip(free, scales, strict=True)])
+    options: dict[str, Any] = {"ftol": 1e-6, "xtol": 1e-5, "diff_step": 1e-3, "max_nfev": EVALUATIONS}
+    found = least_squares(left, np.clip(start, 1e-5, 1.0 - 1e-5), bounds=(0.0, 1.0), **options)
+    better = float(found.fun @ found.fun) < float(np.sum(left(np.clip(start, 1e-5, 1.0 - 1e-5)) ** 2))
+    return at(found.x) if better else thetas
+
+
+def _prior(effects: Sequence[FittedEffect], readings: Readings) -> tuple[Floats, Floats]:
+    """Where the linear numbers start, and how far they may move, set-up terms last."""
+    centre: list[float] = []
+    spread: list[float] = []
+    for f in effects:
+        for p in f.effect.coefficients(readings.machine):
+            value = f.values.get(p.name, 0.0)
+            error = f.errors.get(p.name)
+            centre.append(value)
+            spread.append(LOOSE * error if error else NEW * max(p.typical, abs(value)))
+    count = readings.setup.shape[1]
+    return np.array([*centre, *[0.0] * count]), np.array([*spread, *[np.inf] * count])
+
+
+def _values(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> Floats:
+    """Generalised least squares that begins at the numbers as they are, (p,)."""
+    centre, spread = _prior(effects, readings)
+    white = whitener(columns)
+    rows = np.diag(1.0 / spread)
+    target = whitener(readings.values - columns @ centre)
+    stacked = np.concatenate([white, rows])
+    return np.asarray(centre + solve(stacked, np.concatenate([target, np.zeros(len(centre))])))
+
+
+def _numbers(
+    effects: Sequence[FittedEffect],
+    readings: Readings,
+    whitener: Whitener,
+    columns: Floats,
+    thetas: Sequence[Mapping[str, float]],
+    values: Floats,
+) -> tuple[FittedEffect, ...]:
+    """Effects with the numbers found and their standard errors."""
+    machine, at = readings.machine, 0
+    filled: list[FittedEffect] = []
+    for f, theta in zip(effects, thetas, strict=True):
+        linear, _ = names_of(f.effect, machine)
+        part = values[at : at + len(linear)]
+        at += len(linear)
+        filled.append(FittedEffect(f.effect, dict(zip(linear, map(float, part), strict=True)), dict(theta)))
+    slopes, owner = [], []
+    for i, f in enumerate(filled):
+        for name in f.theta:
+            slopes.append(slope(f, readings, name, np.array(list(f.values.values()))))
+            owner.append((i, name))
+    whole = np.concatenate([columns, *[s[:, None] for s in slopes]], axis=1)
+    spread = np.concatenate([_prior(effects, readings)[1], np.full(len(slopes), np.inf)])
+    covariance = inverse(np.concatenate([whitener(whole), np.diag(1.0 / spread)]))
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    out, at = [], 0
+    for i, f in enumerate(filled):
+        names = list(f.values)
+        found = dict(zip(names, map(float, errors[at : at + len(names)]), strict=True))
+        at += len(names)
+        for k, (j, name) in enumerate(owner):
+            if j == i:
+                found[name] = float(errors[columns.shape[1] + k])
+        out.append(FittedEffect(f.effect, f.values, f.theta, {n: e for n, e in found.items() if e > 0.0}))
+    return tuple(out)
