@@ -9,12 +9,28 @@ from numpy.typing import NDArray
 from rtec.diagnosis.result import Alike
 from rtec.effects import Effect
 from rtec.effects.registry import all_effects
+from rtec.machine import Machine
 
 Floats = NDArray[np.float64]
 
 SAME = 0.99
 """Cosine between two contributions from which on they are one to these readings."""
 WITHIN = math.log(20.0)
+
+
+USUAL = math.log(10.0)
+"""Sizes of a coefficient spread about the usual one by such a factor."""
+
+
+def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
+    """Log of a weak prior on the size of an effect: the largest of its coefficients against their usual size.
+
+    It orders what readings cannot tell apart: of two names for one shape, the one that would have to be a hundred
+    times its usual size is the less likely. Never more than a few units, so that readings overrule it.
+    """
+    usual = np.array([p.typical for p in effect.coefficients(machine)])
+    ratio = float(np.max(np.abs(values) / usual, initial=1e-300))
+    return -min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0)
 
 
 def cosine(a: Floats, b: Floats) -> float:

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import floor, shapes, words
-from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine, diverse
+from rtec.diagnosis import floor, picture, shapes, words
+from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine, diverse, plausibility
 from rtec.diagnosis.base import base_of, slope, spikes
 from rtec.diagnosis.candidates import Candidate, Untried, library
 from rtec.diagnosis.noise import Whitener, find_noise
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import Fit, fit_columns, held_out, inverse, solve
-from rtec.diagnosis.result import Absent, Alike, Diagnosis, Finding, NotTestable, Number, Unknown
+from rtec.diagnosis.result import Absent, Alike, Diagnosis, Finding, NotTestable, Number, Picture, Unknown
 from rtec.diagnosis.screen import Projected, Screen, screen
 from rtec.effects import Effect
 from rtec.metrology.characterise.threads import one_blas_thread
@@ -31,7 +31,11 @@ Stage = Callable[[str, int, int], None]
 TOP = 7
 OF_A_KIND = 3
 """At most so many of the top are the same effect of the same component with other arguments."""
+LOOKED_AT = 60
+"""Candidates whose shape is compared with the winner's."""
 ADEQUATE = 0.7
+MOST = 14
+"""And never more than so many."""
 HOPELESS = 0.5
 """Where chance alone is so likely to look as good, nothing is fitted anew."""
 ALPHA, DRAWS = 0.05, 400
@@ -126,6 +130,7 @@ class _Search:
         self.readings = self.prepared.readings
         self.candidates, self.untried = library(self.readings, only)
         self.rng = np.random.default_rng([seed, 400])
+        self._shape: shapes.Shape | None = None
 
     def diagnosis(self) -> Diagnosis:
         """Go through the steps."""
@@ -146,8 +151,7 @@ class _Search:
 
     def _refit(self, found: Screen) -> list[Tried]:
         """Fit the best of the screen anew, noise and all; best first."""
-        kinds = [(c.effect.effect, c.effect.component) for c in self.candidates]
-        top = diverse(found.order, kinds, TOP, OF_A_KIND)
+        top = self._top(found)
         whitener, base = self.prepared.whitener, self.prepared.base
         without = fit_columns(whitener, base)
         n = math.log(len(self.readings))
@@ -160,9 +164,18 @@ class _Search:
             fit = fit_columns(whitener, np.concatenate([base, columns], axis=1))
             searched = len(candidate.thetas[0]) if len(candidate.thetas) > 1 else 0
             evidence = fit.log_likelihood - without.log_likelihood - 0.5 * (variant.count + searched) * n
+            evidence += plausibility(candidate.effect, fit.values[base.shape[1] :], self.model.machine)
             drop, gain = self._left_out(fit.whitener, candidate, columns)
             out.append(Tried(number, variant.theta, columns, fit, evidence, drop, gain))
         return sorted(out, key=lambda t: -t.log_evidence)
+
+    def _top(self, found: Screen) -> list[int]:
+        """The best few of different kinds, and what the screen does not tell from the best."""
+        kinds = [(c.effect.effect, c.effect.component) for c in self.candidates]
+        top = diverse(found.order, kinds, TOP, OF_A_KIND)
+        best = found.log_evidence[found.best[found.order[0]]]
+        near = [i for i in found.order[:MOST] if best - found.log_evidence[found.best[i]] < WITHIN]
+        return list(dict.fromkeys([*top, *near]))[:MOST]
 
     def _left_out(self, whitener: Whitener, candidate: Candidate, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""
@@ -196,11 +209,11 @@ class _Search:
         return False, adequacy, self._unknown(top, p, drop)
 
     def _unknown(self, top: shapes.Weighed, p: float, drop: float) -> Unknown:
-        shape = top.shape
+        self._shape = shape = top.shape
         period = None
         if shape.period is not None:
             period = Number(shape.period, None, words.unit_of_channel(shape.variables[0]))
-        return Unknown(shape.group, shape.variables, shape.kind, period, p, drop, {})
+        return Unknown(shape.group, shape.variables, shape.kind, period, p, drop)
 
     def _findings(self, found: Screen, tried: list[Tried], p: float, accepted: bool) -> tuple[Finding, ...]:
         if not tried:
@@ -210,19 +223,18 @@ class _Search:
         weights = np.exp(odds - max(odds.max(), math.log(family)))
         none = math.exp(math.log(family) - max(odds.max(), math.log(family)))
         posterior = weights / (weights.sum() + none)
-        winner = tried[0]
         return tuple(
-            self._finding(found, rank, t, winner, p, float(share), accepted)
+            self._finding(found, rank, t, tried, p, float(share), accepted)
             for rank, (t, share) in enumerate(zip(tried, posterior, strict=True), 1)
         )
 
     def _finding(
-        self, found: Screen, rank: int, t: Tried, winner: Tried, p: float, share: float, accepted: bool
+        self, found: Screen, rank: int, t: Tried, tried: Sequence[Tried], p: float, share: float, accepted: bool
     ) -> Finding:
-        candidate = self.candidates[t.number]
+        candidate, winner = self.candidates[t.number], tried[0]
         theta = candidate.thetas[t.theta]
         same = self._same(found, winner, t)
-        confused = tuple(self._alikes(found, t)) if rank == 1 else ()
+        confused = tuple(self._alikes(found, t, tried)) if rank == 1 and accepted else ()
         numbers, size = self._numbers(candidate.effect, theta, t)
         return Finding(
             rank=rank,
@@ -236,9 +248,9 @@ class _Search:
             p=p,
             size_um=size,
             accepted=accepted and rank == 1,
-            group=rank == 1 or same,
+            group=accepted and (rank == 1 or same),
             confused_with=confused,
-            why_not=words.why_not(t.log_evidence, winner.log_evidence, t.gain, same) if rank > 1 else "",
+            why_not=words.why_not(t.log_evidence, winner.log_evidence, t.gain, same and accepted) if rank > 1 else "",
         )
 
     def _same(self, found: Screen, winner: Tried, other: Tried) -> bool:
@@ -254,20 +266,27 @@ class _Search:
         cos = cosine(found.contribution(winner.number), found.contribution(other.number))
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
 
-    def _alikes(self, found: Screen, winner: Tried) -> list[Alike]:
-        out: list[Alike] = []
-        mine = found.contribution(winner.number)
-        effect = self.candidates[winner.number].effect
-        at = found.log_evidence[found.best[winner.number]]
-        one = found.variants[found.best[winner.number]]
-        for number in found.order[:40]:
+    def _alikes(self, found: Screen, winner: Tried, tried: Sequence[Tried]) -> list[Alike]:
+        """What cannot be told from the winner: of those fitted anew by their evidence, of the others by their shape."""
+        mine = self.candidates[winner.number].effect
+        shape = found.contribution(winner.number)
+        width = found.variants[found.best[winner.number]].count
+        out: dict[tuple[str, str], Alike] = {}
+        fitted = {t.number: t for t in tried}
+        for number in found.order[:LOOKED_AT]:
             if number == winner.number:
                 continue
-            behind = float(at - found.log_evidence[found.best[number]])
-            cos = cosine(mine, found.contribution(number))
-            if behind < WITHIN or (cos > SAME and found.variants[found.best[number]].count <= one.count):
-                out.append(alike(effect, self.candidates[number].effect, cos, behind))
-        return out
+            other = self.candidates[number].effect
+            cos = cosine(shape, found.contribution(number))
+            if number in fitted:
+                same = self._same(found, winner, fitted[number])
+                behind = winner.log_evidence - fitted[number].log_evidence
+            else:
+                same = cos > SAME and found.variants[found.best[number]].count <= width
+                behind = 0.0
+            if same:
+                out.setdefault((other.effect, other.component), alike(mine, other, cos, behind))
+        return list(out.values())
 
     def _numbers(self, effect: Effect, theta: Mapping[str, float], t: Tried) -> tuple[dict[str, Number], float]:
         machine = self.model.machine
@@ -318,6 +337,7 @@ class _Search:
         unit = floor.unit_of(readings)
         absent = _absent(found, findings if accepted else (), projected)
         smallest = max((a.smallest for a in absent), default=math.nan)
+        shown = self._shown(findings, unknown)
         draft = Diagnosis(
             verdict=verdict,  # type: ignore[arg-type]
             sentence="",
@@ -335,8 +355,23 @@ class _Search:
                 for s, n in zip(readings.series, prepared.whitener.noises, strict=True)
             ),
             seed=self.seed,
+            picture=shown,
         )
         return words.with_sentence(draft, smallest)
+
+    def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:
+        """The picture of what was found."""
+        if unknown is not None:
+            shape = self._shape
+            if shape is None:
+                return None
+            return picture.of_shape(self.readings, self.prepared.base, self.prepared.whitener, shape)
+        if findings and findings[0].accepted:
+            first = findings[0]
+            return picture.of_effect(
+                self.readings, self.prepared.base, self.prepared.whitener, first.label, first.effect, first.theta
+            )
+        return None
 
 
 def _untestable(untried: Sequence[Untried], found: Screen) -> tuple[NotTestable, ...]:

@@ -70,6 +70,7 @@ def improve(
     alpha: float = ALPHA,
     draws: int = DRAWS,
     stage: Stage | None = None,
+    step: Callable[[Added], None] | None = None,
 ) -> Improved:
     """Add what is missing until nothing significant is.
 
@@ -80,6 +81,7 @@ def improve(
             where several cannot be told apart (they predict the same here).
         seed, alpha, draws: of the diagnosis.
         stage: told how far it is.
+        step: given each addition as soon as it is made.
 
     Raises:
         MeasurementError: as `diagnose`.
@@ -101,6 +103,8 @@ def improve(
         if added.after.held_out > (1.0 - LITTLE) * added.before.held_out:
             return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
         steps.append(added)
+        if step:
+            step(added)
         model = added.model
         if added.after.held_out <= AT_FLOOR * added.floor:
             return Improved(model, tuple(steps), tuple(diagnoses), "at_floor")

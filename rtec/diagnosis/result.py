@@ -1,10 +1,15 @@
 """What a diagnosis says: verdict, candidates with their evidence, what was absent, what could not be tested."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rtec.effects import Effect
+
+Floats = NDArray[np.float64]
 
 Verdict = Literal["nothing_missing", "missing_effect", "ambiguous", "unknown_effect"]
 
@@ -123,7 +128,6 @@ class Unknown:
         period: of a periodic one, with its unit; None otherwise.
         p: family-wise probability of it by chance.
         r2: share of the residual's variance that it explains on runs left out.
-        grid: shape for figures: channel name to values (k,), and "value" to the fitted shape, (k,) or (k, l).
     """
 
     component: str
@@ -132,7 +136,29 @@ class Unknown:
     period: Number | None
     p: float
     r2: float
-    grid: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a figure needs to show a finding: reading by reading, less what the instruments cannot know.
+
+    Attributes:
+        label: of the effect, or what an unknown depends on.
+        unit: "um" or "urad".
+        residual: what the current model leaves, refitted without the effect, (n,).
+        part: what the effect says of it, (n,).
+        drivers: channel, its unit and values (n,); the first is drawn along.
+        direction: last direction of the first driver where it is a position, (n,); None otherwise.
+        time_s: (n,).
+    """
+
+    label: str
+    unit: Literal["um", "urad"]
+    residual: Floats
+    part: Floats
+    drivers: tuple[tuple[str, str, Floats], ...]
+    direction: Floats | None
+    time_s: Floats
 
 
 @dataclass(frozen=True)
@@ -152,6 +178,7 @@ class Diagnosis:
         not_testable, absent: what could not be checked, and what was checked and not found.
         notes: what was done to the data, in words (spikes left out, temperatures smoothed, …).
         noise: fitted noise by measurement, in words.
+        picture: of rank 1 or of the unknown, where there is one.
     """
 
     verdict: Verdict
@@ -167,6 +194,7 @@ class Diagnosis:
     notes: tuple[str, ...]
     noise: tuple[str, ...]
     seed: int = 1
+    picture: Picture | None = field(default=None, repr=False, compare=False)
 
     @property
     def group(self) -> tuple[Finding, ...]:

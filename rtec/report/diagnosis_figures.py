@@ -1,0 +1,124 @@
+"""Figures of a diagnosis; style and colours as in `figures`. Only arrays come in, PNG goes out."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.report.figures import GREY, OFF, ON, _figure, _png, _styled
+
+Floats = NDArray[np.float64]
+BINS = 24
+MOST_DOTS = 4000
+
+
+@_styled
+def against_drivers(
+    title: str,
+    unit: str,
+    residual: Floats,
+    part: Floats,
+    drivers: Sequence[tuple[str, str, Floats]],
+    direction: Floats | None,
+) -> bytes:
+    """What is left against what drives it, and what the finding says of it; one panel a driver.
+
+    Args:
+        title: of the figure.
+        unit: of the readings, for people.
+        residual, part: (n,).
+        drivers: name, unit, values (n,).
+        direction: of the first driver, (n,), where it is a position that was gone along both ways.
+    """
+    figure, axes = _figure(len(drivers), 4.4)
+    thin = slice(None, None, max(1, len(residual) // MOST_DOTS))
+    for place, (ax, (name, channel_unit, value)) in enumerate(zip(axes, drivers, strict=True)):
+        ways = _ways(direction if place == 0 else None, len(value))
+        for label, mask, colour, marker in ways:
+            ax.plot(value[mask][thin], residual[mask][thin], linestyle="", marker=marker, markersize=3.5,
+                    color=colour, alpha=0.35)  # fmt: skip
+            middle, height = binned(value[mask], part[mask])
+            # White behind the line keeps it apart from the dots.
+            ax.plot(middle, height, color="white", linewidth=5.5)
+            ax.plot(middle, height, color=colour, linewidth=2.8, label=f"{label}: dots are left, line is the finding")
+        ax.axhline(0.0, color="black", linewidth=1)
+        ax.set_title(title if place == 0 else "")
+        ax.set_xlabel(f"{name}, {channel_unit}" if channel_unit != "1" else name)
+        ax.set_ylabel(f"left, {unit}")
+        ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=12, loc="best")
+    return _png(figure)
+
+
+def _ways(direction: Floats | None, n: int) -> list[tuple[str, NDArray[np.bool_], str, str]]:
+    if direction is None:
+        return [("all readings", np.ones(n, dtype=bool), ON, "o")]
+    return [("moving +", direction > 0, ON, "^"), ("moving −", direction < 0, OFF, "v")]
+
+
+def binned(value: Floats, height: Floats) -> tuple[Floats, Floats]:
+    """Mean height over stretches of a value that hold equally many readings, (k,) each."""
+    order = np.argsort(value, kind="stable")
+    places = len(np.unique(value))
+    parts = np.array_split(order, max(1, min(BINS if places > BINS else places, len(value))))
+    return (
+        np.array([float(value[p].mean()) for p in parts if len(p)]),
+        np.array([float(height[p].mean()) for p in parts if len(p)]),
+    )
+
+
+@_styled
+def rivals(rows: Sequence[tuple[str, float, bool]]) -> bytes:
+    """How much of the error goes with each candidate, on runs that were not used: bars, best on top.
+
+    Args:
+        rows: label, relative fall of the mean square, whether it is of the winner's group.
+    """
+    figure, (ax,) = _figure(1, 0.6 * len(rows) + 1.5)
+    for place, (name, drop, chosen) in enumerate(reversed(rows)):
+        ax.barh(place, 100.0 * max(drop, 0.0), 0.7, color=ON if chosen else "#BBBBBB", hatch="" if chosen else "//",
+                edgecolor="white")  # fmt: skip
+        ax.text(100.0 * max(drop, 0.0), place, f" {100.0 * drop:.0f} %", va="center", fontsize=14)
+        ax.text(-0.02, place, name, va="center", ha="right", transform=ax.get_yaxis_transform())
+    ax.set_yticks([])
+    ax.set_xlim(0, 112)
+    ax.set_title("How much of the error would go")
+    ax.set_xlabel("% of the mean square on runs that were not used")
+    ax.grid(visible=False, axis="y")
+    return _png(figure)
+
+
+@_styled
+def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None) -> bytes:
+    """The error falling, change by change, down to the noise floor.
+
+    Args:
+        unit: for people.
+        names: what each step was; the first is the model as it began.
+        errors: root mean square on runs left out after each.
+        floor: what noise alone leaves; None where it is not known.
+    """
+    figure, (ax,) = _figure(1, 5.6)
+    x = np.arange(len(names) + 1)
+    ax.step(x, [*errors, errors[-1]], where="post", color=ON, linewidth=3.4)
+    for place, value in enumerate(errors):
+        ax.text(place + 0.5, value, f"{value:.2f}", ha="center", va="bottom", fontweight="bold", color=ON)
+        if place:
+            ax.annotate("", (place, value), (place, errors[place - 1]),
+                        arrowprops={"arrowstyle": "-|>", "color": OFF, "linewidth": 2.5})  # fmt: skip
+    top = 1.22 * max([*errors, floor or 0.0])
+    if floor is not None:
+        ax.axhspan(0.0, floor, color="#E4E4E4", zorder=0)
+        ax.text(len(names) - 0.02, 0.5 * floor, f"noise of the measurement, {floor:.2f}", color=GREY, ha="right",
+                va="center", fontsize=13)  # fmt: skip
+    ax.set_ylim(0.0, top)
+    ax.set_xlim(0.0, len(names))
+    ax.set_xticks(np.arange(len(names)) + 0.5, [_broken(n) for n in names], fontsize=12)
+    ax.grid(visible=False, axis="x")
+    ax.set_title("The error falls as the model learns")
+    ax.set_ylabel(f"left on runs not used, {unit}")
+    return _png(figure)
+
+
+def _broken(name: str) -> str:
+    """A label on several lines: at the bracket and after each comma."""
+    return name.replace("(", "\n(", 1).replace(", ", ",\n")
