@@ -1,9 +1,10 @@
 """What an effect is: arguments, parameters with units, and basis functions of the state."""
 
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import field_validator
 
@@ -73,6 +74,17 @@ class Surroundings:
     span_s: float
     step_s: float
 
+    @property
+    def moved(self) -> Axis:
+        """The component's own axis.
+
+        Raises:
+            ModelError: it did not move, or the component is of a fixed link.
+        """
+        if self.axis is None:
+            raise ModelError(f"{self.component}: no axis of it moved")
+        return self.axis
+
 
 @dataclass(frozen=True)
 class About:
@@ -82,19 +94,75 @@ class About:
         title: in the field's words.
         equation: as text; `e` is the component error.
         typical: usual size.
-        seen_by: instruments that show it.
-        confused_with: what looks alike, in short.
+        seen_by: instruments that show it, by their names in measurement files.
         source: where the equation comes from.
         confusions: what looks alike, one by one, each with the experiment that separates.
+        reveal: the measurement that would show it, in words.
     """
 
     title: str
     equation: str
     typical: str
-    seen_by: str
-    confused_with: str
+    seen_by: tuple[str, ...]
     source: str
     confusions: tuple[Confusion, ...] = ()
+    reveal: str = ""
+
+
+Kind = Literal["positioning", "straightness", "roll", "tilt", "axis_angle", "axis_shift", "link", "link_angle"]
+
+
+def component_kind(component: str, machine: Machine) -> Kind:
+    """What kind of error a component is.
+
+    Positioning (`EXX`), straightness (`EYX`), roll (`EAX`), tilt (pitch or yaw: `EBX`, `ECX`), constant angle and
+    shift of an axis' line (`EC0Y`, `EX0Y`), shift and angle of a fixed link (`EX0spindle`, `EA0spindle`).
+    """
+    letter, target = component[1], component[2:]
+    axis = next((a for a in machine.axes if a.name == target.removeprefix("0")), None)
+    if target.startswith("0"):
+        if axis is not None:
+            return "axis_angle" if letter in "ABC" else "axis_shift"
+        return "link_angle" if letter in "ABC" else "link"
+    if axis is None:
+        return "link"
+    if letter in "XYZ":
+        return "positioning" if letter == axis.direction else "straightness"
+    return "roll" if "ABC".index(letter) == "XYZ".index(axis.direction) else "tilt"
+
+
+def _moved(around: Surroundings, channel: str, what: str) -> str:
+    return "" if channel in around.channels else f"{what} never changes, or was not recorded"
+
+
+def _of_axis(around: Surroundings, attribute: str, what: str) -> str:
+    if around.axis is None:
+        return "the axis never moves"
+    return _moved(around, str(getattr(around.axis, attribute)), f"{what} of {around.axis.name}")
+
+
+DRIVES: dict[str, Callable[[Surroundings], str]] = {
+    "position": lambda a: _of_axis(a, "channel", "the position"),
+    "direction": lambda a: _of_axis(a, "direction_channel", "the direction"),
+    "velocity": lambda a: _of_axis(a, "velocity_channel", "the velocity"),
+    "acceleration": lambda a: _of_axis(a, "acceleration_channel", "the acceleration"),
+    "since_reversal": lambda a: _of_axis(a, "since_reversal_channel", "the distance since a reversal"),
+    "temperature": lambda a: "" if a.sensors else "no temperature varies",
+    "two temperatures": lambda a: "" if len(a.sensors) > 1 else "fewer than two temperatures vary",
+    "spindle_rpm": lambda a: _moved(a, "spindle_rpm", "the spindle speed"),
+    "load_kg": lambda a: _moved(a, "load_kg", "the load"),
+    "force_n": lambda a: _moved(a, "force_n", "the force"),
+    "time_s": lambda a: _moved(a, "time_s", "the time"),
+    "other axis": lambda a: "" if other_axes(a) else "no other axis was moved to three places or more",
+    "pitch": lambda a: "" if a.axis is not None and a.axis.pitch_mm else "the machine file names no pitch_mm",
+}
+"""What an effect may need, and the reason in words where the readings do not have it."""
+
+
+def other_axes(around: Surroundings) -> list[Axis]:
+    """Axes beside the component's own that were moved."""
+    own = around.axis.name if around.axis is not None else ""
+    return [a for a in around.machine.axes if a.name != own and a.channel in around.channels]
 
 
 class Effect(Strict, ABC):
@@ -106,6 +174,10 @@ class Effect(Strict, ABC):
     """
 
     about: ClassVar[About]
+    feeds: ClassVar[tuple[Kind, ...]] = ()
+    """Kinds of component errors for which a search suggests it."""
+    driven_by: ClassVar[tuple[str, ...]] = ()
+    """What must have varied in the readings for it to show; words of `DRIVES`."""
 
     effect: str
     component: str
@@ -135,9 +207,37 @@ class Effect(Strict, ABC):
 
     @classmethod
     def suggest(cls, around: Surroundings) -> Iterator["Effect"]:
-        """Instances worth trying for a component error; none where this effect does not feed such a component."""
-        del around
-        return iter(())
+        """Instances worth trying for a component error; none where this effect does not feed such a component.
+
+        By default one for each combination of sensors that it takes, along the component's own axis.
+        """
+        if component_kind(around.component, around.machine) not in cls.feeds or cls.missing(around):
+            return
+        for arguments in cls.arguments(around):
+            yield cls.model_validate(
+                {"effect": cls.model_fields["effect"].default, "component": around.component, **arguments}
+            )
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """Arguments of the instances that `suggest` gives."""
+        fields = cls.model_fields
+        along = {"axis": around.axis.name} if "axis" in fields and around.axis is not None else {}
+        if "front" in fields:
+            for front, back in itertools.combinations(around.sensors, 2):
+                yield {**along, "front": front, "back": back}
+        elif "sensor" in fields:
+            for sensor in around.sensors:
+                yield {**along, "sensor": sensor}
+        else:
+            yield along
+
+    @classmethod
+    def missing(cls, around: Surroundings) -> str:
+        """What was not moved or recorded, in words, so that the readings could not show it; empty where they could."""
+        if component_kind(around.component, around.machine) not in cls.feeds:
+            return ""
+        return next((w for w in (DRIVES[d](around) for d in cls.driven_by) if w), "")
 
     @property
     def unit(self) -> Literal["um", "urad"]:

@@ -1,16 +1,37 @@
 """Periodic effects of position (catalogue A1, 4-7)."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from rtec.effects.base import About, AxisEffect, Parameter
+from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings
 from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
 from rtec.machine import Machine
+
+
+class _Wave(AxisEffect):
+    """A sine and a cosine over position."""
+
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+    driven_by: ClassVar[tuple[str, ...]] = ("position",)
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`s`, `c`."""
+        del machine
+        return tuple(Parameter(k, self.unit, typical=1.0) for k in "sc")
+
+    def angle(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """Phase of the wave, rad."""
+        return channels.value(self.the_axis(machine).channel) * (2.0 * math.pi / theta["period"])
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """Sine and cosine."""
+        angle = self.angle(machine, channels, theta)
+        return [np.sin(angle), np.cos(angle)]
 
 
 class CyclicScrew(AxisEffect):
@@ -20,11 +41,25 @@ class CyclicScrew(AxisEffect):
         title="Cyclic screw error, once per revolution and harmonics",
         equation="e = Σ s_k·sin(2πk·q/p) + c_k·cos(2πk·q/p)",
         typical="0.5-5 µm, p 5-20 mm",
-        seen_by="laser in fine steps, ball bar",
-        confused_with="encoder eccentricity, bearing run-out (compare with a linear scale, re-clock the coupling); "
-        "steps at a multiple of p hide it",
+        seen_by=("laser_linear", "ball_bar"),
         source="[G 3.2]",
+        confusions=(
+            Confusion("coupling_misalignment", "its second harmonic", "ratio of the two; realign the coupling"),
+            Confusion(
+                "cyclic_pole",
+                "a period near the pitch",
+                "a longer travel: travel times the difference of the frequencies must exceed one",
+            ),
+            Confusion(
+                "instrument_drift",
+                "eccentric encoder, bearing and screw make one and the same wave",
+                "compare motor encoder and linear scale; re-clock the coupling",
+            ),
+        ),
+        reveal="laser in steps that are no multiple of the pitch, or fine over two pitches",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+    driven_by: ClassVar[tuple[str, ...]] = ("position", "pitch")
     effect: Literal["cyclic_screw"] = "cyclic_screw"
     harmonics: Annotated[int, Field(ge=1, le=16)] = 1
 
@@ -37,12 +72,12 @@ class CyclicScrew(AxisEffect):
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`s1 c1 s2 c2` …."""
         del machine
-        return tuple(Parameter(f"{k}{i}", self.unit) for i in range(1, self.harmonics + 1) for k in "sc")
+        return tuple(Parameter(f"{k}{i}", self.unit, typical=2.0) for i in range(1, self.harmonics + 1) for k in "sc")
 
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
         """`pitch`, from the machine, within 2 %."""
         pitch = self.the_axis(machine).pitch_mm or math.nan
-        return (Parameter("pitch", "mm", pitch, 0.98 * pitch, 1.02 * pitch),)
+        return (Parameter("pitch", "mm", pitch, 0.98 * pitch, 1.02 * pitch, pitch, (pitch,)),)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """Sine and cosine once; the harmonics by the addition theorem."""
@@ -53,3 +88,89 @@ class CyclicScrew(AxisEffect):
             s, c = s * c1 + c * s1, c * c1 - s * s1
             out += [s, c]
         return out
+
+
+class CouplingMisalignment(_Wave):
+    """Twice per revolution of the screw (universal joint, misaligned coupling)."""
+
+    about: ClassVar[About] = About(
+        title="Misaligned coupling, twice per revolution",
+        equation="e = s·sin(4π·q/p) + c·cos(4π·q/p)",
+        typical="below 1 µm at 3° and 5 mm pitch",
+        seen_by=("laser_linear",),
+        source="[BB 21-22]",
+        confusions=(
+            Confusion("cyclic_screw", "its second harmonic", "ratio of the two; realign the coupling"),
+            Confusion("interpolation_error", "a fold of a finer wave", "other steps between the targets"),
+        ),
+        reveal="laser in fine steps over two pitches",
+    )
+    driven_by: ClassVar[tuple[str, ...]] = ("position", "pitch")
+    effect: Literal["coupling_misalignment"] = "coupling_misalignment"
+
+    def check(self, machine: Machine, where: str) -> None:
+        """Check that the axis has a pitch."""
+        super().check(machine, where)
+        if self.the_axis(machine).pitch_mm is None:
+            raise ModelError(
+                f"{where}: axis {self.axis!r} has no pitch_mm in the machine file, coupling_misalignment needs it"
+            )
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`period`: half of the pitch, within 2 %."""
+        half = 0.5 * (self.the_axis(machine).pitch_mm or math.nan)
+        return (Parameter("period", "mm", half, 0.98 * half, 1.02 * half, half, (half,)),)
+
+
+class InterpolationError(_Wave):
+    """Error within one signal period of a scale: `e = s sin(2π q/λ) + c cos(2π q/λ)`, λ known."""
+
+    about: ClassVar[About] = About(
+        title="Interpolation error within a signal period of the scale",
+        equation="e = s·sin(2π·q/λ) + c·cos(2π·q/λ)",
+        typical="to 1 % of λ; λ 2-200 µm",
+        seen_by=("laser_linear",),
+        source="makers of encoders",
+        confusions=(
+            Confusion("cyclic_screw", "steps near a multiple of λ fold it into a slow wave", "targets at random"),
+            Confusion("outliers", "recorded too coarsely it looks like noise", "record positions to λ/20"),
+        ),
+        reveal="laser in steps of λ/8 or less over a few periods",
+    )
+    effect: Literal["interpolation_error"] = "interpolation_error"
+    lambda_mm: Annotated[float, Field(gt=0.0, le=5.0)]
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """Usual signal periods of scales."""
+        for period_mm in (0.02, 0.04, 0.1, 0.2, 1.0):
+            yield {"axis": around.moved.name, "lambda_mm": period_mm}
+
+    def angle(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """Phase of the wave, rad."""
+        del theta
+        return channels.value(self.the_axis(machine).channel) * (2.0 * math.pi / self.lambda_mm)
+
+
+class CyclicPole(_Wave):
+    """A wave of another period than the screw's: teeth of a rack or gear, poles of a linear motor."""
+
+    about: ClassVar[About] = About(
+        title="Cyclic error of a gear, rack or linear motor",
+        equation="e = s·sin(2π·q/p) + c·cos(2π·q/p), p to be found",
+        typical="0.2-5 µm, p 3-32 mm",
+        seen_by=("laser_linear", "grid_encoder"),
+        source="catalogue A1",
+        confusions=(
+            Confusion("cyclic_screw", "a period near the pitch", "travel times the difference of 1/p above one"),
+            Confusion("polynomial_position", "a period near the travel", "a longer travel"),
+        ),
+        reveal="laser in fine steps over the whole travel",
+    )
+    effect: Literal["cyclic_pole"] = "cyclic_pole"
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`period`: tooth or pole pitch."""
+        low, high = self.the_axis(machine).travel_mm
+        longest = min(60.0, 0.4 * (high - low))
+        return (Parameter("period", "mm", min(16.0, 0.8 * longest), min(2.5, 0.2 * longest), longest),)

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from rtec.jit import njit
 
+FAR_MM = 1e9
+"""Distance since the last reversal while none has been seen: so far that what fades with it is gone; finite."""
+
 
 @njit
 def lag_update(lagged: float, before: float, now: float, dt_s: float, tau_s: float) -> float:
@@ -31,6 +34,8 @@ def lag_update(lagged: float, before: float, now: float, dt_s: float, tau_s: flo
     if tau_s <= 0.0:
         return now
     h = dt_s / tau_s
+    if h == 0.0:  # an interval so short that the quotient is nothing
+        return lagged
     decay = math.exp(-h)
     mean = -math.expm1(-h) / h
     return lagged * decay + before * (mean - decay) + now * (1.0 - mean)
@@ -65,6 +70,65 @@ def direction_update(direction: float, extreme: float, position: float, dead_ban
 
 
 @njit
+def reversal_update(
+    direction: float, extreme: float, turn: float, position: float, dead_band: float
+) -> tuple[float, float, float]:
+    """`direction_update` that also remembers where the axis turned round last.
+
+    Args:
+        direction, extreme, position, dead_band: as there.
+        turn: position of the last reversal; infinity while none has been seen. The first motion is none: how far
+            the axis had come before is not known.
+
+    Returns:
+        direction, extreme and turn now.
+    """
+    now, furthest = direction_update(direction, extreme, position, dead_band)
+    if now * direction < 0.0:
+        turn = extreme
+    return now, furthest, turn
+
+
+@njit
+def since_reversal(extreme: float, turn: float) -> float:
+    """Distance travelled since the last reversal, mm; FAR_MM while none has been seen."""
+    return min(abs(extreme - turn), FAR_MM)
+
+
+@njit
+def motion_update(velocity: float, acceleration: float, moved: float, dt_s: float, tau_s: float) -> tuple[float, float]:
+    """Velocity and acceleration from counts, through a first-order low-pass each, over one interval.
+
+    State equations, `u` the difference quotient of position, constant within the interval:
+
+        τ v' + v = u        τ a' + a = v'
+
+    solved exactly, with `h = dt / τ`:
+
+        a ← e^(-h) (a + (u - v) h / τ)        v ← u + (v - u) e^(-h)
+
+    At a steady speed v is that speed, at a steady acceleration a is that acceleration and v lags by τ. One count of
+    size c that comes and goes moves v by at most c / τ. Splitting an interval of steady speed changes nothing.
+
+    Args:
+        velocity, acceleration: v mm/s and a mm/s² at the start of the interval.
+        moved: change of position within it, mm.
+        dt_s: its length, by the time stamps of the counts, s. Zero or less (a stamp that came again): nothing
+            changes; the caller keeps position and stamp of the start, so that no motion is lost.
+        tau_s: time constant, s.
+
+    Returns:
+        v and a at the end.
+    """
+    if dt_s <= 0.0:
+        return velocity, acceleration
+    speed = moved / dt_s
+    h = dt_s / tau_s
+    decay = math.exp(-h)
+    return speed + (velocity - speed) * decay, decay * (acceleration + (speed - velocity) * h / tau_s)
+
+
+@njit
 def lag_track(value: NDArray[np.float64], time_s: NDArray[np.float64], tau_s: float) -> NDArray[np.float64]:
     """First-order lag of n values at n instants, (n,); settled at the first."""
     out = np.empty(len(value))
@@ -87,3 +151,52 @@ def direction_track(position: NDArray[np.float64], dead_band: float) -> NDArray[
         direction, extreme = direction_update(direction, extreme, position[i], dead_band)
         out[i] = direction
     return out
+
+
+@njit
+def since_reversal_track(position: NDArray[np.float64], dead_band: float) -> NDArray[np.float64]:
+    """Distance travelled since the last reversal at each of n positions in order, mm, (n,)."""
+    out = np.empty(len(position))
+    direction, extreme, turn = 0.0, 0.0, math.inf
+    for i in range(len(position)):
+        if i == 0:
+            extreme = position[i]
+        direction, extreme, turn = reversal_update(direction, extreme, turn, position[i], dead_band)
+        out[i] = since_reversal(extreme, turn)
+    return out
+
+
+@njit
+def since_turn_track(position: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance since the last reversal where the directions were recorded with n positions, mm, (n,).
+
+    The axis turned round between two readings; it is taken to have done so at the further of the two, so the
+    distance is the shortest that the readings allow. A direction of 0 is no reversal.
+    """
+    out = np.empty(len(position))
+    sense, extreme, turn = 0.0, 0.0, math.inf
+    for i in range(len(position)):
+        if i == 0 or (sense == 0.0 and direction[i] != 0.0):
+            sense, extreme = direction[i], position[i]
+        elif direction[i] != 0.0 and direction[i] != sense:
+            turn = max(extreme, position[i]) if sense > 0.0 else min(extreme, position[i])
+            sense, extreme = direction[i], position[i]
+        elif sense != 0.0:
+            extreme = max(extreme, position[i]) if sense > 0.0 else min(extreme, position[i])
+        out[i] = since_reversal(extreme, turn)
+    return out
+
+
+@njit
+def motion_track(
+    position: NDArray[np.float64], time_s: NDArray[np.float64], tau_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Velocity mm/s and acceleration mm/s² at each of n positions, (n,) each: what the loop makes of its counts."""
+    velocity, acceleration = np.zeros(len(position)), np.zeros(len(position))
+    v, a, last = 0.0, 0.0, 0
+    for i in range(len(position)):
+        if time_s[i] > time_s[last]:
+            v, a = motion_update(v, a, position[i] - position[last], time_s[i] - time_s[last], tau_s)
+            last = i
+        velocity[i], acceleration[i] = v, a
+    return velocity, acceleration

@@ -32,16 +32,16 @@ class Free(Strict):
 class Expression(Effect):
     """`e = expression`, linear in `linear`, with the names in `free` as non-linear parameters.
 
-    Names in the expression are channels of the machine (positions `x`, directions `d_x`, temperatures above the
-    reference, `spindle_rpm`) and the parameters. `lag(value, tau)` is the first-order lag.
+    Names in the expression are channels of the machine and the parameters. Channels: position `x` mm, direction
+    `d_x`, velocity `v_x` mm/s, acceleration `a_x` mm/s², distance since the last reversal `s_x` mm, temperatures
+    above the reference K, `spindle_rpm`, `load_kg`, `force_n`, `time_s`. `lag(value, tau)` is the first-order lag.
     """
 
     about: ClassVar[About] = About(
         title="An expression of your own",
         equation="e = the expression",
         typical="-",
-        seen_by="-",
-        confused_with="-",
+        seen_by=(),
         source="the user",
     )
     effect: Literal["expression"] = "expression"
@@ -63,7 +63,7 @@ class Expression(Effect):
     def check(self, machine: Machine, where: str) -> None:
         """Check that every name is known and that the expression is linear in its coefficients."""
         super().check(machine, where)
-        known = _channel_names(machine)
+        known = machine.channel_names
         for name in names_in(self.expression) - set(self.linear) - set(self.free) - set(CONSTANTS):
             if name not in known:
                 raise ModelError(f"{where}: {name!r} is neither a channel nor a parameter{nearest(name, known)}")
@@ -95,7 +95,7 @@ class Expression(Effect):
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read every channel that the expression names."""
-        return tuple(sorted(names_in(self.expression) & _channel_names(machine)))
+        return tuple(sorted(names_in(self.expression) & set(machine.channel_names)))
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """Give the expression with one coefficient at one and the others at zero, in turn."""
@@ -115,18 +115,11 @@ class Expression(Effect):
             raise ModelError(f"expression {self.expression!r}: {e}") from e
 
 
-def _channel_names(machine: Machine) -> set[str]:
-    moving = {c for a in machine.axes for c in (a.channel, a.direction_channel)}
-    return {*moving, *machine.sensor_names, "spindle_rpm"}
-
-
 class _Probe:
     """Three arbitrary instants, to try an expression on."""
 
     def __init__(self, machine: Machine) -> None:
-        self._values = {
-            n: np.array([0.37, 0.61, 0.83]) + 0.1 * i for i, n in enumerate(sorted(_channel_names(machine)))
-        }
+        self._values = {n: np.array([0.37, 0.61, 0.83]) + 0.1 * i for i, n in enumerate(sorted(machine.channel_names))}
 
     def value(self, name: str) -> Value:
         return self._values[name]

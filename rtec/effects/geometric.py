@@ -4,17 +4,31 @@ Symbols: `q` axis position, mm; `u` position scaled to -1 … +1 over the travel
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from rtec.effects.base import About, AxisEffect, Effect, Parameter
+from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings
 from rtec.effects.state import Channels, Value
-from rtec.machine import Machine
+from rtec.machine import Axis, Machine
 
 MM_TO_M = 1e-3
+
+
+def scaled(axis: Axis, channels: Channels) -> Value:
+    """Position of an axis scaled to -1 … +1 over its travel."""
+    low, high = axis.travel_mm
+    return (channels.value(axis.channel) - 0.5 * (low + high)) * (2.0 / (high - low))
+
+
+def legendre(u: Value, degrees: Sequence[int]) -> list[Value]:
+    """Legendre polynomials of some degrees at u, by Bonnet's recursion."""
+    p = [u * 0.0 + 1.0, u]
+    for k in range(1, max(degrees)):
+        p.append(u * p[k] * ((2 * k + 1) / (k + 1)) - p[k - 1] * (k / (k + 1)))
+    return [p[i] for i in degrees]
 
 
 class Scale(AxisEffect):
@@ -24,16 +38,35 @@ class Scale(AxisEffect):
         title="Scale, mean pitch error",
         equation="e = k·q",
         typical="5-50 µm/m",
-        seen_by="laser, ball bar",
-        confused_with="screw heating (repeat cold and hot); air index of the laser (log air temperature and pressure)",
+        seen_by=("laser_linear", "ball_bar", "tool_tip"),
         source="[XT Table 4]",
+        confusions=(
+            Confusion(
+                "axis_expansion",
+                "a warm screw or scale makes the same straight line",
+                "repeat cold and hot, with the temperatures logged",
+            ),
+            Confusion(
+                "instrument_drift",
+                "air that is warmer than the laser believes stretches its scale",
+                "log air temperature and pressure, or compare with an artefact",
+            ),
+            Confusion(
+                "guide_curvature",
+                "a pitch that grows along the axis does the same at one height",
+                "repeat the line at a second height",
+            ),
+        ),
+        reveal="laser along the axis, over its whole travel",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+    driven_by: ClassVar[tuple[str, ...]] = ("position",)
     effect: Literal["scale"] = "scale"
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`k`, per metre of travel."""
         del machine
-        return (Parameter("k", f"{self.unit}_per_m"),)
+        return (Parameter("k", f"{self.unit}_per_m", typical=20.0),)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`q` in m."""
@@ -48,10 +81,24 @@ class PolynomialPosition(AxisEffect):
         title="Polynomial in position",
         equation="e = Σ c_i·P_i(u), u = position scaled to -1..+1 over the travel",
         typical="1-15 µm; quadratics are typically enough",
-        seen_by="laser, straightness, angular laser",
-        confused_with="piecewise error (more targets); scale for degree 1",
+        seen_by=("laser_linear", "straightness", "laser_angular", "tool_tip"),
         source="[G 3.6]",
+        confusions=(
+            Confusion(
+                "piecewise_position",
+                "both follow a bent line; few targets cannot tell them apart",
+                "more targets, and compare by evidence",
+            ),
+            Confusion(
+                "cyclic_screw",
+                "targets in steps near the pitch fold a wave into a slow curve",
+                "steps that are no multiple of the pitch",
+            ),
+        ),
+        reveal="laser along the axis with 20 targets or more",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+    driven_by: ClassVar[tuple[str, ...]] = ("position",)
     effect: Literal["polynomial_position"] = "polynomial_position"
     degrees: Annotated[tuple[Annotated[int, Field(ge=0, le=12)], ...], Field(min_length=1)] = (1, 2)
 
@@ -65,18 +112,18 @@ class PolynomialPosition(AxisEffect):
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`c0` … by degree, in the component's unit."""
         del machine
-        return tuple(Parameter(f"c{i}", self.unit) for i in self.degrees)
+        return tuple(Parameter(f"c{i}", self.unit, typical=5.0) for i in self.degrees)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """Legendre polynomials by Bonnet's recursion."""
         del theta
-        axis = self.the_axis(machine)
-        low, high = axis.travel_mm
-        u = (channels.value(axis.channel) - 0.5 * (low + high)) * (2.0 / (high - low))
-        p = [u * 0.0 + 1.0, u]
-        for k in range(1, max(self.degrees)):
-            p.append(u * p[k] * ((2 * k + 1) / (k + 1)) - p[k - 1] * (k / (k + 1)))
-        return [p[i] for i in self.degrees]
+        return legendre(scaled(self.the_axis(machine), channels), self.degrees)
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """Degrees 2 to 5: a straight line is `scale`; and the bow alone, which is all that most machines have."""
+        for degrees in ((2,), (2, 3), (2, 3, 4, 5)):
+            yield {"axis": around.moved.name, "degrees": degrees}
 
 
 class PiecewisePosition(AxisEffect):
@@ -86,12 +133,28 @@ class PiecewisePosition(AxisEffect):
         title="Piecewise linear in position",
         equation="e = straight lines through (knot, value)",
         typical="1-10 µm",
-        seen_by="laser with dense targets",
-        confused_with="polynomial; local wear (dense targets, reverse pass)",
+        seen_by=("laser_linear", "tool_tip"),
         source="[G 3.6] advises segments in position",
+        confusions=(
+            Confusion("polynomial_position", "both follow a bent line", "dense targets about the bend"),
+            Confusion(
+                "backlash_position", "local wear shows in both directions differently", "dense targets, both directions"
+            ),
+        ),
+        reveal="laser along the axis with dense targets, both directions",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+    driven_by: ClassVar[tuple[str, ...]] = ("position",)
     effect: Literal["piecewise_position"] = "piecewise_position"
     knots_mm: Annotated[tuple[float, ...], Field(min_length=2, max_length=1000)]
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """Seven and eleven knots over what was visited."""
+        low, high = around.channels[around.moved.channel]
+        for knots in (7, 11):
+            step = (high - low) / (knots - 1)
+            yield {"axis": around.moved.name, "knots_mm": tuple(round(low + i * step, 3) for i in range(knots))}
 
     @field_validator("knots_mm")
     @classmethod
@@ -103,7 +166,7 @@ class PiecewisePosition(AxisEffect):
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`at0` … the error at each knot."""
         del machine
-        return tuple(Parameter(f"at{i}", self.unit) for i in range(len(self.knots_mm)))
+        return tuple(Parameter(f"at{i}", self.unit, typical=5.0) for i in range(len(self.knots_mm)))
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """One hat per knot; they sum to one everywhere."""
@@ -125,16 +188,36 @@ class Squareness(Effect):
         title="Squareness of an axis to another",
         equation="e = α",
         typical="5-50 µrad",
-        seen_by="ball bar, grid encoder, square",
-        confused_with="servo phase mismatch in a ball bar of one sense (measure both senses); slope of the fixture",
+        seen_by=("ball_bar", "grid_encoder", "squareness", "tool_tip"),
         source="[XT 1], ISO 230-1",
+        confusions=(
+            Confusion(
+                "servo_phase",
+                "in a ball bar of one sense a phase mismatch draws the same oval",
+                "circles in both senses",
+            ),
+            Confusion("guide_twist", "at one height a twist looks like it", "a second height"),
+            Confusion("straightness", "the slope of a fixture is taken for it", "turn the square round"),
+        ),
+        reveal="square, or ball bar in both senses",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("axis_angle",)
+    driven_by: ClassVar[tuple[str, ...]] = ()
     effect: Literal["squareness"] = "squareness"
+
+    @classmethod
+    def suggest(cls, around: Surroundings) -> Iterator[Effect]:
+        """For angles of the lines of X and Y; that of Z, which runs along the spindle, is its parallelism."""
+        axis = around.machine.axis(around.component[3:]) if around.component[3:] in around.machine.axis_names else None
+        if axis is not None and (axis.direction == "Z") is cls._along_spindle:
+            yield from super().suggest(around)
+
+    _along_spindle: ClassVar[bool] = False
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`alpha`."""
         del machine
-        return (Parameter("alpha", self.unit),)
+        return (Parameter("alpha", self.unit, typical=20.0),)
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read nothing."""
@@ -154,8 +237,116 @@ class Parallelism(Squareness):
         title="Parallelism of an axis to the spindle",
         equation="e = α",
         typical="5-20 µrad",
-        seen_by="two probes 180° apart on an arbor",
-        confused_with="misaligned arbor (best-fit circle radii at two stations)",
+        seen_by=("tool_tip", "straightness"),
         source="[G 2.16, 3.5]",
+        confusions=(
+            Confusion(
+                "spindle_tilt",
+                "an arbor that is not in line with the spindle",
+                "best-fit circles at two stations along the arbor",
+            ),
+            Confusion("squareness", "another name for the angle of another axis", "measure against the other axes"),
+        ),
+        reveal="two probes 180 degrees apart on an arbor, two stations",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("axis_angle",)
+    driven_by: ClassVar[tuple[str, ...]] = ()
     effect: Literal["parallelism"] = "parallelism"  # type: ignore[assignment]
+    _along_spindle: ClassVar[bool] = True
+
+
+class Straightness(AxisEffect):
+    """Straightness of a line of travel, its slope taken out: `e = c2 P2(u) + c3 P3(u)`."""
+
+    about: ClassVar[About] = About(
+        title="Straightness of a line of travel",
+        equation="e = c2·P2(u) + c3·P3(u), u = position scaled to -1..+1 over the travel",
+        typical="1-10 µm",
+        seen_by=("straightness", "grid_encoder", "ball_bar", "tool_tip"),
+        source="[XT Table 4], ISO 230-1",
+        confusions=(
+            Confusion("guide_curvature", "an angle that grows, times the arm", "a second offset"),
+            Confusion("ram_sag", "a ram that bends as it reaches out", "a known mass at the tip"),
+            Confusion("bed_bending", "the part of it that goes with heat", "repeat hot and cold"),
+            Confusion("instrument_drift", "the form of the arbor or straight edge", "reversal of the artefact"),
+        ),
+        reveal="straightness with reversal of the artefact",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("straightness",)
+    driven_by: ClassVar[tuple[str, ...]] = ("position",)
+    effect: Literal["straightness"] = "straightness"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`c2`, `c3`."""
+        del machine
+        return tuple(Parameter(f"c{i}", self.unit, typical=3.0) for i in (2, 3))
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """Legendre polynomials of degree 2 and 3."""
+        del theta
+        return legendre(scaled(self.the_axis(machine), channels), (2, 3))
+
+
+class AngularMotion(Straightness):
+    """Angular error motion beyond a straight line: `E = c2 P2(u) + c3 P3(u)`; the arm to the tip comes by the chain."""
+
+    about: ClassVar[About] = About(
+        title="Angular error motion (Abbe error with its arm)",
+        equation="e = c2·P2(u) + c3·P3(u), an angle; times the arm at the tip",
+        typical="2-50 µrad, arms 0.1-1 m",
+        seen_by=("laser_angular", "level", "grid_encoder", "tool_tip"),
+        source="ISO 230-1, [XT Table 4]",
+        confusions=(
+            Confusion("polynomial_position", "seen at one arm only, it is a positioning error", "a second offset"),
+            Confusion("straightness", "seen at one arm only, it is a straightness error", "a second offset"),
+            Confusion("cross_talk", "an angle that changes with another axis", "three positions of that axis"),
+        ),
+        reveal="angular laser or level along the axis",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("tilt", "roll")
+    effect: Literal["angular_motion"] = "angular_motion"  # type: ignore[assignment]
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`c2`, `c3`."""
+        del machine
+        return tuple(Parameter(f"c{i}", self.unit, typical=10.0) for i in (2, 3))
+
+
+class GuideCurvature(Scale):
+    """A guide bent to a circle: pitch or yaw grows along the axis, `E = k q`, k = 1/ρ."""
+
+    about: ClassVar[About] = About(
+        title="Guide curvature (pitch or yaw grows along the axis)",
+        equation="e = k·q, k = 1/ρ",
+        typical="ρ 10³-10⁵ m: 10-1000 µrad/m",
+        seen_by=("laser_angular", "ball_bar", "level", "tool_tip"),
+        source="[BB 14-17]",
+        confusions=(
+            Confusion("scale", "pitch at a fixed height is a scale error", "two heights"),
+            Confusion("angular_motion", "an angle that does not grow evenly", "more targets"),
+            Confusion("straightness", "the bow that goes with it", "angular laser beside a straightness laser"),
+        ),
+        reveal="angular laser or level; ball bar: third harmonic at two heights",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("tilt",)
+    effect: Literal["guide_curvature"] = "guide_curvature"  # type: ignore[assignment]
+
+
+class GuideTwist(Scale):
+    """A twisted guide: roll grows along the axis, `E = κ q`."""
+
+    about: ClassVar[About] = About(
+        title="Guide twist (roll grows along the axis)",
+        equation="e = k·q",
+        typical="1-200 µrad/m",
+        seen_by=("level", "ball_bar", "tool_tip"),
+        source="[BB 18]",
+        confusions=(
+            Confusion("squareness", "in a ball bar both draw sin 2ζ", "a second height"),
+            Confusion("servo_phase", "in a ball bar both draw sin 2ζ", "both senses and a second height"),
+            Confusion("angular_motion", "a roll that does not grow evenly", "more targets"),
+        ),
+        reveal="level along the axis",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("roll",)
+    effect: Literal["guide_twist"] = "guide_twist"  # type: ignore[assignment]

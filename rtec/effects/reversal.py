@@ -3,12 +3,13 @@
 Symbols: `d` last non-zero direction of motion, -1 or +1, 0 before the first motion; `u` position scaled to -1 … +1.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from rtec.effects.base import About, AxisEffect, Parameter
+from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings, check_sensor
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
 
@@ -20,16 +21,31 @@ class Backlash(AxisEffect):
         title="Backlash, reversal value",
         equation="e = ½·B·d",
         typical="0.5-20 µm",
-        seen_by="laser in both directions, ball bar (steps)",
-        confused_with="servo lag when measured at one feed (measure at two)",
+        seen_by=("laser_linear", "ball_bar", "tool_tip"),
         source="[BB 20], ISO 230-2",
+        confusions=(
+            Confusion("servo_lag", "at one feed a lag shifts both directions apart", "measure at two feeds"),
+            Confusion(
+                "angular_reversal",
+                "an angle that turns over with the direction, times the arm",
+                "repeat at a second offset",
+            ),
+            Confusion(
+                "lost_motion",
+                "lost motion fades with the distance after a reversal",
+                "steps of growing size after a reversal",
+            ),
+        ),
+        reveal="laser in both directions",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "straightness")
+    driven_by: ClassVar[tuple[str, ...]] = ("direction",)
     effect: Literal["backlash"] = "backlash"
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`B`: error moving positive minus error moving negative."""
         del machine
-        return (Parameter("B", self.unit),)
+        return (Parameter("B", self.unit, typical=4.0),)
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read the direction."""
@@ -48,17 +64,32 @@ class BacklashPosition(AxisEffect):
         title="Position-dependent backlash (wear zone, wind-up)",
         equation="e = d·(b0 + b1·u + b2·u²)",
         typical="20-100 % of the backlash",
-        seen_by="laser in both directions",
-        confused_with="wear or load that grows with time, when runs go along the axis in order (change the order)",
+        seen_by=("laser_linear", "tool_tip"),
         source="[G 3.6]",
+        confusions=(
+            Confusion(
+                "backlash_wear",
+                "play that grows with time, when runs go along the axis in order",
+                "change the order of the targets",
+            ),
+            Confusion(
+                "backlash_temperature",
+                "play that grows with heat, when runs go along the axis in order",
+                "change the order of the targets",
+            ),
+            Confusion("backlash", "the same everywhere", "targets over the whole travel, both directions"),
+        ),
+        reveal="laser in both directions over the whole travel",
     )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "straightness")
+    driven_by: ClassVar[tuple[str, ...]] = ("direction", "position")
     effect: Literal["backlash_position"] = "backlash_position"
     degree: Annotated[int, Field(ge=0, le=6)] = 2
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`b0` … `b{degree}`."""
         del machine
-        return tuple(Parameter(f"b{i}", self.unit) for i in range(self.degree + 1))
+        return tuple(Parameter(f"b{i}", self.unit, typical=2.0) for i in range(self.degree + 1))
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read position and direction."""
@@ -75,3 +106,270 @@ class BacklashPosition(AxisEffect):
         for _ in range(self.degree):
             out.append(out[-1] * u)
         return out
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """Straight and bent along the axis."""
+        for degree in (1, 2):
+            yield {"axis": around.moved.name, "degree": degree}
+
+
+class _Reversal(AxisEffect):
+    """An effect that turns over with the direction: `e = ½ k d · g`, g from `grows`."""
+
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Read the direction, and what it grows with."""
+        return (self.the_axis(machine).direction_channel, *self.more_channels(machine))
+
+    def more_channels(self, machine: Machine) -> tuple[str, ...]:
+        """Channels that it grows with."""
+        del machine
+        return ()
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """What multiplies half the direction."""
+        del machine, channels, theta
+        return 1.0
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """`½ d g`."""
+        direction = channels.value(self.the_axis(machine).direction_channel)
+        return [direction * 0.5 * self.grows(machine, channels, theta)]
+
+
+class BacklashWear(_Reversal):
+    """Play that grows with time: `e = ½ w d t`."""
+
+    about: ClassVar[About] = About(
+        title="Backlash that grows with time (wear)",
+        equation="e = ½·w·d·t, t in hours",
+        typical="0.1-5 µm",
+        seen_by=("laser_linear", "tool_tip"),
+        source="catalogue A2",
+        confusions=(
+            Confusion("backlash_temperature", "both grow through a warm-up", "start again cold after a rest"),
+            Confusion("backlash_load", "the load was changed in order of time", "vary the load at one temperature"),
+            Confusion("backlash_position", "runs went along the axis in order", "another order of the targets"),
+        ),
+        reveal="laser in both directions, repeated over the hours, cold again at the end",
+    )
+    driven_by: ClassVar[tuple[str, ...]] = ("direction", "time_s")
+    effect: Literal["backlash_wear"] = "backlash_wear"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`w`, per hour."""
+        del machine
+        return (Parameter("w", f"{self.unit}_per_h", typical=0.3),)
+
+    def more_channels(self, machine: Machine) -> tuple[str, ...]:
+        """The time."""
+        del machine
+        return ("time_s",)
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """Hours."""
+        del machine, theta
+        return channels.value("time_s") * (1.0 / 3600.0)
+
+
+class BacklashLoad(_Reversal):
+    """Play that grows with the work piece's weight: `e = ½ k d W`."""
+
+    about: ClassVar[About] = About(
+        title="Backlash that grows with the load",
+        equation="e = ½·k·d·W, W in 100 kg",
+        typical="0.1-5 µm",
+        seen_by=("laser_linear", "tool_tip"),
+        source="catalogue A2",
+        confusions=(
+            Confusion("backlash_temperature", "load and heat changed together", "vary the load at one temperature"),
+            Confusion("backlash_wear", "the load was changed in order of time", "load, unload, load again"),
+        ),
+        reveal="laser in both directions with and without load",
+    )
+    driven_by: ClassVar[tuple[str, ...]] = ("direction", "load_kg")
+    effect: Literal["backlash_load"] = "backlash_load"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`k`, per 100 kg."""
+        del machine
+        return (Parameter("k", f"{self.unit}_per_100kg", typical=1.0),)
+
+    def more_channels(self, machine: Machine) -> tuple[str, ...]:
+        """The load."""
+        del machine
+        return ("load_kg",)
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """Load in 100 kg."""
+        del machine, theta
+        return channels.value("load_kg") * 0.01
+
+
+class BacklashTemperature(_Reversal):
+    """Play that grows with heat: `e = ½ k d ΔT`."""
+
+    about: ClassVar[About] = About(
+        title="Backlash that changes with temperature",
+        equation="e = ½·k·d·ΔT",
+        typical="0.1-5 µm over a warm-up",
+        seen_by=("laser_linear", "tool_tip"),
+        source="catalogue A2",
+        confusions=(
+            Confusion("backlash_wear", "both grow through a warm-up", "start again cold after a rest"),
+            Confusion("backlash_load", "load and heat changed together", "vary the load at one temperature"),
+        ),
+        reveal="laser in both directions through a warm-up and after a rest",
+    )
+    driven_by: ClassVar[tuple[str, ...]] = ("direction", "temperature")
+    effect: Literal["backlash_temperature"] = "backlash_temperature"
+    sensor: str
+
+    def check(self, machine: Machine, where: str) -> None:
+        """Check component, axis and sensor."""
+        super().check(machine, where)
+        check_sensor(machine, self.sensor, where)
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`k`, per kelvin."""
+        del machine
+        return (Parameter("k", f"{self.unit}_per_degc", typical=0.3),)
+
+    def more_channels(self, machine: Machine) -> tuple[str, ...]:
+        """The sensor."""
+        del machine
+        return (self.sensor,)
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """Temperature rise."""
+        del machine, theta
+        return channels.rise(self.sensor)
+
+
+class AngularReversal(_Reversal):
+    """An angle that turns over with the direction: `E = ½ θ d`."""
+
+    about: ClassVar[About] = About(
+        title="Angular reversal (the slide tips over when it turns round)",
+        equation="e = ½·theta·d, an angle; times the arm at the tip",
+        typical="1-20 µrad",
+        seen_by=("grid_encoder", "laser_angular", "level", "tool_tip"),
+        source="[XT 5]",
+        confusions=(
+            Confusion("backlash", "at one height it is a reversal value", "two offsets of the instrument"),
+            Confusion("servo_lag", "at one feed a lag shifts both directions apart", "measure at two feeds"),
+        ),
+        reveal="angular laser in both directions; L-shaped paths on both sides of a grid",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("tilt", "roll")
+    driven_by: ClassVar[tuple[str, ...]] = ("direction",)
+    effect: Literal["angular_reversal"] = "angular_reversal"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`theta`: angle moving positive minus angle moving negative."""
+        del machine
+        return (Parameter("theta", self.unit, typical=8.0),)
+
+
+TRAVELS_MM = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+
+
+class LostMotion(_Reversal):
+    """Pre-sliding lost motion (Dahl): a reversal error that fades on the way, `e = ½ A d exp(-s/s0)`."""
+
+    about: ClassVar[About] = About(
+        title="Lost motion after a reversal, fading on the way",
+        equation="e = ½·A·d·exp(-s/s0), s = distance since the reversal",
+        typical="0.5-5 µm, s0 5 µm - 20 mm",
+        seen_by=("laser_linear", "grid_encoder", "ball_bar"),
+        source="Dahl's friction model",
+        confusions=(
+            Confusion("backlash", "play does not fade", "steps of growing size after a reversal"),
+            Confusion("reversal_spike", "a spike begins at nothing", "a recording of 1 kHz or more"),
+        ),
+        reveal="fine steps after each reversal",
+    )
+    driven_by: ClassVar[tuple[str, ...]] = ("direction", "since_reversal")
+    effect: Literal["lost_motion"] = "lost_motion"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`A`: at the reversal."""
+        del machine
+        return (Parameter("A", self.unit, typical=4.0),)
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`s0`."""
+        del machine
+        return (Parameter("s0", "mm", 2.0, 0.005, 100.0, 2.0, TRAVELS_MM),)
+
+    def more_channels(self, machine: Machine) -> tuple[str, ...]:
+        """The distance since the reversal."""
+        return (self.the_axis(machine).since_reversal_channel,)
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """What is left of it."""
+        s = channels.value(self.the_axis(machine).since_reversal_channel)
+        return np.exp(-(s / theta["s0"]))
+
+
+class ReversalSpike(LostMotion):
+    """A spike after a reversal (stick-slip): `e = ½ A d (s/s0) exp(1 - s/s0)`."""
+
+    about: ClassVar[About] = About(
+        title="Reversal spike (quadrant glitch, stick-slip)",
+        equation="e = ½·A·d·(s/s0)·exp(1 - s/s0)",
+        typical="1-15 µm over 5-50 ms",
+        seen_by=("ball_bar", "grid_encoder"),
+        source="[BB 4]",
+        confusions=(
+            Confusion("lost_motion", "lost motion is largest at once", "a recording of 1 kHz or more"),
+            Confusion("outliers", "sampled too slowly it is one wrong reading", "a recording of 1 kHz or more"),
+        ),
+        reveal="ball bar recorded at 1 kHz or more, quadrants kept",
+    )
+    effect: Literal["reversal_spike"] = "reversal_spike"  # type: ignore[assignment]
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """Rises to one at `s0`, then fades."""
+        part = channels.value(self.the_axis(machine).since_reversal_channel) / theta["s0"]
+        return part * np.exp(1.0 - part)
+
+
+class Stribeck(_Reversal):
+    """A reversal value that fades with speed: `e = ½ A d exp(-|v|/v_s)`."""
+
+    about: ClassVar[About] = About(
+        title="Reversal that fades with the feed (Stribeck)",
+        equation="e = ½·A·d·exp(-|v|/v_s)",
+        typical="v_s 50-2000 mm/min",
+        seen_by=("laser_linear", "ball_bar"),
+        source="Stribeck's friction curve",
+        confusions=(
+            Confusion("servo_lag", "a lag grows with the feed", "four feeds or more"),
+            Confusion("backlash", "at one feed it is a reversal value", "four feeds or more"),
+        ),
+        reveal="both directions at four feeds or more",
+    )
+    driven_by: ClassVar[tuple[str, ...]] = ("direction", "velocity")
+    effect: Literal["stribeck"] = "stribeck"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`A`: at a creeping feed."""
+        del machine
+        return (Parameter("A", self.unit, typical=4.0),)
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`v_s`."""
+        del machine
+        return (Parameter("v_s", "mm_per_s", 8.0, 0.3, 200.0, 8.0, (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)),)
+
+    def more_channels(self, machine: Machine) -> tuple[str, ...]:
+        """The velocity."""
+        return (self.the_axis(machine).velocity_channel,)
+
+    def grows(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Value:
+        """What is left at this speed."""
+        speed = np.abs(channels.value(self.the_axis(machine).velocity_channel))
+        return np.exp(-(speed / theta["v_s"]))

@@ -7,9 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.effects.derived import direction_track, lag_track
+from rtec.effects.derived import direction_track, lag_track, since_reversal_track, since_turn_track
 from rtec.errors import ModelError
-from rtec.machine import Machine
+from rtec.machine import Axis, Machine
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
@@ -21,7 +21,12 @@ class Channels(Protocol):
     """What an effect sees: values by name, plain arithmetic and numpy functions work on them."""
 
     def value(self, name: str) -> Value:
-        """Give a channel as it is: position mm, speed mm/s, spindle 1/min, direction -1 0 +1."""
+        """Give a channel as it is, by its name.
+
+        Of axis X: `x` position mm, `d_x` last direction -1 0 +1, `v_x` velocity mm/s, `a_x` acceleration mm/s²,
+        `s_x` distance travelled since the last reversal mm (`derived.FAR_MM` before the first). Others: temperatures
+        °C by the sensor's name, `spindle_rpm` 1/min, `load_kg`, `force_n`, `time_s`.
+        """
         ...
 
     def rise(self, sensor: str) -> Value:
@@ -40,8 +45,9 @@ class State:
     Attributes:
         machine: tells axes and sensors apart, and the dead band of directions.
         time_s: (n,), not falling.
-        channels: arrays (n,) by channel name: `x`, `T_spindle`, `spindle_rpm`; a direction `d_x` that is not
-            given follows from the order of the positions.
+        channels: arrays (n,) by channel name: `x`, `T_spindle`, `spindle_rpm`; a direction `d_x` and a distance
+            since reversal `s_x` that are not given follow from the order of the positions. Velocities and
+            accelerations are given or are not there: a reading may have been taken at rest.
         reference_degc: temperature at which a temperature effect is nothing.
         dead_band_mm: by axis name, where it is another than the machine's own.
     """
@@ -66,13 +72,38 @@ class State:
             return self.channels[name]
         if name == "time_s":
             return self.time_s
-        axis = next((a for a in self.machine.axes if a.direction_channel == name), None)
-        if axis is None or axis.channel not in self.channels:
-            raise ModelError(f"channel {name!r} is not in this data{nearest(name, self.channels)}")
+        axis = next((a for a in self.machine.axes if name in a.moving_channels), None)
+        if axis is None or not self.has(name):
+            raise ModelError(f"channel {name!r} is not in this data{self._way_on(name, axis)}")
         if name not in self._cache:
-            position = np.ascontiguousarray(self.channels[axis.channel], dtype=np.float64)
-            self._cache[name] = direction_track(position, self.dead_band_mm.get(axis.name, axis.dead_band_mm))
+            self._cache[name] = self._direction(axis) if name == axis.direction_channel else self._since(axis)
         return self._cache[name]
+
+    def has(self, name: str) -> bool:
+        """Whether a channel is given or follows from those that are."""
+        axis = next((a for a in self.machine.axes if name in (a.direction_channel, a.since_reversal_channel)), None)
+        follows = axis is not None and axis.channel in self.channels
+        return name in self.channels or name == "time_s" or follows
+
+    def _way_on(self, name: str, axis: Axis | None) -> str:
+        if axis is not None and name in (axis.velocity_channel, axis.acceleration_channel):
+            unit = "mm_s" if name == axis.velocity_channel else "mm_s2"
+            return (
+                f"; it comes from a column {name[0]}{axis.channel}_{unit} (a feed does not say whether the axis moved)"
+            )
+        return nearest(name, self.channels)
+
+    def _direction(self, axis: Axis) -> Floats:
+        return direction_track(self._position(axis), self.dead_band_mm.get(axis.name, axis.dead_band_mm))
+
+    def _since(self, axis: Axis) -> Floats:
+        if axis.direction_channel in self.channels:
+            given = np.ascontiguousarray(self.channels[axis.direction_channel], dtype=np.float64)
+            return since_turn_track(self._position(axis), given)
+        return since_reversal_track(self._position(axis), self.dead_band_mm.get(axis.name, axis.dead_band_mm))
+
+    def _position(self, axis: Axis) -> Floats:
+        return np.ascontiguousarray(self.channels[axis.channel], dtype=np.float64)
 
     def rise(self, sensor: str) -> Floats:
         """Temperature above the reference, K, (n,)."""
@@ -88,9 +119,13 @@ class State:
         zero = np.zeros(len(self))
         return np.stack([self.channels.get(a.channel, zero) for a in self.machine.axes], axis=-1)
 
+    def remembered(self) -> tuple[str, ...]:
+        """Channels that follow from the order of the positions: to be kept before rows are left out."""
+        moved = [a for a in self.machine.axes if a.channel in self.channels]
+        return tuple(c for a in moved for c in (a.direction_channel, a.since_reversal_channel))
+
     def rows(self, index: Sequence[int] | slice | Floats) -> "State":
-        """Give the state at some instants; directions are kept as they were in the whole."""
-        known = {a.direction_channel for a in self.machine.axes if a.channel in self.channels}
-        names = {*self.channels, *known}
+        """Give the state at some instants; what has memory of the motion is kept as it was in the whole."""
+        names = {*self.channels, *self.remembered()}
         channels = {n: self.value(n)[index] for n in names}
         return State(self.machine, self.time_s[index], channels, self.reference_degc, self.dead_band_mm)

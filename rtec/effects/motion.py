@@ -1,0 +1,158 @@
+"""Effects of speed and acceleration (catalogue A3, and the servo's of A2).
+
+Symbols: `v` velocity of the axis, mm/s, with its sign; `a` its acceleration, mm/s².
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings
+from rtec.effects.state import Channels, Value
+from rtec.machine import Machine
+
+REFERENCE_MM_S = 100.0
+
+
+class ServoLag(AxisEffect):
+    """Following error: `e = τ v`; |τ| = 1/K_v less what feed-forward takes away, negative where the slide lags."""
+
+    about: ClassVar[About] = About(
+        title="Servo lag (following error)",
+        equation="e = tau·v, v with its sign",
+        typical="0.1-20 µm per 100 mm/s; mismatch of two axes 0.1-5 %",
+        seen_by=("ball_bar", "grid_encoder", "laser_linear"),
+        source="[BB 19]",
+        confusions=(
+            Confusion("backlash", "at one feed both shift the directions apart", "measure at two feeds"),
+            Confusion("scale", "a mismatch of scale does not depend on the feed", "sweep the feed"),
+            Confusion("stribeck", "fades with the feed instead of growing", "four feeds or more"),
+            Confusion("inertia", "goes with the acceleration", "circles of several radii at one speed"),
+        ),
+        reveal="both directions at two feeds or more",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
+    driven_by: ClassVar[tuple[str, ...]] = ("velocity",)
+    effect: Literal["servo_lag"] = "servo_lag"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`tau`: µm per mm/s is ms."""
+        del machine
+        return (Parameter("tau", f"{self.unit}_s_per_mm", typical=0.05),)
+
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Read the velocity."""
+        return (self.the_axis(machine).velocity_channel,)
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """`v`."""
+        del theta
+        return [channels.value(self.the_axis(machine).velocity_channel)]
+
+
+class ServoPhase(ServoLag):
+    """Phase mismatch of two axes on a circle: one lags half of it, the other leads half of it.
+
+    In the axis that lags it is `½ τ v`, so a pair of these with opposite signs draws `sin 2ζ` in a ball bar, turned
+    over with the sense of rotation. One axis alone cannot tell it from servo lag.
+    """
+
+    about: ClassVar[About] = About(
+        title="Phase mismatch of two axes on a circle",
+        equation="e = ½·tau·v in one axis, its opposite in the other",
+        typical="0.01-1 mrad on a circle",
+        seen_by=("ball_bar", "grid_encoder"),
+        source="[BB 19]",
+        confusions=(
+            Confusion("squareness", "in one sense both draw the same oval", "circles in both senses"),
+            Confusion("guide_twist", "at one height both draw sin 2ζ", "both senses and a second height"),
+            Confusion("servo_lag", "in one axis it is a lag", "a circle in which both axes move"),
+        ),
+        reveal="ball bar in both senses",
+    )
+    effect: Literal["servo_phase"] = "servo_phase"  # type: ignore[assignment]
+
+    @classmethod
+    def suggest(cls, around: Surroundings) -> Iterator[Effect]:
+        """Never by itself: in one axis it is servo lag, which is suggested; a ball bar's diagnosis fits the pair."""
+        del around
+        return iter(())
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """`½ v`."""
+        del theta
+        return [channels.value(self.the_axis(machine).velocity_channel) * 0.5]
+
+
+class GuideLift(AxisEffect):
+    """A slide that floats up with speed on its oil film: `e = A (|v| / 100 mm/s)^q`."""
+
+    about: ClassVar[About] = About(
+        title="Hydrodynamic lift of a guide",
+        equation="e = A·(|v|/100 mm/s)^q, the same both ways",
+        typical="1-7 µm between 0.5 and 10 m/min, q 0.5-1",
+        seen_by=("grid_encoder", "straightness", "laser_angular"),
+        source="[XT Table 9]",
+        confusions=(
+            Confusion("mount_expansion", "rubbing heat lags by minutes", "fast and slow passes in turn"),
+            Confusion("servo_lag", "turns over with the direction", "both directions"),
+        ),
+        reveal="straightness or level at four feeds, fast and slow in turn",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("straightness", "tilt")
+    driven_by: ClassVar[tuple[str, ...]] = ("velocity",)
+    effect: Literal["guide_lift"] = "guide_lift"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`A`: at 100 mm/s."""
+        del machine
+        return (Parameter("A", self.unit, typical=4.0),)
+
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`q`."""
+        del machine
+        return (Parameter("q", "1", 0.7, 0.2, 2.0, 0.7, (0.5, 0.75, 1.0)),)
+
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Read the velocity."""
+        return (self.the_axis(machine).velocity_channel,)
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """`(|v| / 100)^q`."""
+        speed = np.abs(channels.value(self.the_axis(machine).velocity_channel)) * (1.0 / REFERENCE_MM_S)
+        return [speed ** theta["q"]]
+
+
+class Inertia(AxisEffect):
+    """A part bends under its own inertia: `e = k a`, k negative for a mass left behind."""
+
+    about: ClassVar[About] = About(
+        title="Deflection by acceleration",
+        equation="e = k·a, a with its sign, m/s²",
+        typical="1-20 µm at 5 m/s²",
+        seen_by=("grid_encoder", "ball_bar"),
+        source="catalogue A3",
+        confusions=(
+            Confusion("servo_lag", "goes with the velocity", "circles of several radii at one speed"),
+            Confusion("reversal_spike", "comes only at reversals", "accelerate without turning round"),
+        ),
+        reveal="corners on a grid, or circles of several radii at one speed",
+    )
+    feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "straightness", "tilt")
+    driven_by: ClassVar[tuple[str, ...]] = ("acceleration",)
+    effect: Literal["inertia"] = "inertia"
+
+    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`k`, per m/s²."""
+        del machine
+        return (Parameter("k", f"{self.unit}_s2_per_m", typical=2.0),)
+
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Read the acceleration."""
+        return (self.the_axis(machine).acceleration_channel,)
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """`a` in m/s²."""
+        del theta
+        return [channels.value(self.the_axis(machine).acceleration_channel) * 1e-3]
