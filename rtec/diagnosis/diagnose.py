@@ -112,6 +112,11 @@ class Tried:
     drop: float
     gain: float
 
+    @property
+    def holds(self) -> bool:
+        """Whether runs that were left out get better, whitened and as they stand."""
+        return self.gain > 0.0 and self.drop > 0.0
+
 
 class _Search:
     def __init__(
@@ -131,6 +136,7 @@ class _Search:
         self.candidates, self.untried = library(self.readings, only)
         self.rng = np.random.default_rng([seed, 400])
         self._shape: shapes.Shape | None = None
+        self._tried: list[Tried] = []
 
     def diagnosis(self) -> Diagnosis:
         """Go through the steps."""
@@ -140,6 +146,7 @@ class _Search:
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
         tried = self._refit(found) if p < HOPELESS else []
+        self._tried = tried
         best = tried[0] if tried else None
         accepted = best is not None and self._accepts(best, p, len(found.best))
         named, adequacy, unknown = self._adequate(projected, found, best if accepted else None)
@@ -147,7 +154,7 @@ class _Search:
         return self._answer(projected, found, findings, adequacy, unknown)
 
     def _accepts(self, best: Tried, p: float, family: int) -> bool:
-        return p < self.alpha and best.log_evidence > math.log(max(family, 2)) and best.gain > 0.0
+        return p < self.alpha and best.log_evidence > math.log(max(family, 2)) and best.holds
 
     def _refit(self, found: Screen) -> list[Tried]:
         """Fit the best of the screen anew, noise and all; best first."""
@@ -167,7 +174,8 @@ class _Search:
             evidence += plausibility(candidate.effect, fit.values[base.shape[1] :], self.model.machine)
             drop, gain = self._left_out(fit.whitener, candidate, columns)
             out.append(Tried(number, variant.theta, columns, fit, evidence, drop, gain))
-        return sorted(out, key=lambda t: -t.log_evidence)
+        # What does worse on runs left out is no winner, whatever its evidence.
+        return sorted(out, key=lambda t: (not t.holds, -t.log_evidence))
 
     def _top(self, found: Screen) -> list[int]:
         """The best few of different kinds, and what the screen does not tell from the best."""
@@ -304,9 +312,18 @@ class _Search:
                 (*linear, *effect.nonlinear(machine)), (*map(float, values), *at.values()), spread, strict=True
             )
         }
-        part = floor.cleaned(self.readings, t.columns @ values)
+        part = t.columns @ values
+        # What the current model could have taken up is not of the effect's making.
+        base = self.prepared.base
+        part = part - base @ solve(t.fit.whitener(base), t.fit.whitener(part))
+        part = floor.cleaned(self.readings, part)
         scale = self._scale()
         return numbers, floor.pooled(self.readings, floor.rms_by_series(self.readings, part), scale)
+
+    def _noise(self, findings: Sequence[Finding]) -> Whitener:
+        """The noise as it is known best: with what was found in the mean."""
+        accepted = bool(findings) and findings[0].accepted
+        return self._tried[0].fit.whitener if accepted and self._tried else self.prepared.whitener
 
     def _scale(self) -> Floats:
         if floor.unit_of(self.readings) != "noise":
@@ -325,7 +342,7 @@ class _Search:
         scale = self._scale()
         left = floor.cleaned(readings, readings.values - prepared.predicted)
         rms = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-        noise = floor.pooled(readings, floor.floors(prepared.whitener), scale)
+        noise = floor.pooled(readings, floor.floors(self._noise(findings)), scale)
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
         if unknown is not None:
@@ -352,7 +369,7 @@ class _Search:
             notes=words.notes(prepared.spikes, len(readings), [m.name for m in readings.measurements]),
             noise=tuple(
                 n.words(f"{readings.measurements[s.source].name} {s.column}", s.unit)
-                for s, n in zip(readings.series, prepared.whitener.noises, strict=True)
+                for s, n in zip(readings.series, self._noise(findings).noises, strict=True)
             ),
             seed=self.seed,
             picture=shown,

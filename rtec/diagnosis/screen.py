@@ -24,6 +24,8 @@ Tell = Callable[[int, int], None]
 
 ABSORBED = 2e-3
 """A direction of which the base leaves less than this share of its norm is absorbed."""
+UNMOVED = 1e-3
+"""Readings that an effect of its usual size moves by less than this, µm or µrad, say nothing of it."""
 CHUNK = 96
 """Columns that are whitened together."""
 
@@ -168,7 +170,7 @@ def screen(
     tell: Tell | None = None,
 ) -> Screen:
     """Weigh every candidate."""
-    made = _Columns(readings, projected)
+    made = _Columns(readings, projected, candidates)
     total = sum(len(c.thetas) for c in candidates)
     done = 0
     for i, candidate in enumerate(candidates):
@@ -221,8 +223,8 @@ def orthonormal(columns: Floats) -> Floats:
 class _Columns:
     """Makes, whitens and projects columns chunk by chunk; equal basis functions are worked out once."""
 
-    def __init__(self, readings: Readings, projected: Projected) -> None:
-        self.readings, self.projected = readings, projected
+    def __init__(self, readings: Readings, projected: Projected, candidates: Sequence[Candidate]) -> None:
+        self.readings, self.projected, self.candidates = readings, projected, candidates
         self.variants: list[Variant] = []
         self.directions: list[Single] = []
         self.width = 0
@@ -250,9 +252,15 @@ class _Columns:
         at = 0
         for number, theta, columns in self._waiting:
             k = columns.shape[1]
-            self._keep(number, theta, left[:, at : at + k], before[at : at + k])
+            if self._moved(number, columns):
+                self._keep(number, theta, left[:, at : at + k], before[at : at + k])
             at += k
         self._waiting.clear()
+
+    def _moved(self, number: int, columns: Floats) -> bool:
+        """Whether a usual size of the effect would move the readings at all."""
+        usual = [p.typical for p in self.candidates[number].effect.coefficients(self.readings.machine)]
+        return bool((np.sqrt(np.mean(columns**2, axis=0)) * usual).max() > UNMOVED)
 
     def _keep(self, number: int, theta: int, left: Floats, before: Floats) -> None:
         scaled = left[:, before > 0] / before[before > 0]
