@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from rtec.errors import ConfigError
-from rtec.machine.machine import Axis, Link, Machine, Sensor
+from rtec.machine.machine import CONSTANT_CHANNELS, Axis, Link, Machine, Sensor
 from rtec.tomlfile import Strict, nearest, read_toml, validated
 
 Vector = tuple[float, float, float]
-RESERVED = {"time_s", "spindle_rpm", "feed_mm_min", "load_kg", "run", "pi", "e"}
+RESERVED = {"time_s", "spindle_rpm", "feed_mm_min", *CONSTANT_CHANNELS, "run", "pi", "e"}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -84,7 +84,7 @@ def _name_faults(file: _MachineFile, chain: list[str]) -> list[str]:
     taken = dict.fromkeys(RESERVED, "a channel of every machine")
     for kind, names in (("axis", file.axis), ("temperature", file.temperature)):
         for name in names:
-            channels = [name.lower(), f"d_{name.lower()}"] if kind == "axis" else [name]
+            channels = [p + name.lower() for p in ("", "d_", "v_", "a_", "s_")] if kind == "axis" else [name]
             if not NAME.fullmatch(name):
                 out.append(f"[{kind}.{name}] a name is letters, digits and _, and starts with a letter")
             for channel in channels:

@@ -11,6 +11,9 @@ from rtec.tomlfile import digest
 Direction = Literal["X", "Y", "Z"]
 Vector = tuple[float, float, float]
 
+CONSTANT_CHANNELS = ("load_kg", "force_n")
+"""Work-piece weight and force: columns of a measurement; in the loop constants from the run file."""
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -53,6 +56,32 @@ class Axis:
     def direction_channel(self) -> str:
         """Name of the channel of the last direction of motion: -1, +1, or 0 before the first motion."""
         return f"d_{self.channel}"
+
+    @property
+    def velocity_channel(self) -> str:
+        """Name of the velocity channel, mm/s, signed."""
+        return f"v_{self.channel}"
+
+    @property
+    def acceleration_channel(self) -> str:
+        """Name of the acceleration channel, mm/s², signed."""
+        return f"a_{self.channel}"
+
+    @property
+    def since_reversal_channel(self) -> str:
+        """Name of the channel of the distance travelled since the last reversal, mm."""
+        return f"s_{self.channel}"
+
+    @property
+    def moving_channels(self) -> tuple[str, ...]:
+        """Names of all its channels: position, direction, velocity, acceleration, distance since reversal."""
+        return (
+            self.channel,
+            self.direction_channel,
+            self.velocity_channel,
+            self.acceleration_channel,
+            self.since_reversal_channel,
+        )
 
 
 @dataclass(frozen=True)
@@ -102,6 +131,21 @@ class Machine:
     def sensor_names(self) -> tuple[str, ...]:
         """Sensor names in order."""
         return tuple(s.name for s in self.sensors)
+
+    @property
+    def moving_channels(self) -> tuple[str, ...]:
+        """Names of the channels that change from cycle to cycle, axis by axis."""
+        return tuple(c for a in self.axes for c in a.moving_channels)
+
+    @property
+    def slow_channels(self) -> tuple[str, ...]:
+        """Names of the channels that change slowly: temperatures, spindle speed, load, force."""
+        return (*self.sensor_names, "spindle_rpm", *CONSTANT_CHANNELS)
+
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of all channels that an effect may read."""
+        return (*self.moving_channels, *self.slow_channels, "time_s")
 
     @cached_property
     def chain(self) -> Chain:

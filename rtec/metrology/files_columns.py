@@ -5,13 +5,14 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from rtec.machine import Machine
+from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.metrology.faults import Faults
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.units import SUFFIXES
 from rtec.tomlfile import nearest
 
-PLAIN = {"spindle_rpm": "spindle_rpm", "feed_mm_min": "feed_mm_min", "load_kg": "load_kg", "angle_deg": "angle_deg"}
-PREFIXES = ("run", "time", "reading", "spindle", "feed", "load", "angle", "dir_")
+PLAIN = {name: name for name in ("spindle_rpm", "feed_mm_min", *CONSTANT_CHANNELS, "angle_deg")}
+PREFIXES = ("run", "time", "reading", "spindle", "feed", "load", "force", "angle", "dir_")
 
 
 def channel_columns(machine: Machine) -> dict[str, str]:
@@ -19,7 +20,8 @@ def channel_columns(machine: Machine) -> dict[str, str]:
     out = dict(PLAIN)
     for axis in machine.axes:
         c = axis.channel
-        out |= {f"{c}_mm": c, f"dir_{c}": axis.direction_channel, f"v{c}_mm_s": f"v_{c}", f"a{c}_mm_s2": f"a_{c}"}
+        out |= {f"{c}_mm": c, f"dir_{c}": axis.direction_channel}
+        out |= {f"v{c}_mm_s": axis.velocity_channel, f"a{c}_mm_s2": axis.acceleration_channel}
     return out | {f"{sensor}_degc": sensor for sensor in machine.sensor_names}
 
 

@@ -4,15 +4,23 @@ The numbers (coefficients, time constants) come in as an array, so a refit needs
 from node numbers, literals and channel indices only; nothing of a model file's text reaches it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from rtec.machine import Machine
+from rtec.machine import Axis, Machine
+from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model.model import Model
 from rtec.model.plan import Plan, Product, plan_model
 
 # Division by zero gives inf, as in numpy, and the guard holds on it; an exception would end the loop.
 DECORATOR = '@njit(error_model="numpy")'
 LAG_SLOTS = 2  # memory of a lag: its value, and its input at the last update
+EXTRA_ARRAYS: dict[str, Callable[[Axis], str]] = {
+    "vel": lambda axis: axis.velocity_channel,
+    "acc": lambda axis: axis.acceleration_channel,
+    "since": lambda axis: axis.since_reversal_channel,
+}
+"""What a model may read of every axis beside position and direction: name of the array, and of an axis' channel."""
 
 
 @dataclass(frozen=True)
@@ -21,12 +29,18 @@ class KernelSource:
 
     Attributes:
         text: the functions
-            `slow_part(m, p, u, dt_s, first)` updates memory `m` from slow inputs `u` (temperatures °C, then 1/min);
-            `fast_part(m, q, d)` gives the tip error (ex, ey, ez) in µm and then the components in order.
+            `slow_part(m, p, u, dt_s, first)` updates memory `m` from slow inputs `u` (the machine's slow channels
+            in order: temperatures °C, 1/min, kg, N; then seconds);
+            `fast_part(m, q, d, …)` gives the tip error (ex, ey, ez) in µm and then the components in order.
         memory: length of `m`.
         components: names of the components that `fast_part` gives.
         sensors: indices of the sensors that the model reads.
         uses_spindle: whether it reads the spindle speed.
+        constants: those of the machine's constant channels that it reads (load, force).
+        uses_time: whether it reads the time.
+        arrays: what `fast_part` takes behind `m`, one array over the axes each: always `q` (positions) and `d`
+            (directions), then those of `vel`, `acc` and `since` that the model reads.
+        moving: indices of the axes whose velocity or acceleration it reads.
         lags: number of lags; with any, time alone changes the slow part.
     """
 
@@ -35,7 +49,16 @@ class KernelSource:
     components: tuple[str, ...]
     sensors: tuple[int, ...]
     uses_spindle: bool
+    constants: tuple[str, ...]
+    uses_time: bool
+    arrays: tuple[str, ...]
+    moving: tuple[int, ...]
     lags: int
+
+
+def slow_inputs(machine: Machine) -> tuple[str, ...]:
+    """Names of the channels in the slow inputs `u`, in order."""
+    return (*machine.slow_channels, "time_s")
 
 
 def write_kernel(model: Model) -> KernelSource:
@@ -43,12 +66,17 @@ def write_kernel(model: Model) -> KernelSource:
     plan = plan_model(model)
     writer = _Writer(plan)
     inputs = {str(n.key) for n in (plan.graph.nodes[i] for i in plan.used) if n.op == "input"}
+    axes = model.machine.axes
     return KernelSource(
         text="\n".join([*writer.slow_lines(), "", "", *writer.fast_lines(), ""]),
         memory=max(1, writer.memory),
         components=tuple(plan.components),
         sensors=tuple(i for i, s in enumerate(model.machine.sensor_names) if s in inputs),
         uses_spindle="spindle_rpm" in inputs,
+        constants=tuple(c for c in CONSTANT_CHANNELS if c in inputs),
+        uses_time="time_s" in inputs,
+        arrays=writer.arrays,
+        moving=tuple(i for i, a in enumerate(axes) if inputs & {a.velocity_channel, a.acceleration_channel}),
         lags=len(plan.lags),
     )
 
@@ -65,6 +93,9 @@ class _Writer:
         start += len(self.keys)
         self.kept_slot = {n: start + i for i, n in enumerate(plan.kept)}
         self.memory = start + len(plan.kept)
+        read = {str(self.nodes[n].key) for n in plan.used if self.nodes[n].op == "input"}
+        extra = [name for name, of in EXTRA_ARRAYS.items() if any(of(a) in read for a in plan.machine.axes)]
+        self.arrays = ("q", "d", *extra)
 
     def slow_lines(self) -> list[str]:
         """Lines of `slow_part`."""
@@ -94,7 +125,11 @@ class _Writer:
             body.append(f"c{i} = {' + '.join(terms)}")
         body += [f"e{k} = {text}" for k, text in zip("xyz", _tip(self.plan.machine, self.plan.components), strict=True)]
         gives = ["ex", "ey", "ez", *(f"c{i}" for i in range(len(self.plan.components)))]
-        return [DECORATOR, "def fast_part(m, q, d):", *_indent([*body, f"return {', '.join(gives)}"])]
+        return [
+            DECORATOR,
+            f"def fast_part(m, {', '.join(self.arrays)}):",
+            *_indent([*body, f"return {', '.join(gives)}"]),
+        ]
 
     def _shared(self, factors: Product, products: dict[Product, str]) -> tuple[list[str], str]:
         """Name of a product of fast nodes, and the lines that make it, each partial product once."""
@@ -157,9 +192,10 @@ class _Writer:
                 return f"q[{i}]"
             if channel == axis.direction_channel:
                 return f"d[{i}]"
-        if channel == "spindle_rpm":
-            return f"u[{len(machine.sensors)}]"
-        return f"u[{machine.sensor_names.index(channel)}]"
+            for name, of in EXTRA_ARRAYS.items():
+                if channel == of(axis):
+                    return f"{name}[{i}]"
+        return f"u[{slow_inputs(machine).index(channel)}]"
 
 
 def _tip(machine: Machine, components: list[str]) -> list[str]:

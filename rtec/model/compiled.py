@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rtec.effects import State, derived
 from rtec.model import elementary
 from rtec.model.build import build_module
-from rtec.model.codegen import KernelSource, write_kernel
+from rtec.model.codegen import EXTRA_ARRAYS, KernelSource, slow_inputs, write_kernel
 from rtec.model.model import Model
 
 Floats = NDArray[np.float64]
@@ -19,7 +19,7 @@ IMPORTS = "\nfrom rtec.effects.derived import lag_update\nfrom rtec.model.elemen
 EVALUATE = '''
 
 @njit
-def evaluate(time_s, q, d, u, p, m, lags, tip, components):
+def evaluate(time_s, {arrays}, u, p, m, lags, tip, components):
     """Tip error and component errors at n instants, in order."""
     for i in range(len(time_s)):
         fresh = i == 0 or lags > 0
@@ -29,7 +29,7 @@ def evaluate(time_s, q, d, u, p, m, lags, tip, components):
                     fresh = True
         if fresh:
             slow_part(m, p, u[i], time_s[i] - time_s[max(i - 1, 0)], i == 0)
-        out = fast_part(m, q[i], d[i])
+        out = fast_part(m, {rows})
         tip[i, 0], tip[i, 1], tip[i, 2] = out[0], out[1], out[2]
         {store}
 '''
@@ -50,7 +50,7 @@ class CompiledModel:
         self.module.evaluate(
             np.ascontiguousarray(state.time_s, dtype=np.float64),
             np.ascontiguousarray(state.positions_mm()),
-            self._directions(state),
+            *(self._of_axes(state, name) for name in self.source.arrays[1:]),
             self._slow_inputs(state),
             self.model.parameter_values(),
             np.zeros(self.source.memory),
@@ -60,16 +60,18 @@ class CompiledModel:
         )
         return tip, components[:, : len(self.source.components)]
 
-    def _directions(self, state: State) -> Floats:
+    def _of_axes(self, state: State, array: str) -> Floats:
+        """One of the kernel's arrays over the axes, (n, axes); zero where the model does not read the channel."""
         axes = self.model.machine.axes
         out = np.zeros((len(state), len(axes)))
         for i, axis in enumerate(axes):
-            if axis.direction_channel in self.model.channels:
-                out[:, i] = state.value(axis.direction_channel)
+            channel = axis.direction_channel if array == "d" else EXTRA_ARRAYS[array](axis)
+            if channel in self.model.channels:
+                out[:, i] = state.value(channel)
         return out
 
     def _slow_inputs(self, state: State) -> Floats:
-        names = (*self.model.machine.sensor_names, "spindle_rpm")
+        names = slow_inputs(self.model.machine)
         out = np.zeros((len(state), len(names)))
         for i, name in enumerate(names):
             if name in self.model.channels:
@@ -81,5 +83,7 @@ def compile_model(model: Model) -> CompiledModel:
     """Compile a model for arrays; quick where the same structure was compiled before."""
     source = write_kernel(model)
     store = "; ".join(f"components[i, {k}] = out[{k + 3}]" for k in range(len(source.components))) or "pass"
-    text = IMPORTS + source.text + EVALUATE.replace("{store}", store)
+    rows = ", ".join(f"{name}[i]" for name in source.arrays)
+    evaluate = EVALUATE.replace("{store}", store).replace("{arrays}", ", ".join(source.arrays)).replace("{rows}", rows)
+    text = IMPORTS + source.text + evaluate
     return CompiledModel(model, source, build_module(text, [derived, elementary]))

@@ -223,6 +223,9 @@ def valid_range(
 ) -> dict[str, tuple[float, float]]:
     """Range of every channel that the effects read, where there are readings, with the margin.
 
+    Directions have no margin. Velocities and accelerations take in standstill, at which every motion begins and
+    ends. Distances since a reversal have no range: each begins at nothing and is as long as the travel allows.
+
     Args:
         effects: whose channels.
         read: states, and the rows of each that have a reading; a state without a channel says nothing of it.
@@ -230,17 +233,16 @@ def valid_range(
     """
     machine = read[0][0].machine
     directions = {a.direction_channel for a in machine.axes}
+    rates = {c for a in machine.axes for c in (a.velocity_channel, a.acceleration_channel)}
+    since = {a.since_reversal_channel for a in machine.axes}
     out = {}
-    for channel in sorted({c for e in effects for c in e.channels(machine)}):
-        seen = [state.value(channel)[rows] for state, rows in read if _has(state, channel) and len(rows)]
+    for channel in sorted({c for e in effects for c in e.channels(machine)} - since):
+        seen = [state.value(channel)[rows] for state, rows in read if state.has(channel) and len(rows)]
         low, high = float(min(s.min() for s in seen)), float(max(s.max() for s in seen))
+        if channel in rates:
+            low, high = min(low, 0.0), max(high, 0.0)
         extra = margin.share * (high - low)
         if channel in machine.sensor_names:
             extra = max(extra, margin.least_degc)
         out[channel] = (low, high) if channel in directions else (low - extra, high + extra)
     return out
-
-
-def _has(state: State, channel: str) -> bool:
-    position = next((a.channel for a in state.machine.axes if a.direction_channel == channel), channel)
-    return channel in state.channels or position in state.channels

@@ -81,8 +81,7 @@ class Model:
             raise ModelError("\n".join(faults))
 
     def _range_faults(self, source: str) -> list[str]:
-        known = {*self.machine.sensor_names, "spindle_rpm"}
-        known |= {c for a in self.machine.axes for c in (a.channel, a.direction_channel)}
+        known = set(self.machine.channel_names)
         where = f"{source}: [valid_range]"
         out = [f"{where} {c!r} is no channel{nearest(c, known)}" for c in self.valid_range if c not in known]
         return out + [

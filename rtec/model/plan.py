@@ -1,8 +1,8 @@
 """What the kernel has to compute, and when: sorts a model's arithmetic into slow and fast.
 
-Slow is what depends on temperatures, spindle speed and parameters only: worked out anew when a sensor has a new
-reading. Fast is what depends on position or direction: worked out every cycle. Each term `coefficient · basis` is
-split into a slow and a fast factor, and all terms of a component with the same fast factor become one:
+Slow is what depends on temperatures, spindle speed, load, force and parameters only: worked out anew when a sensor
+has a new reading. Fast is what depends on the motion of an axis: worked out every cycle. Each term `coefficient ·
+basis` is split into a slow and a fast factor, and all terms of a component with the same fast factor become one:
 
     component = Σ_F (Σ coefficient · slow) · F        F: product of fast nodes, 1 for none
 
@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 
 from rtec.errors import ModelError
 from rtec.machine import Machine
-from rtec.model.model import Model, names_of
+from rtec.model.model import FittedEffect, Model, names_of
 from rtec.model.trace import Graph, Node, Symbol, SymbolicChannels
+from rtec.tomlfile import nearest
 
 Product = tuple[int, ...]
 
@@ -25,7 +26,7 @@ class Plan:
 
     Attributes:
         graph: all nodes.
-        fast: whether a node depends on position or direction.
+        fast: whether a node depends on the motion of an axis.
         terms: (component, fast factors) to the slow terms that multiply them: (parameter, slow factors).
         lags: nodes that are first-order lags, each after those that it needs.
         used: nodes that are needed, sorted.
@@ -76,17 +77,19 @@ def plan_model(model: Model) -> Plan:
     """Trace every effect of a model and sort its terms.
 
     Raises:
-        ModelError: an effect uses arithmetic that the kernel does not know, or a channel that the loop has not got.
+        ModelError: an effect uses arithmetic that the kernel does not know, a channel that the machine has not got,
+            or one that it does not list among its channels.
     """
     graph = Graph()
     plan = Plan(model.machine, graph)
-    channels = SymbolicChannels(graph, model.reference_degc)
     traced: list[tuple[str, int, Symbol]] = []
     first = 0
     for fitted in model.effects:
         linear, free = names_of(fitted.effect, model.machine)
         theta = {n: graph.add(Node("param", (), first + len(linear) + i)) for i, n in enumerate(free)}
+        channels = SymbolicChannels(graph, model.reference_degc)
         basis = fitted.effect.basis(model.machine, channels, theta)
+        _check_read(fitted, channels.read, model.machine)
         traced += [(fitted.effect.component, first + i, graph.symbol(value)) for i, value in enumerate(basis)]
         first += len(linear) + len(free)
     for component, parameter, symbol in traced:
@@ -95,6 +98,18 @@ def plan_model(model: Model) -> Plan:
         quick = tuple(sorted(n for n in factors if plan.fast[n]))
         plan.terms.setdefault((component, quick), []).append((parameter, slow))
     return plan
+
+
+def _check_read(fitted: FittedEffect, read: set[str], machine: Machine) -> None:
+    """Refuse an effect that reads what the machine has not, or what it does not tell: it would read zeros there."""
+    where = f"{fitted.effect.effect}({fitted.effect.component})"
+    for name in sorted(read):
+        if name not in machine.channel_names:
+            raise ModelError(
+                f"{where}: channel {name!r} is none of machine {machine.name!r}{nearest(name, machine.channel_names)}"
+            )
+        if name not in fitted.effect.channels(machine):
+            raise ModelError(f"{where}: its basis reads channel {name!r}, which its channels() does not list")
 
 
 def _factors(plan: Plan, number: int) -> list[int]:
@@ -113,16 +128,12 @@ def _factors(plan: Plan, number: int) -> list[int]:
 
 def _classify(plan: Plan) -> None:
     """Say for every node not yet looked at whether it is fast."""
-    moving = {c for a in plan.machine.axes for c in (a.channel, a.direction_channel)}
-    still = {*plan.machine.sensor_names, "spindle_rpm"}
+    moving = set(plan.machine.moving_channels)
     for node in plan.graph.nodes[len(plan.fast) :]:
-        if node.op == "input" and node.key not in moving | still:
-            raise ModelError(
-                f"channel {node.key!r} is not among what the loop reads: {', '.join(sorted(moving | still))}"
-            )
         fast = node.key in moving if node.op == "input" else any(plan.fast[a] for a in node.args)
         if node.op == "lag" and fast:
             raise ModelError(
-                "a lag of a position or direction: the loop keeps lags of temperatures and spindle speed only"
+                "a lag of a position or direction: the loop keeps lags of temperatures and spindle speed only, of "
+                "nothing that an axis' motion changes"
             )
         plan.fast.append(fast)

@@ -166,14 +166,16 @@ class Symbol:
 
 
 class SymbolicChannels:
-    """Channels as symbols: what an effect sees while the kernel is written."""
+    """Channels as symbols: what an effect sees while the kernel is written; remembers which were asked for."""
 
     def __init__(self, graph: Graph, reference_degc: float) -> None:
         self.graph = graph
         self.reference_degc = reference_degc
+        self.read: set[str] = set()
 
     def value(self, name: str) -> Value:
         """Give the symbol of a channel."""
+        self.read.add(name)
         return self.graph.add(Node("input", (), name))
 
     def rise(self, sensor: str) -> Value:

@@ -62,4 +62,8 @@ def _inputs(setup: Setup, sample: Samples) -> list[tuple[str, str, str]]:
         out.append((sensor.name, f"{degc:.2f} °C" if known else "no reading", age if known else "-"))
     if setup.file.role.spindle:
         out.append(("spindle", f"{float(sample.spindle_rpm[0]):.0f} 1/min", "-"))
+    read = {"load_kg": ("load", "kg"), "force_n": ("force", "N")}
+    for channel, (name, unit) in read.items():
+        if channel in setup.model.channels:
+            out.append((name, f"{getattr(setup.file.inputs, channel):g} {unit}", "run file"))
     return out

@@ -12,6 +12,7 @@ from rtec.correction.sinks import PulseSink, Sink
 from rtec.errors import ConfigError, RtecError
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
+from rtec.runtime.inputs import Inputs, loop_faults
 from rtec.runtime.step import StepSettings
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
 
@@ -95,6 +96,7 @@ class RunFile(Strict):
     device: dict[str, dict[str, Any]]
     limits: dict[str, Limits] = Field(default_factory=dict)
     guard: GuardSettings = Field(default_factory=GuardSettings)
+    inputs: Inputs = Field(default_factory=Inputs)
     output: dict[str, Sink] = Field(default_factory=dict)
     realtime: Realtime = Field(default_factory=Realtime)
     capture: CaptureTable | None = None
@@ -130,7 +132,8 @@ class Setup:
     def step_settings(self) -> StepSettings:
         """What the step is made of."""
         sinks = {a.name: self.file.output.get(a.name, PulseSink()).scale(a) for a in self.machine.axes}
-        return StepSettings(self.model, self.file.limits, sinks, self.file.guard, 10.0 / self.file.run.rate_hz)
+        longest_s = 10.0 / self.file.run.rate_hz
+        return StepSettings(self.model, self.file.limits, sinks, self.file.guard, longest_s, self.file.inputs)
 
     def log_header(self) -> dict[str, str]:
         """What the log says of its origin."""
@@ -145,6 +148,7 @@ class Setup:
             "model": self.model.name,
             "model_sha256": self.model.hash,
             "rate_hz": f"{self.file.run.rate_hz:g}",
+            **{name: f"{value!r}" for name, value in self.file.inputs.model_dump().items()},
         }
 
 
@@ -162,6 +166,7 @@ def load_setup(path: Path) -> Setup:
     model = None
     try:
         model = load_model(base / file.run.model, machine)
+        faults += [f"{base / file.run.model}: {fault}" for fault in loop_faults(model)]
     except RtecError as e:
         faults.append(str(e))
     if faults or model is None:

@@ -9,16 +9,19 @@ from dataclasses import dataclass
 
 from rtec.correction.guard import HOLD_REASONS
 from rtec.machine import Machine
-from rtec.model.codegen import KernelSource
-
-IMPORTS = """
-from rtec.correction.guard import guard_update
-from rtec.correction.ledger import ledger_update
-from rtec.effects.derived import direction_update, lag_update
-from rtec.model.elementary import sin_cos
-
-
-"""
+from rtec.machine.machine import CONSTANT_CHANNELS
+from rtec.model.codegen import EXTRA_ARRAYS, KernelSource
+from rtec.runtime.step_text import (
+    CONSTANT,
+    IMPORTS,
+    MOTION,
+    RANGE,
+    SENSOR,
+    SPINDLE,
+    STEP,
+    TURNING,
+    TURNING_SINCE,
+)
 
 
 class Places:
@@ -57,17 +60,25 @@ class StepSource:
 
 def write_step(machine: Machine, kernel: KernelSource, parameters: int) -> StepSource:
     """Write the step for a machine and the kernel of its model."""
-    a, s = len(machine.axes), len(machine.sensors)
+    a, s, slow = len(machine.axes), len(machine.sensors), len(machine.slow_channels)
+    since = "since" in kernel.arrays
+    extra = {f"{name}_{end}": a for name in kernel.arrays if name in EXTRA_ARRAYS for end in ("low", "high")}
+    motion = {"motion_q": a, "vel": a, "acc": a} if kernel.moving else {}
     numbers = Places(
         p=parameters, counts_per_mm=a, dead_band=a, warning=a, stop=a, slew=a, acceleration=a,
         per_um=a, quantum=a, rate=a, lowest=a, highest=a,
-        q_low=a, q_high=a, u_low=s + 1, u_high=s + 1, s_low=s, s_high=s,
+        q_low=a, q_high=a, u_low=slow, u_high=slow, s_low=s, s_high=s,
+        constants=len(CONSTANT_CHANNELS), motion_filter=1, **extra,
     )  # fmt: skip
     times = Places(max_age=2, fade=1, longest=1, period=a)
     floats = Places(
-        m=kernel.memory, q=a, d=a, extreme=a, u=s + 1, target=a, now=a, speed=a, allowance=a,
+        m=kernel.memory, q=a, d=a, extreme=a, u=slow, target=a, now=a, speed=a, allowance=a,
+        **motion, **({"turn": a, "since": a} if since else {}),
     )  # fmt: skip
-    ints = Places(started=1, last=1, ready=1, slow_at=1, slow_why=1, oldest=1, held_at=1, degc_at=s, out=a, due=a)
+    ints = Places(
+        started=1, last=1, ready=1, slow_at=1, slow_why=1, oldest=1, held_at=1, degc_at=s, out=a, due=a,
+        **({"motion_at": 1} if kernel.moving else {}),
+    )  # fmt: skip
     text = "\n".join([IMPORTS + kernel.text, "", *_step_lines(machine, kernel, [numbers, times, floats, ints]), ""])
     return StepSource(text, numbers, times, floats, ints)
 
@@ -78,6 +89,8 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
     keep = [f"degc_at[{s}] = degc_time_ns[n, {s}]" for s in kernel.sensors]
     keep += [f"u[{s}] = degc[n, {s}]" for s in kernel.sensors]
     keep += [f"u[{spindle}] = spindle_rpm[n]"] if kernel.uses_spindle else []
+    constants = {machine.slow_channels.index(c): CONSTANT_CHANNELS.index(c) for c in kernel.constants}
+    keep += [f"u[{at}] = constants[{i}]" for at, i in constants.items()]
     active = [i for i, axis in enumerate(machine.axes) if axis.compensate]
     # Exclusive or: nothing but zeros means nothing new, in a handful of instructions for all sensors together.
     differ = [f"(degc_time_ns[n, {s}] ^ degc_at[{s}])" for s in kernel.sensors]
@@ -87,15 +100,31 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
     blocks = {
         "names": names,
         "news": news,
-        "sensors": [line for s in kernel.sensors for line in _SENSOR.format(s=s).splitlines()],
-        "spindle": _SPINDLE.format(s=spindle).splitlines() if kernel.uses_spindle else [],
+        "sensors": [line for s in kernel.sensors for line in SENSOR.format(s=s).splitlines()],
+        "spindle": SPINDLE.format(s=spindle).splitlines() if kernel.uses_spindle else [],
+        "constant": [x for at, i in constants.items() for x in CONSTANT.format(s=at, i=i).splitlines()],
+        "turning": TURNING_SINCE if "since" in kernel.arrays else TURNING,
+        "motion": MOTION if kernel.moving else [],
+        "ranges": _ranges([name for name in kernel.arrays if name in EXTRA_ARRAYS]),
         # Only sensors age: a model without any would else hold for ever once its first cycle is old enough.
         "age": ["if t - oldest[0] > max_age[1]:", "    why |= 2"] if kernel.sensors else [],
         "keep": keep,
         "wanted": wanted,
     }
-    words = {"axes": str(len(machine.axes)), "active": f"({', '.join(map(str, active))},)", "hold": str(HOLD_REASONS)}
-    return _filled(_STEP, blocks, words)
+    words = {
+        "axes": str(len(machine.axes)),
+        "active": f"({', '.join(map(str, active))},)",
+        "moving": f"({', '.join(map(str, kernel.moving))},)",
+        "hold": str(HOLD_REASONS),
+        "arrays": ", ".join(kernel.arrays),
+    }
+    return _filled(STEP, blocks, words)
+
+
+def _ranges(names: list[str]) -> list[str]:
+    """Lines that compare each of these arrays with the model's range, axis by axis; a NaN never gets in here."""
+    lines = [f"    {line}" for name in names for line in RANGE.format(x=name).splitlines()]
+    return ["for a in range(<axes>):", *lines] if lines else []
 
 
 def _filled(template: str, blocks: dict[str, list[str]], words: dict[str, str]) -> list[str]:
@@ -107,127 +136,8 @@ def _filled(template: str, blocks: dict[str, list[str]], words: dict[str, str]) 
             indent = line[: len(line) - len(line.lstrip())]
             out += [indent + inner for inner in blocks[name]]
         else:
-            for word, text in words.items():
-                line = line.replace(f"<{word}>", text)  # noqa: PLW2901
             out.append(line)
-    return out
-
-
-_SENSOR = """\
-value = degc[n, {s}]
-oldest[0] = min(oldest[0], degc_time_ns[n, {s}])
-if value != value:
-    slow_why[0] |= 2
-    broken = True
-elif value < s_low[{s}] or value > s_high[{s}]:
-    slow_why[0] |= 4
-    broken = True
-elif value < u_low[{s}] or value > u_high[{s}]:
-    slow_why[0] |= 8
-"""
-
-_SPINDLE = """\
-value = spindle_rpm[n]
-if value != value:
-    slow_why[0] |= 2
-    broken = True
-elif value < u_low[{s}] or value > u_high[{s}]:
-    slow_why[0] |= 8
-"""
-
-_STEP = '''
-@njit
-def step(
-    time_ns, mode, counts_time_ns, counts, degc, degc_time_ns, spindle_rpm,
-    requested_um, applied_um, output, flags, c, k, f, i,
-):
-    """One cycle a sample: constants `c`, `k`; state `f`, `i`, changed in place."""
-    {names}
-    for n in range(len(time_ns)):
-        t = time_ns[n]
-        first = started[0] == 0
-        if first:
-            started[0] = 1
-            last[0] = t
-        dt = max(0, min(t - last[0], longest[0])) * 1e-9
-        last[0] = t
-
-        # Fresh and in range?
-        why = 0
-        if t - counts_time_ns[n] > max_age[0]:
-            why |= 1
-        for a in range(<axes>):
-            q[a] = counts[n, a] / counts_per_mm[a]
-            if first:
-                extreme[a] = q[a]
-            d[a], extreme[a] = direction_update(d[a], extreme[a], q[a], dead_band[a])
-            if q[a] < q_low[a] or q[a] > q_high[a]:
-                why |= 8
-        # Temperatures are looked at when one has a new instant; what was found then stands until the next.
-        changed = ready[0] == 0
-        {news}
-        if changed:
-            slow_why[0] = 0
-            oldest[0] = t
-            broken = False
-            {sensors}
-            {spindle}
-            if not broken:
-                {keep}
-                slow_part(m, p, u, (t - slow_at[0]) * 1e-9, ready[0] == 0)
-                ready[0] = 1
-                slow_at[0] = t
-        why |= slow_why[0]
-        {age}
-        order = mode[n]
-        if ready[0] == 1:
-            tip = fast_part(m, q, d)
-            {wanted}
-            for a in <active>:
-                size = abs(target[a])
-                if not size <= warning[a]:
-                    why |= 32
-                if not size <= stop[a]:
-                    why |= 16
-
-        # Hold, fade, off?
-        if order == 2:
-            why |= 64
-        elif order != 1:
-            why |= 128
-        hold = (why & <hold>) != 0 and (why & 128) == 0
-        to_zero = (why & 128) != 0
-        if not hold:
-            held_at[0] = 0
-        elif held_at[0] == 0:
-            held_at[0] = t
-        elif fade[0] > 0 and t - held_at[0] > fade[0]:
-            why |= 256
-            hold = False
-            to_zero = True
-        if hold:
-            why |= 2048
-
-        # Guard and ledger, each axis.
-        for a in <active>:
-            goal = 0.0 if to_zero else target[a]
-            now[a], speed[a] = guard_update(
-                now[a], speed[a], goal, hold, dt, stop[a], slew[a], acceleration[a]
-            )
-            if not hold and now[a] != goal:
-                why |= 512
-            if t >= due[a]:
-                due[a] = t + period[a]
-                units = now[a] * per_um[a]
-                if units < lowest[a] or units > highest[a]:
-                    units = min(max(units, lowest[a]), highest[a])
-                    why |= 1024
-                out[a], allowance[a] = ledger_update(
-                    units, out[a], allowance[a], dt, quantum[a], rate[a]
-                )
-        for a in range(<axes>):
-            requested_um[n, a] = target[a]
-            applied_um[n, a] = now[a]
-            output[n, a] = out[a]
-        flags[n] = why
-'''
+    text = "\n".join(out)
+    for word, replacement in words.items():
+        text = text.replace(f"<{word}>", replacement)
+    return text.splitlines()

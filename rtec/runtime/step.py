@@ -12,11 +12,13 @@ from rtec.correction import guard, ledger
 from rtec.correction.guard import GuardSettings, Limits
 from rtec.correction.sinks import PulseSink, SinkScale
 from rtec.effects import derived
-from rtec.errors import ConfigError
+from rtec.errors import ConfigError, ModelError
 from rtec.machine import Machine
+from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model import Model, elementary
 from rtec.model.build import build_module
-from rtec.model.codegen import write_kernel
+from rtec.model.codegen import EXTRA_ARRAYS, write_kernel
+from rtec.runtime.inputs import Inputs, loop_faults
 from rtec.runtime.kernel import StepSource, write_step
 from rtec.runtime.records import Commands, Layout, Samples
 
@@ -34,6 +36,7 @@ class StepSettings:
         sinks: scale of the sink by axis name; pulses of one count where not given.
         guard: ages and fading.
         longest_cycle_s: a longer gap between samples counts as this long, so that nothing jumps after a pause.
+        inputs: load, force, and the filter that makes velocity from counts.
     """
 
     model: Model
@@ -41,6 +44,7 @@ class StepSettings:
     sinks: Mapping[str, SinkScale] = field(default_factory=dict)
     guard: GuardSettings = field(default_factory=GuardSettings)
     longest_cycle_s: float = 0.05
+    inputs: Inputs = field(default_factory=Inputs)
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,8 @@ class Step:
         model = settings.model
         machine = model.machine
         _check_limits(machine, settings.limits)
+        if faults := loop_faults(model):
+            raise ModelError("\n".join(faults))
         self.layout = Layout(machine.axis_names, machine.sensor_names)
         values = model.parameter_values()
         kernel = write_kernel(model)
@@ -165,10 +171,17 @@ def _numbers(settings: StepSettings, source: StepSource, values: NDArray[np.floa
     ranges = settings.model.valid_range
     everything = (-np.inf, np.inf)
     axes = [ranges.get(a.channel, everything) for a in machine.axes]
-    slow = [ranges.get(name, everything) for name in (*machine.sensor_names, "spindle_rpm")]
-    for name, pairs in (("q", axes), ("u", slow), ("s", [s.range_degc for s in machine.sensors])):
+    slow = [ranges.get(name, everything) for name in machine.slow_channels]
+    pairs_of = {"q": axes, "u": slow, "s": [s.range_degc for s in machine.sensors]}
+    for name, of in EXTRA_ARRAYS.items():
+        if f"{name}_low" in source.numbers.at:
+            read = [of(a) if of(a) in settings.model.channels else "" for a in machine.axes]
+            pairs_of[name] = [ranges.get(channel, everything) for channel in read]
+    for name, pairs in pairs_of.items():
         put(f"{name}_low", [low for low, _ in pairs])
         put(f"{name}_high", [high for _, high in pairs])
+    put("constants", [getattr(settings.inputs, name) for name in CONSTANT_CHANNELS])
+    put("motion_filter", settings.inputs.motion_filter_s)
     return out
 
 

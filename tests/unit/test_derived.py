@@ -80,6 +80,7 @@ def test_lag_stays_between_what_it_had_and_what_it_saw(
 def test_lag_at_the_ends_of_its_range() -> None:
     assert lag_update(3.0, 9.0, 9.0, 0.0, 100.0) == 3.0, "no time, no change"
     assert lag_update(3.0, 9.0, 9.0, -1.0, 100.0) == 3.0, "time that runs back changes nothing"
+    assert lag_update(3.0, 9.0, 9.0, 2e-313, 9e10) == 3.0, "hardly any time, hardly any change"
     assert lag_update(3.0, 9.0, 8.0, 1.0, 0.0) == 8.0, "no slowness: the input"
     assert lag_update(3.0, 9.0, 8.0, 1e15, 1.0) == pytest.approx(8.0), "after ever so long: the input"
     assert lag_update(3.0, 9.0, 8.0, 1e-9, 1e15) == pytest.approx(3.0)

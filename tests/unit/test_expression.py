@@ -140,7 +140,6 @@ HOSTILE = [
     "k*\ud800",
     "k*unknown",
     "k*__name__",
-    "k*time_s",
     "k*T_spindel",
     "k*lag(x, x)",
     "k*lag(T_bed, T_air)",

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.effects.derived import lag_update
+from rtec.effects.derived import FAR_MM, lag_update
 from rtec.effects.state import Value
 from rtec.jit import njit
 
@@ -71,12 +71,12 @@ class Walk:
     def _channel(self, name: str) -> Floats:
         """Give a whole channel; an axis that was not recorded stands at zero, as in `State.positions_mm`."""
         state = self._state
-        still = {
-            c for a in state.machine.axes if a.channel not in state.channels for c in (a.channel, a.direction_channel)
-        }
-        if name in still - set(state.channels):
-            return np.zeros(len(state))
-        return state.value(name)
+        absent = next(
+            (a for a in state.machine.axes if a.channel not in state.channels and name in a.moving_channels), None
+        )
+        if absent is None or name in state.channels:
+            return state.value(name)
+        return np.full(len(state), FAR_MM if name == absent.since_reversal_channel else 0.0)
 
     def _cached(self, name: str, rise: bool) -> Floats:
         key = (name, rise)
