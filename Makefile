@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test lint check bench lock format clean
+.PHONY: help demo test lint check bench discovery lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -33,6 +33,9 @@ check: lint test  ## all of it: lint, then the tests
 
 bench: $(STAMP)  ## speed, each figure beside what it is measured against
 	$(BIN)/python -m tests.bench
+
+discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many are found; half an hour
+	$(BIN)/python -m tests.discovery
 
 format: $(STAMP)  ## rewrite the code in the project's format
 	$(BIN)/ruff format .

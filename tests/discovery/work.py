@@ -1,0 +1,79 @@
+"""Many sets over several processes, one thread of linear algebra in each."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing import get_context
+
+from rtec.metrology.characterise.threads import one_blas_thread
+from tests.discovery import methods
+from tests.discovery.generator.cases import Case
+from tests.discovery.score import Outcome, judge
+
+Tell = Callable[[int, int], None]
+METHODS = {"evidence": (methods.evidence, methods.improving), "naive": (methods.naive, None)}
+ONE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def run(cases: Sequence[Case], method: str, jobs: int, tell: Tell) -> list[Outcome]:
+    """Judge all cases; on an interrupt what there is until then. In the order of the cases.
+
+    Args:
+        cases: data sets.
+        method: key of `METHODS`.
+        jobs: processes.
+        tell: told how many are done, of how many.
+    """
+    done: dict[int, Outcome] = {}
+    tell(0, len(cases))
+    if jobs <= 1:
+        try:
+            for i, case in enumerate(cases):
+                done[i] = one(method, case)
+                tell(len(done), len(cases))
+        except KeyboardInterrupt:
+            pass
+        return [done[i] for i in sorted(done)]
+    with _pool(jobs) as pool:
+        futures = {pool.submit(partial(one, method), case): i for i, case in enumerate(cases)}
+        try:
+            _collect(futures, done, tell)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+    return [done[i] for i in sorted(done)]
+
+
+def one(method: str, case: Case) -> Outcome:
+    """Judge one case by a method's name."""
+    diagnose, improve = METHODS[method]
+    with one_blas_thread():
+        return judge(case, diagnose, improve)
+
+
+def _collect(futures: dict[Future[Outcome], int], done: dict[int, Outcome], tell: Tell) -> None:
+    for future in as_completed(futures):
+        done[futures[future]] = future.result()
+        tell(len(done), len(futures))
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Fresh processes, which take their number of threads from the environment and leave Ctrl-C to this one."""
+    before = {name: os.environ.get(name) for name in ONE}
+    os.environ.update(dict.fromkeys(ONE, "1"))
+    try:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_deaf) as pool:
+            yield pool
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _deaf() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
