@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.result import Alike
 from rtec.effects import Effect
+from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.machine import Machine
 
@@ -87,9 +88,17 @@ def _drivers(effect: Effect) -> set[str]:
     return {str(v) for k, v in given.items() if k in ("sensor", "front", "back", "axis", "other", "across")}
 
 
-def diverse(order: Sequence[int], kinds: Sequence[tuple[str, str]], most: int, of_a_kind: int) -> list[int]:
-    """The first of an order, at most so many of one kind (effect and component)."""
-    count: dict[tuple[str, str], int] = {}
+KINDS = ("positioning", "straightness", "tilt", "roll", "axis_angle", "link", "link_angle", "axis_shift")
+
+
+def directness(effect: Effect, machine: Machine) -> int:
+    """How directly a component shows in readings; the lower the more direct."""
+    return KINDS.index(component_kind(effect.component, machine))
+
+
+def diverse(order: Sequence[int], kinds: Sequence[str], most: int, of_a_kind: int) -> list[int]:
+    """The first of an order, at most so many of one kind."""
+    count: dict[str, int] = {}
     out = []
     for i in order:
         count[kinds[i]] = count.get(kinds[i], 0) + 1

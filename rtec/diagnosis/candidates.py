@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 
 GRID = 6
 """Values of a non-linear parameter that are tried where the effect names none."""
+MOST_PERIODS = 480
 MOST = 48
 """Combinations of non-linear parameters that are tried, at most."""
 REAL = {"degc": 0.3, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
@@ -146,7 +147,7 @@ def _candidate(effect: Effect, readings: Readings) -> Candidate | None:
 
 def _thetas(parameters: Sequence[Parameter], readings: Readings) -> Iterator[Mapping[str, float]]:
     grids = [_grid(p, readings) for p in parameters]
-    while np.prod([len(g) for g in grids]) > MOST:
+    while len(grids) > 1 and np.prod([len(g) for g in grids]) > MOST:
         longest = max(range(len(grids)), key=lambda i: len(grids[i]))
         grids[longest] = grids[longest][::2]
     for values in itertools.product(*grids):
@@ -159,11 +160,27 @@ def _grid(parameter: Parameter, readings: Readings) -> tuple[float, ...]:
     if parameter.unit == "s" and parameter.name.startswith("t0"):
         return _instants(readings)
     low, high = parameter.low, parameter.high
+    if parameter.name == "period" and parameter.unit == "mm":
+        return _periods(low, high, _longest_travel_mm(readings))
     if not np.isfinite([low, high]).all() or low >= high:
         return (parameter.start,)
     if low > 0.0:
         return tuple(np.geomspace(low, high, GRID + 2)[1:-1].tolist())
     return tuple(np.linspace(low, high, GRID + 2)[1:-1].tolist())
+
+
+def _longest_travel_mm(readings: Readings) -> float:
+    axes = [a.channel for a in readings.machine.axes]
+    return max(float(np.ptp(s.value(c))) for s in readings.states for c in axes)
+
+
+def _periods(low_mm: float, high_mm: float, span_mm: float) -> tuple[float, ...]:
+    """Periods even in frequency, as fine as the span can tell them apart."""
+    high_mm = min(high_mm, 0.5 * span_mm)
+    if span_mm <= 0.0 or high_mm <= low_mm:
+        return (0.5 * (low_mm + high_mm),)
+    count = min(int(2.5 * span_mm * (1.0 / low_mm - 1.0 / high_mm)) + 2, MOST_PERIODS)
+    return tuple((1.0 / np.linspace(1.0 / high_mm, 1.0 / low_mm, count)).tolist())
 
 
 def _instants(readings: Readings) -> tuple[float, ...]:

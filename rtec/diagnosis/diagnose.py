@@ -5,6 +5,7 @@ unlikely (family-wise), the evidence holds with the noise found anew, and runs t
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -12,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import floor, picture, shapes, words
-from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine, diverse, plausibility
+from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine, directness, diverse, plausibility
 from rtec.diagnosis.base import base_of, slope, spikes
 from rtec.diagnosis.candidates import Candidate, Untried, library
-from rtec.diagnosis.noise import Whitener, find_noise
+from rtec.diagnosis.noise import Whitener, find_noise, without_drift
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import Fit, fit_columns, held_out, inverse, solve
 from rtec.diagnosis.result import Absent, Alike, Diagnosis, Finding, NotTestable, Number, Picture, Unknown
@@ -31,13 +32,13 @@ Stage = Callable[[str, int, int], None]
 TOP = 7
 OF_A_KIND = 3
 """At most so many of the top are the same effect of the same component with other arguments."""
+DISTINCT, ONE = 80, 0.9999
+"""So many of the best are looked through for shapes that are one and the same, and what counts as that."""
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 ADEQUATE = 0.7
 MOST = 14
 """And never more than so many."""
-HOPELESS = 0.5
-"""Where chance alone is so likely to look as good, nothing is fitted anew."""
 ALPHA, DRAWS = 0.05, 400
 
 
@@ -134,6 +135,7 @@ class _Search:
         self.prepared = prepare(model, measurements)
         self.readings = self.prepared.readings
         self.candidates, self.untried = library(self.readings, only)
+        self._alternatives = Counter((c.effect.effect, c.effect.component) for c in self.candidates)
         self.rng = np.random.default_rng([seed, 400])
         self._shape: shapes.Shape | None = None
         self._tried: list[Tried] = []
@@ -145,32 +147,58 @@ class _Search:
         found = screen(readings, self.candidates, projected, lambda d, t: self.stage("weighing candidates", d, t))
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
-        tried = self._refit(found) if p < HOPELESS else []
+        tried = self._refit(found, self._second_look())
         self._tried = tried
         best = tried[0] if tried else None
-        accepted = best is not None and self._accepts(best, p, len(found.best))
+        accepted = best is not None and self._accepts(best, p)
         named, adequacy, unknown = self._adequate(projected, found, best if accepted else None)
         findings = self._findings(found, tried, p, accepted and named)
         return self._answer(projected, found, findings, adequacy, unknown)
 
-    def _accepts(self, best: Tried, p: float, family: int) -> bool:
-        return p < self.alpha and best.log_evidence > math.log(max(family, 2)) and best.holds
+    def _accepts(self, best: Tried, p: float) -> bool:
+        return p < self.alpha and best.log_evidence > self._prior_odds and best.holds
 
-    def _refit(self, found: Screen) -> list[Tried]:
-        """Fit the best of the screen anew, noise and all; best first."""
-        top = self._top(found)
-        whitener, base = self.prepared.whitener, self.prepared.base
-        without = fit_columns(whitener, base)
+    @property
+    def _prior_odds(self) -> float:
+        """Log of how much likelier nothing is than any one effect of one component, before the readings."""
+        return math.log(max(len(self._alternatives), 2))
+
+    def _second_look(self) -> Screen:
+        """The same weighing as if there were hardly any drift: the noise may have swallowed what is looked for."""
+        calm = without_drift(self.prepared.whitener)
+        projected = Projected.of(calm, self.prepared.base, self.readings.values)
+        return screen(self.readings, self.candidates, projected)
+
+    def _choice_cost(self, number: int) -> float:
+        """What the choice among sensors takes off: every effect of a component is as likely before, whatever it takes.
+
+        Else an effect that may use any pair of eight sensors would be 28 times as likely as one that uses one.
+        """
+        mine = self.candidates[number].effect
+        return math.log(self._alternatives[mine.effect, mine.component])
+
+    def _fit(self, columns: Floats) -> Fit:
+        """Fit from the noise that was found, and from hardly any drift; the likelier of the two."""
+        fits = [fit_columns(w, columns) for w in (self.prepared.whitener, without_drift(self.prepared.whitener))]
+        return max(fits, key=lambda f: f.log_likelihood)
+
+    def _refit(self, found: Screen, calm: Screen) -> list[Tried]:
+        """Fit the best of both weighings anew, noise and all; best first."""
+        base = self.prepared.base
+        without = self._fit(base)
+        looks = [(found, i) for i in self._top(found)]
+        seen = {i for _, i in looks}
+        looks += [(calm, i) for i in self._top(calm) if i not in seen and i in found.best]
         n = math.log(len(self.readings))
         out = []
-        for done, number in enumerate(top):
-            self.stage("fitting the best anew", done, len(top))
-            variant = found.variants[found.best[number]]
+        for done, (look, number) in enumerate(looks):
+            self.stage("fitting the best anew", done, len(looks))
+            variant = look.variants[look.best[number]]
             candidate = self.candidates[number]
             columns = self.readings.columns(candidate.effect, candidate.thetas[variant.theta])
-            fit = fit_columns(whitener, np.concatenate([base, columns], axis=1))
-            searched = len(candidate.thetas[0]) if len(candidate.thetas) > 1 else 0
-            evidence = fit.log_likelihood - without.log_likelihood - 0.5 * (variant.count + searched) * n
+            fit = self._fit(np.concatenate([base, columns], axis=1))
+            evidence = fit.log_likelihood - without.log_likelihood - 0.5 * variant.count * n
+            evidence -= look.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(candidate.effect, fit.values[base.shape[1] :], self.model.machine)
             drop, gain = self._left_out(fit.whitener, candidate, columns)
             out.append(Tried(number, variant.theta, columns, fit, evidence, drop, gain))
@@ -179,11 +207,29 @@ class _Search:
 
     def _top(self, found: Screen) -> list[int]:
         """The best few of different kinds, and what the screen does not tell from the best."""
-        kinds = [(c.effect.effect, c.effect.component) for c in self.candidates]
-        top = diverse(found.order, kinds, TOP, OF_A_KIND)
-        best = found.log_evidence[found.best[found.order[0]]]
-        near = [i for i in found.order[:MOST] if best - found.log_evidence[found.best[i]] < WITHIN]
+        if not found.order:
+            return []
+        order = self._distinct(found)
+        kinds = [c.effect.effect for c in self.candidates]
+        top = diverse(order, kinds, TOP, OF_A_KIND)
+        best = found.score[found.order[0]]
+        near = [i for i in order[:MOST] if best - found.score[i] < WITHIN]
         return list(dict.fromkeys([*top, *near]))[:MOST]
+
+    def _distinct(self, found: Screen) -> list[int]:
+        """Candidates by evidence, each shape of an effect once: of components that the readings cannot tell apart
+        the most direct stands for all.
+        """
+        machine, out = self.model.machine, []
+        shapes_of: dict[str, list[tuple[int, Floats]]] = {}
+        for i in sorted(found.order[:DISTINCT], key=lambda i: (-round(found.score[i], 3),
+                        directness(self.candidates[i].effect, machine))):  # fmt: skip
+            mine = found.contribution(i)
+            same = shapes_of.setdefault(self.candidates[i].effect.effect, [])
+            if all(cosine(mine, other) < ONE for _, other in same):
+                same.append((i, mine))
+                out.append(i)
+        return out
 
     def _left_out(self, whitener: Whitener, candidate: Candidate, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""
@@ -206,7 +252,7 @@ class _Search:
         adequacy = None
         if best is not None:
             adequacy = found.explained(best.number) / max(top.explained, 1e-9)
-            if adequacy >= ADEQUATE or top.log_evidence < found.log_evidence[found.best[best.number]]:
+            if adequacy >= ADEQUATE or top.log_evidence < found.score[best.number]:
                 return True, min(adequacy, 1.0), None
         p = shapes.family_p(projected, weighed, self.draws, self.rng)
         if p >= self.alpha or top.log_evidence < math.log(len(weighed)):
@@ -226,10 +272,9 @@ class _Search:
     def _findings(self, found: Screen, tried: list[Tried], p: float, accepted: bool) -> tuple[Finding, ...]:
         if not tried:
             return ()
-        family = len(found.best)
         odds = np.array([t.log_evidence for t in tried])
-        weights = np.exp(odds - max(odds.max(), math.log(family)))
-        none = math.exp(math.log(family) - max(odds.max(), math.log(family)))
+        top = max(float(odds.max()), self._prior_odds)
+        weights, none = np.exp(odds - top), math.exp(self._prior_odds - top)
         posterior = weights / (weights.sum() + none)
         return tuple(
             self._finding(found, rank, t, tried, p, float(share), accepted)
@@ -423,7 +468,8 @@ def _absent(found: Screen, findings: Sequence[Finding], projected: Projected) ->
         if key in named or found.best[v.candidate] != i:
             continue
         # Evidence ln m needs a gain in log likelihood of ln m + ½ (k + n_θ) ln n.
-        need = 2.0 * (family + 0.5 * (v.count + found.penalties[i]) * math.log(n)) * noise
+        searched = math.log(len(candidate.thetas))
+        need = 2.0 * (family + searched + 0.5 * v.count * math.log(n)) * noise
         columns = readings.columns(candidate.effect, candidate.thetas[v.theta])
         plain = np.sqrt(np.mean(columns**2, axis=0))
         seen = v.size[:, 1]

@@ -153,6 +153,20 @@ def find_noise(readings: Readings, base: Floats, steps: int = STEPS) -> Whitener
     return Whitener(readings, tuple(noises), tuple(wides))
 
 
+CALM = 0.1
+"""Variance of the drift, and of the runs' offsets, over the white noise's where hardly any is supposed."""
+
+
+def without_drift(whitener: Whitener) -> Whitener:
+    """Hardly any drift: white noise as rough as neighbouring readings differ."""
+    noises = []
+    for s, now in zip(whitener.readings.series, whitener.noises, strict=True):
+        span = max(float(s.time_s[-1] - s.time_s[0]), 1.0)
+        sigma = min(_roughness(s, whitener.readings.values[s.part]), now.sigma)
+        noises.append(Noise(sigma, CALM, 0.1 * span, CALM if now.offset > 0.0 else 0.0))
+    return whitener.with_noises(noises)
+
+
 def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
     """Find the noises anew from what a fit leaves, starting where they are, (m,)."""
     noises = []

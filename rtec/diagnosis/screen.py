@@ -2,7 +2,9 @@
 
 For a candidate with k columns of which the base leaves the orthonormal directions D, and the whitened readings r that
 the base leaves: `R² = |Dᵀr|² / |r|²`, and with g = n the log evidence over the base alone is
-`½ (n - k_B - k) ln(1 + n) - ½ (n - k_B) ln(1 + n (1 - R²)) - ½ n_θ ln n`  (Liang et al. 2008).
+`½ (n - k_B - k) ln(1 + n) - ½ (n - k_B) ln(1 + n (1 - R²))`  (Liang et al. 2008); over the values of its non-linear
+parameters that are tried it is the mean, which is what a search costs: much for a period, little for a time constant
+that the readings hardly decide.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -112,10 +114,22 @@ class Screen:
         return np.array([v.count for v in self.variants], dtype=np.int64)
 
     @cached_property
-    def penalties(self) -> Ints:
-        """Non-linear parameters of each variant that were searched."""
-        thetas = [self.candidates[v.candidate].thetas for v in self.variants]
-        return np.array([len(t[0]) if len(t) > 1 else 0 for t in thetas], dtype=np.int64)
+    def starts(self) -> Ints:
+        """First variant of each candidate that has any."""
+        owner = np.array([v.candidate for v in self.variants], dtype=np.int64)
+        return np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1]) if len(owner) else owner
+
+    @cached_property
+    def score(self) -> dict[int, float]:
+        """Log evidence of each candidate: the mean over what was tried of its non-linear parameters."""
+        if not self.variants:
+            return {}
+        means = mean_evidence(self.log_evidence[:, None], self.starts)[:, 0]
+        return {self.variants[first].candidate: float(v) for first, v in zip(self.starts, means, strict=True)}
+
+    def search_cost(self, candidate: int) -> float:
+        """What the search for non-linear parameters takes off the evidence of the best of them."""
+        return float(self.log_evidence[self.best[candidate]] - self.score[candidate])
 
     @cached_property
     def best(self) -> dict[int, int]:
@@ -129,7 +143,7 @@ class Screen:
     @cached_property
     def order(self) -> list[int]:
         """Candidates by evidence, best first."""
-        return sorted(self.best, key=lambda c: -self.log_evidence[self.best[c]])
+        return sorted(self.score, key=lambda c: -self.score[c])
 
     def contribution(self, candidate: int) -> Floats:
         """Whitened part of what is left that a candidate explains, (m,)."""
@@ -158,9 +172,10 @@ class Screen:
             base = self.projected.q.T.astype(np.float32) @ noise
             whole = (noise**2).sum(axis=0) - (base**2).sum(axis=0)
             r2 = _sums(t2, self.variants) / whole
-            tops.append(evidence(r2, self.counts[:, None], self.penalties[:, None], self.projected).max(axis=0))
+            made = evidence(r2, self.counts[:, None], self.projected)
+            tops.append(mean_evidence(made, self.starts).max(axis=0))
         chance = np.concatenate(tops).astype(np.float64)
-        return float((1 + np.sum(chance >= self.log_evidence.max())) / (draws + 1)), chance
+        return float((1 + np.sum(chance >= max(self.score.values()))) / (draws + 1)), chance
 
 
 def screen(
@@ -193,17 +208,25 @@ def screen(
     )
     out = Screen(projected, tuple(candidates), variants, directions, np.zeros(len(variants)), ())
     r2 = _sums((t**2)[:, None], variants)[:, 0] / max(projected.squares, 1e-300)
-    found = evidence(r2, out.counts, out.penalties, projected)
+    found = evidence(r2, out.counts, projected)
     there = {v.candidate for v in variants}
     absorbed = tuple(i for i in range(len(candidates)) if i not in there)
     return Screen(projected, tuple(candidates), variants, directions, found, absorbed)
 
 
-def evidence(r2: Floats, columns: Ints, thetas: Ints, projected: Projected) -> Floats:
+def mean_evidence(values: Floats, starts: Ints) -> Floats:
+    """Logarithm of the mean evidence over stretches of rows that begin at `starts`, (rows, k) to (stretches, k)."""
+    top = np.maximum.reduceat(values, starts, axis=0)
+    sizes = np.diff(np.append(starts, len(values)))
+    total = np.add.reduceat(np.exp(np.maximum(values - np.repeat(top, sizes, axis=0), -60.0)), starts, axis=0)
+    return np.asarray(top + np.log(total / sizes[:, None]))
+
+
+def evidence(r2: Floats, columns: Ints, projected: Projected) -> Floats:
     """Log evidence over the base alone, Zellner's g-prior with g = n."""
     n, free = float(len(projected.left)), projected.freedom
     left = np.maximum(1.0 - r2, 1e-12)
-    return np.asarray(0.5 * (free - columns) * np.log1p(n) - 0.5 * free * np.log1p(n * left) - 0.5 * thetas * np.log(n))
+    return np.asarray(0.5 * (free - columns) * np.log1p(n) - 0.5 * free * np.log1p(n * left))
 
 
 def orthonormal(columns: Floats) -> Floats:

@@ -15,7 +15,10 @@ from rtec.machine import Machine
 from rtec.tomlfile import nearest
 
 CROSS = ((1, 2), (2, 2))
-"""Degrees of the products: along the axis, and in the other; what is straight in the other is a rigid body's."""
+"""Degrees of the products, along the axis and in the other, of a displacement: what is straight in the other axis is
+an angle times its arm, as any rigid body has."""
+CROSS_ANGLE = ((1, 1), (2, 1), (1, 2), (2, 2))
+"""Of an angle: no rigid body's changes with another axis at all."""
 RAMS = ("w", "ram", "quill")
 
 
@@ -60,11 +63,11 @@ class RamSag(AxisEffect):
 
 
 class CrossTalk(AxisEffect):
-    """A component that changes with another axis, as no rigid body's does: `e = Σ c_ij P_i(u) P_j(w)`, j ≥ 2."""
+    """A component that changes with another axis, as no rigid body's does: `e = Σ c_ij P_i(u) P_j(w)`."""
 
     about: ClassVar[About] = About(
         title="Cross-talk: a component that changes with another axis",
-        equation="e = Σ c_ij·P_i(u)·P_j(w), j ≥ 2: not straight in the other axis",
+        equation="e = Σ c_ij·P_i(u)·P_j(w); j = 2 for displacements, 1 and 2 for angles",
         typical="1-5 µm",
         seen_by=("grid_encoder", "laser_angular", "straightness", "tool_tip"),
         source="[XT 2, 4]",
@@ -97,7 +100,11 @@ class CrossTalk(AxisEffect):
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`c12`, `c22` ….."""
         del machine
-        return tuple(Parameter(f"c{i}{j}", self.unit, typical=3.0) for i, j in CROSS)
+        return tuple(Parameter(f"c{i}{j}", self.unit, typical=3.0) for i, j in self._degrees)
+
+    @property
+    def _degrees(self) -> tuple[tuple[int, int], ...]:
+        return CROSS_ANGLE if self.unit == "urad" else CROSS
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read both positions."""
@@ -108,7 +115,7 @@ class CrossTalk(AxisEffect):
         del theta
         u = legendre(scaled(self.the_axis(machine), channels), (1, 2))
         w = legendre(scaled(machine.axis(self.other), channels), (1, 2))
-        return [u[i - 1] * w[j - 1] for i, j in CROSS]
+        return [u[i - 1] * w[j - 1] for i, j in self._degrees]
 
 
 class LoadDeformation(AxisEffect):

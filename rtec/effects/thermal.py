@@ -178,12 +178,23 @@ class MountExpansion(_OneSensor):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every sensor; along the spindle only those that are not the spindle's own, whose growth has its own name."""
-        axial = component_kind(around.component, around.machine) == "link" and around.component[1] == "Z"
-        own = set(named(around.sensors, "spindle")) if axial else set()
+        """Every sensor but those whose growth has its own name: the coolant's, and along the spindle the spindle's."""
+        kind = component_kind(around.component, around.machine)
+        taken = set(_in_coolant(around)) if kind in CoolantExpansion.feeds else set()
+        if kind == "link" and around.component[1] == "Z":
+            own = set(named(around.sensors, "spindle"))
+            taken |= own if len(own) < len(around.sensors) else set()
         for sensor in around.sensors:
-            if sensor not in own or len(own) == len(around.sensors):
+            if sensor not in taken:
                 yield {"sensor": sensor}
+
+    @classmethod
+    def missing(cls, around: Surroundings) -> str:
+        """Needs a temperature that has no effect of its own name."""
+        reason = super().missing(around)
+        if reason or component_kind(around.component, around.machine) not in cls.feeds:
+            return reason
+        return "" if any(cls.arguments(around)) else "no temperature varies but the spindle's or the coolant's"
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`ΔT`."""
@@ -317,20 +328,30 @@ class SpindleGrowth(Effect):
 
     @classmethod
     def missing(cls, around: Surroundings) -> str:
-        """Needs either the speed or a temperature."""
-        if component_kind(around.component, around.machine) not in cls.feeds or around.sensors:
+        """Needs either the speed or a temperature; across the spindle the speed."""
+        fed = component_kind(around.component, around.machine) in cls.feeds
+        if not fed or "spindle_rpm" in around.channels or (around.sensors and cls._by_sensor(around)):
             return ""
-        return "" if "spindle_rpm" in around.channels else "neither the spindle speed nor a temperature varies"
+        return (
+            "neither the spindle speed nor a temperature varies"
+            if cls._by_sensor(around)
+            else ("the spindle speed never changes, or was not recorded")
+        )
+
+    @classmethod
+    def _by_sensor(cls, around: Surroundings) -> bool:
+        """Whether a temperature of the spindle's is its growth: along its axis, and for angles."""
+        return around.component[1] == "Z" or cls.feeds != ("link",)
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
         """From the speed, and from the spindle's own sensors (all where none is named so)."""
         if "spindle_rpm" in around.channels:
             yield {}
-        axial = around.component[1] == "Z" or cls.feeds != ("link",)
-        own = named(around.sensors, "spindle") if axial else []
+        own = named(around.sensors, "spindle") if cls._by_sensor(around) else []
         for sensor in own:
             yield {"sensor": sensor}
+            yield {"sensor": sensor, "lag": True}
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read the sensor, or the speed."""

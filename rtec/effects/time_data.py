@@ -83,6 +83,14 @@ class WearDrift(_OfTime):
     )
     effect: Literal["wear_drift"] = "wear_drift"
 
+    @classmethod
+    def missing(cls, around: Surroundings) -> str:
+        """Needs about a day: over hours, machine and instrument drift too."""
+        reason = super().missing(around)
+        if reason or around.span_s >= LONG_ENOUGH_S:
+            return reason
+        return f"the record is {around.span_s / 3600.0:.1f} h long; an even trend cannot be told from any drift"
+
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`w`, per hour."""
         del machine
