@@ -6,10 +6,11 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench import cycle, fit, quadrature, startup, wakeup
+from tests.bench import boxlink, cycle, fit, quadrature, startup, wakeup
 from tests.bench.table import Row
 
 PARTS = {
+    "boxlink": boxlink.rows,
     "cycle": cycle.rows,
     "fit": fit.rows,
     "quadrature": quadrature.rows,

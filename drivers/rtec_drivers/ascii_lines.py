@@ -1,0 +1,220 @@
+"""Readouts and thermocouple boards that print lines of text on a serial port."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec_drivers.ascii_options import SPINDLE, AsciiOptions
+from rtec_drivers.ascii_readings import ReadingBook
+from rtec_drivers.ascii_text import LineParser, LineReader
+from rtec_drivers.reopen import Reopener
+from rtec_drivers.serial_line import PortFinder, Ports, SerialLine
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+READS_PER_POLL = 4
+"""Of up to 4 kB; a device that babbles faster is read on at the next call."""
+
+
+class AsciiLinesDriver:
+    """Readout or thermocouple board that prints lines.
+
+    Never waits: each call takes what has arrived. A reading's instant is that of the call before the one that found
+    it, since it came after that; it is never younger than it says. Calls that fill in something and find something
+    wrong fill in first, then tell.
+
+    Args:
+        options: what the run file says.
+        machine: whose axes and sensors the arrays follow.
+        clock: for instants.
+        base: not used; there are no files.
+        ports: lists the serial ports; pyserial's list where not given.
+
+    Raises:
+        ConfigError: patterns or units do not fit the machine.
+    """
+
+    options_model = AsciiOptions
+    EXAMPLE = """\
+[device.thermocouples]
+driver = "ascii_lines"
+usb_serial = "AB0JQ2X7"                       # found by it, whatever its port is called today
+baud = 9600
+parity = "even"
+bytesize = 7
+decimal = ","
+patterns = ['T1=(?P<T_bed>\\S+) T2=(?P<T_air>\\S+)']   # T1= 21,4 is then T_bed, by the machine's names
+units = {T_air = "degf"}
+"""
+
+    def __init__(
+        self, options: AsciiOptions, machine: Machine, clock: Clock, base: Path = Path(), ports: Ports | None = None
+    ) -> None:
+        del base
+        self.options, self._machine, self._clock = options, machine, clock
+        self._parser = LineParser(options, machine)
+        self._book = ReadingBook(self._parser, options, machine)
+        self._finder = PortFinder(options, ports)
+        self._reopener = Reopener(self._connect, _close, clock, options.first_retry_s, options.longest_retry_s)
+        self._line: SerialLine | None = None
+        self._entered = False
+        self._reader: LineReader = self._parser.reader()
+        self._polled_ns = self._heard_ns = self._requested_ns = 0
+
+    def __enter__(self) -> Self:
+        """Open the port.
+
+        Raises:
+            DriverUnavailable: it is not there, and the options say `at_start = "required"`.
+        """
+        self.resume()
+        self._entered = True
+        try:
+            self._adopt(self._connect())
+        except DriverError as e:
+            if self.options.at_start == "required":
+                self._leave()
+                raise
+            self._lose(str(e))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self._leave()
+
+    def resume(self) -> None:
+        """The order to go on after a lost position: what is printed next is taken as it stands."""
+        self._book.restart()
+
+    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+        """Fill in what was printed since, °C and instants; then tell what is wrong.
+
+        Raises:
+            DriverFault: text that is no number, garbage, a stuck reading.
+            DriverTimeout: the device is silent.
+            DriverUnavailable: the port is gone; it is being opened again.
+        """
+        trouble = self._poll()
+        for i, name in enumerate(self._machine.sensor_names):
+            if name in self._book.values:
+                degc[i], time_ns[i] = self._book.values[name]
+        self._tell(trouble)
+
+    def read_counts(self, counts: IntArray) -> int:
+        """Fill in the positions that were printed last, in counts; give their instant, ns.
+
+        Raises:
+            DriverFault, DriverTimeout, DriverUnavailable: as `read_temperatures`; or no pattern names the axes.
+        """
+        self._tell(self._poll())
+        names = self._machine.axis_names
+        if not self._book.has_axes:
+            raise DriverFault(f"{self.options.place}: no pattern names the axes {', '.join(names)}")
+        if names[0] not in self._book.values:
+            raise DriverTimeout(f"{self.options.place}: no line with the axes' positions yet")
+        for i, name in enumerate(names):
+            counts[i] = int(self._book.values[name][0])
+        return self._book.values[names[0]][1]
+
+    def read_spindle(self) -> float:
+        """Give the spindle speed that was printed last, 1/min.
+
+        Raises:
+            DriverFault, DriverTimeout, DriverUnavailable: as `read_temperatures`; or it is older than the silence
+                after which the port is opened again.
+        """
+        self._tell(self._poll())
+        value, instant_ns = self._book.values.get(SPINDLE, (0.0, -(2**62)))
+        if self._clock.now_ns() - instant_ns > self.options.silent_reopen_s * 1e9:
+            raise DriverTimeout(f"{self.options.place}: no spindle speed was printed")
+        return value
+
+    def _connect(self) -> SerialLine:
+        device = self._finder.find()
+        line = SerialLine(self.options, device)
+        self._finder.remember(device)
+        return line
+
+    def _adopt(self, line: SerialLine) -> SerialLine:
+        self._line, self._reader = line, self._parser.reader()
+        now_ns = self._clock.now_ns()
+        self._polled_ns = self._heard_ns = now_ns
+        self._requested_ns = now_ns - round(self.options.request_period_s * 1e9)
+        return line
+
+    def _live(self) -> SerialLine:
+        if not self._entered:
+            raise DriverUnavailable("ascii_lines: not entered, so its port is not open")
+        if self._line is not None:
+            return self._line
+        line = self._reopener.poll()
+        if line is None:
+            raise DriverUnavailable(f"{self._reopener.error}; trying again")
+        return self._adopt(line)
+
+    def _poll(self) -> DriverError | None:
+        """Take in what has arrived; give what hinders it. Raises where the driver is not entered."""
+        if not self._entered:
+            raise DriverUnavailable("ascii_lines: not entered, so its port is not open")
+        try:
+            line = self._live()
+            try:
+                self._listen(line)
+            except DriverUnavailable as e:
+                self._lose(str(e))
+                raise
+        except DriverError as e:
+            return e
+        return None
+
+    def _listen(self, line: SerialLine) -> None:
+        now_ns, before_ns = self._clock.now_ns(), self._polled_ns
+        for _ in range(READS_PER_POLL):
+            received = line.read()
+            if not received:
+                break
+            for text in self._reader.feed(received):
+                if self._book.take(text, before_ns, now_ns):
+                    self._heard_ns = now_ns
+        self._polled_ns = now_ns
+        self._request(line, now_ns)
+        silent_s = (now_ns - self._heard_ns) * 1e-9
+        if silent_s > self.options.silent_reopen_s:
+            raise DriverUnavailable(f"{line.device}: nothing to be understood for {silent_s:.1f} s")
+
+    def _request(self, line: SerialLine, now_ns: int) -> None:
+        if self.options.request is None or now_ns - self._requested_ns < self.options.request_period_s * 1e9:
+            return
+        self._requested_ns = now_ns
+        line.write(self.options.request.encode(self.options.encoding))
+
+    def _tell(self, trouble: DriverError | None) -> None:
+        if trouble is not None:
+            raise trouble
+        if self._book.faults:
+            raise DriverFault(f"{self.options.place}: {'; '.join(self._book.faults.values())}")
+
+    def _lose(self, error: str) -> None:
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+        self._reopener.lost(error)
+
+    def _leave(self) -> None:
+        self._entered = False
+        self._reopener.close()
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+
+def _close(line: SerialLine) -> None:
+    line.close()

@@ -1,0 +1,211 @@
+"""One conversation with an encoder box over an open line: from the handshake until the line is lost."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+from rtec.errors import DriverFault, DriverTimeout
+from rtec.runtime.clock import Clock
+from rtec_drivers import box_protocol as protocol
+from rtec_drivers.box_protocol import BoxState, Frame, FrameReader, Info
+
+HELLO_PERIOD_S = 0.1
+READS_PER_WAIT = 64
+"""So that a box that babbles takes no longer than one that is silent, whatever the clock does."""
+PATIENCE_S = 0.05
+"""After so long a silence the box is asked without waiting for its answer, and less often."""
+ASK_PERIOD_S = 0.02
+REMEMBERED_QUESTIONS = 256
+
+
+class Line(Protocol):
+    """What a session needs of a line: the serial port is one."""
+
+    device: str
+
+    def write(self, data: bytes) -> None:
+        """Send all or nothing."""
+        ...
+
+    def read(self) -> bytes:
+        """Give what is there."""
+        ...
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait for bytes."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """A state of the box and when it was latched: between question and answer, ns of the clock."""
+
+    state: BoxState
+    asked_ns: int
+    answered_ns: int
+
+
+class BoxSession:
+    """Questions and answers, matched by sequence number.
+
+    Attributes:
+        info: what the box said of itself.
+        sequence: of the last frame sent.
+        silent_s: how long nothing was heard when it was asked last.
+    """
+
+    def __init__(self, line: Line, clock: Clock) -> None:
+        self.line, self._clock = line, clock
+        self.info = Info(0, 0, 0, 0, 0, 0)
+        self.sequence, self.silent_s = 0, 0.0
+        self._heard_ns = self._looked_ns = clock.now_ns()
+        self._reader = FrameReader()
+        self._asked: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_QUESTIONS)
+
+    def talk(self, timeout_s: float) -> Answer:
+        """Ask for the state as `exchange` does; after a silence less often, and without waiting.
+
+        Raises:
+            DriverTimeout: no answer.
+            DriverUnavailable: the line is gone.
+        """
+        now_ns = self._clock.now_ns()
+        self.silent_s = (now_ns - self._heard_ns) * 1e-9
+        answer = self.exchange(timeout_s) if self.silent_s <= PATIENCE_S else self._look_in(now_ns)
+        self._heard_ns, self.silent_s = answer.answered_ns, 0.0
+        return answer
+
+    @property
+    def silence(self) -> str:
+        """Says that nothing was heard for too long to be waited for; "" where that is not so."""
+        return f"the encoder box is silent for {self.silent_s:.2f} s" if self.silent_s > PATIENCE_S else ""
+
+    @property
+    def bad_frames(self) -> int:
+        """How many blocks were no frame."""
+        return self._reader.bad
+
+    def greet(self, timeout_s: float) -> Info:
+        """Say hello until the box answers.
+
+        Raises:
+            DriverTimeout: it does not within that time.
+            DriverFault: it speaks another version.
+        """
+        tries = max(1, round(timeout_s / HELLO_PERIOD_S))
+        for _ in range(tries):
+            sequence = self.send(protocol.HELLO)
+            for frame in self._frames_for(HELLO_PERIOD_S):
+                if frame.version != protocol.VERSION:
+                    raise DriverFault(
+                        f"{self.line.device}: the box speaks version {frame.version} of the link, "
+                        f"rtec version {protocol.VERSION}"
+                    )
+                info = protocol.info_of(frame.payload) if frame.kind == protocol.INFO else None
+                if info is not None and frame.sequence == sequence:
+                    self.info, self._heard_ns = info, self._clock.now_ns()
+                    return info
+        raise DriverTimeout(f"{self.line.device}: no encoder box answers within {timeout_s:g} s")
+
+    def check(self, box_serial: int | None, axes: int) -> None:
+        """Is it a box that can be used?
+
+        Raises:
+            DriverFault: another number, another count of axes, or counters of an unknown width.
+        """
+        info, place = self.info, self.line.device
+        if box_serial is not None and info.box_serial != box_serial:
+            raise DriverFault(f"{place}: box number {info.box_serial} answers, not {box_serial}")
+        if info.axes != axes:
+            raise DriverFault(f"{place}: the box has {info.axes} axes, the machine {axes}")
+        if info.counter_bits not in (16, 24, 32):
+            raise DriverFault(f"{place}: the box has counters of {info.counter_bits} bits; 16, 24 or 32 are known")
+
+    def exchange(self, timeout_s: float) -> Answer:
+        """Ask for the state and wait; give the newest answer, which may belong to an older question.
+
+        Raises:
+            DriverTimeout: none came in time.
+            DriverUnavailable: the line is gone.
+        """
+        deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
+        newest: Answer | None = None
+        wanted = self.ask(protocol.READ)
+        for _ in range(READS_PER_WAIT):
+            newest = self.collect() or newest
+            if newest is not None and self._answers(wanted):
+                return newest
+            left_ns = deadline_ns - self._clock.now_ns()
+            if left_ns <= 0 or not self.line.wait(left_ns * 1e-9):
+                break
+        newest = self.collect() or newest
+        if newest is None:
+            raise DriverTimeout(f"{self.line.device}: the encoder box does not answer within {timeout_s * 1e3:g} ms")
+        return newest
+
+    def ask(self, kind: int, payload: bytes = b"") -> int:
+        """Send a question that a STATE answers; remember when."""
+        now_ns = self._clock.now_ns()
+        sequence = self.send(kind, payload)
+        self._asked.append((sequence, now_ns))
+        return sequence
+
+    def collect(self) -> Answer | None:
+        """Read what has come; give the answer to the youngest of the open questions, if there is one."""
+        received = self.line.read()
+        if not received:
+            return None
+        newest = None
+        for frame in self._reader.feed(received):
+            asked_ns = self._asked_at(frame)
+            state = protocol.state_of(frame.payload) if asked_ns is not None else None
+            if asked_ns is not None and state is not None and len(state.counts) == self.info.axes:
+                newest = Answer(state, asked_ns, self._clock.now_ns())
+        return newest
+
+    def send(self, kind: int, payload: bytes = b"") -> int:
+        """Send one frame; give its sequence number."""
+        sequence = (self.sequence + 1) & 0xFFFF
+        self.line.write(protocol.encode(Frame(kind, sequence, payload)))
+        self.sequence = sequence
+        return sequence
+
+    def _look_in(self, now_ns: int) -> Answer:
+        answer = self.collect()
+        if now_ns - self._looked_ns >= ASK_PERIOD_S * 1e9:
+            self._looked_ns = now_ns
+            self.ask(protocol.READ)
+        if answer is None:
+            raise DriverTimeout(f"{self.line.device}: {self.silence}")
+        return answer
+
+    def _answers(self, wanted: int) -> bool:
+        """Is that question no longer open?"""
+        return all(sequence != wanted for sequence, _ in self._asked)
+
+    def _asked_at(self, frame: Frame) -> int | None:
+        """When the question of this answer was asked; it and the older ones are then done with."""
+        if frame.kind != protocol.STATE or frame.version != protocol.VERSION:
+            return None
+        if all(sequence != frame.sequence for sequence, _ in self._asked):
+            return None
+        while True:
+            sequence, asked_ns = self._asked.popleft()
+            if sequence == frame.sequence:
+                return asked_ns
+
+    def _frames_for(self, wait_s: float) -> list[Frame]:
+        """Everything that comes within that time, or up to the first good frame."""
+        deadline_ns = self._clock.now_ns() + round(wait_s * 1e9)
+        for _ in range(READS_PER_WAIT):
+            left_ns = deadline_ns - self._clock.now_ns()
+            if left_ns <= 0 or not self.line.wait(left_ns * 1e-9):
+                break
+            frames = self._reader.feed(self.line.read())
+            if frames:
+                return frames
+        return []

@@ -1,0 +1,113 @@
+"""From a counter that wraps to a position that does not, refusing what the machine cannot have done."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rtec.errors import DriverFault
+
+NS = 1e-9
+SLACK_COUNTS = 2
+"""Two counts of the encoder's own flicker, which no speed limit excludes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """Counters as read.
+
+    Attributes:
+        values: unwrapped counts.
+        earliest_ns, latest_ns: they were latched between these two instants.
+    """
+
+    values: tuple[int, ...]
+    earliest_ns: int
+    latest_ns: int
+
+
+class CountTracker:
+    """Unwraps the counters of all axes together.
+
+    A reading further from the last accepted one than the machine's highest speed allows is refused. If the next one
+    stands by it, the counters have really jumped: from then on nothing is accepted until `restart`, because nobody
+    can say where the machine is. If it goes back, the refused one was a slip, and all goes on.
+
+    Args:
+        axes: their names.
+        bits: width of the counters; 64: they do not wrap.
+        max_counts_per_s: highest speed of each axis.
+    """
+
+    def __init__(self, axes: Sequence[str], bits: int, max_counts_per_s: Sequence[float]) -> None:
+        self.lost, self.bits = "", bits
+        self._axes, self._fastest = tuple(axes), tuple(max_counts_per_s)
+        self._good: Seen | None = None
+        self._refused: Seen | None = None
+
+    def restart(self) -> None:
+        """Forget everything: the next reading is taken as it stands, as a signed number of that many bits."""
+        self.lost, self._good, self._refused = "", None, None
+
+    def update(self, raw: Sequence[int], earliest_ns: int, latest_ns: int) -> tuple[int, ...]:
+        """Give the unwrapped counts of one reading.
+
+        Args:
+            raw: counters, as wide as `bits`.
+            earliest_ns, latest_ns: they were latched between these two instants.
+
+        Raises:
+            DriverFault: they cannot be; `lost` says why if that stays so.
+        """
+        if self.lost:
+            raise DriverFault(self.lost)
+        if self._good is None:
+            self._good = Seen(tuple(_signed(n, self.bits) for n in raw), earliest_ns, latest_ns)
+            return self._good.values
+        self._check_gap(self._good, latest_ns)
+        seen = Seen(self._near(raw, self._good.values), earliest_ns, latest_ns)
+        fault = self._too_fast(self._good, seen)
+        if not fault and not self._stands_by_refused(seen):
+            self._good, self._refused = seen, None
+            return seen.values
+        if self._refused is not None and self._stands_by_refused(seen):
+            self.lost = f"{fault or 'counts jumped'}, and stayed there: the position is not known"
+            raise DriverFault(self.lost)
+        self._refused = seen
+        raise DriverFault(f"{fault}: refused")
+
+    def _near(self, raw: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
+        return tuple(known + _signed(n - known, self.bits) for n, known in zip(raw, last, strict=True))
+
+    def _check_gap(self, good: Seen, latest_ns: int) -> None:
+        gap_s = (latest_ns - good.earliest_ns) * NS
+        for axis, fastest in zip(self._axes, self._fastest, strict=True):
+            if fastest * gap_s >= 2 ** (self.bits - 1):
+                self.lost = (
+                    f"axis {axis} was not read for {gap_s:.3g} s, in which a counter of {self.bits} bits may have gone "
+                    "round unseen: the position is not known"
+                )
+                raise DriverFault(self.lost)
+
+    def _too_fast(self, before: Seen, after: Seen) -> str:
+        span_s = max(0, after.latest_ns - before.earliest_ns) * NS
+        for axis, fastest, old, new in zip(self._axes, self._fastest, before.values, after.values, strict=True):
+            if abs(new - old) > fastest * span_s + SLACK_COUNTS:
+                return (
+                    f"axis {axis} jumped by {new - old} counts in {span_s * 1e3:.3g} ms, "
+                    f"more than its highest speed allows ({fastest * span_s:.0f})"
+                )
+        return ""
+
+    def _stands_by_refused(self, seen: Seen) -> bool:
+        """Is it nearer to the refused reading than to the accepted one, and could it have come from there?"""
+        if self._refused is None or self._good is None or self._too_fast(self._refused, seen):
+            return False
+        return _distance(seen, self._refused) < _distance(seen, self._good)
+
+
+def _signed(number: int, bits: int) -> int:
+    half = 1 << (bits - 1)
+    return ((number + half) & ((1 << bits) - 1)) - half
+
+
+def _distance(a: Seen, b: Seen) -> int:
+    return max(abs(x - y) for x, y in zip(a.values, b.values, strict=True))

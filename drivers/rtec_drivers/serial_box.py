@@ -1,0 +1,254 @@
+"""Encoder box on a serial port: reads latched counts, inserts counts (RTEC box link, `docs/rtec-box-link.md`)."""
+
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.correction.sinks import Sink
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec_drivers import box_protocol as protocol
+from rtec_drivers.box_ledger import BoxLedger
+from rtec_drivers.box_options import BoxOptions, axis_order, max_counts_per_s
+from rtec_drivers.box_session import Answer, BoxSession
+from rtec_drivers.count_tracker import CountTracker
+from rtec_drivers.reopen import Reopener
+from rtec_drivers.serial_line import PortFinder, Ports, SerialLine
+
+IntArray = NDArray[np.int64]
+FIRST_WAIT_S = 0.1
+
+
+class SerialBoxDriver:
+    """Encoder box on a serial port.
+
+    One exchange a cycle: `read_counts` asks and waits for the answer, at most `timeout_ms`; `apply` sends the command
+    and waits for nothing, since the next answer says what the box has. An answer that comes late counts as what it
+    is, an older reading. A lost line is opened again from a thread of its own; the box holds meanwhile, and goes on.
+
+    A box that started anew has lost ledger and position. The driver then refuses readings and commands, and says so,
+    until `resume` is called or the run is started again.
+
+    Args:
+        options: what the run file says.
+        machine: whose axes the arrays follow.
+        clock: for instants and deadlines.
+        base: not used; there are no files.
+        ports: lists the serial ports; pyserial's list where not given.
+
+    Raises:
+        ConfigError: axes or speeds do not fit the machine.
+    """
+
+    options_model = BoxOptions
+    EXAMPLE = """\
+[device.box]
+driver = "serial_box"
+port = "/dev/serial/by-id/usb-RTEC_box_0042-if00"
+max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
+"""
+
+    def __init__(
+        self, options: BoxOptions, machine: Machine, clock: Clock, base: Path = Path(), ports: Ports | None = None
+    ) -> None:
+        del base
+        self.options, self._machine, self._clock = options, machine, clock
+        self._order = axis_order(options.axes, machine)
+        limits = max_counts_per_s(options.max_speed_mm_s, machine)
+        self._limits = [limits[i] for i in self._order]
+        self._finder = PortFinder(options, ports)
+        self._reopener = Reopener(self._connect, _close, clock, options.first_retry_s, options.longest_retry_s)
+        self._session: BoxSession | None = None
+        self._entered = False
+        self._box_serial = options.box_serial
+        self._ledger = BoxLedger(options.resume_step_counts, options.command_timeout_s)
+        self._tracker = self._new_tracker(32)
+        self._last_us = -1
+
+    def __enter__(self) -> Self:
+        """Open the port, greet the box and read its ledger. It is told nothing before the first command.
+
+        Starting a run is an order to resume; it goes out with that command.
+
+        Raises:
+            DriverUnavailable, DriverTimeout, DriverFault: where the options say `at_start = "required"`.
+        """
+        self._begin()
+        self._entered = True
+        try:
+            session = self._connect()
+            self._adopt(session)
+            with suppress(DriverFault):  # a fault that the box remembers; the first command lets it look again
+                self._ledger.told(self._first_answer(session).state)
+        except DriverError as e:
+            if self.options.at_start == "required":
+                self._leave()
+                raise
+            self._lose(str(e))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Hold, then close."""
+        self.hold()
+        self._leave()
+
+    @property
+    def must_resume(self) -> str:
+        """Why it waits for an order to resume; "" where it does not."""
+        return self._ledger.must_resume
+
+    def resume(self) -> None:
+        """The order to go on after a reset of the box or a lost position: its ledger and counts are taken as they are.
+
+        Whoever orders it must take over the ledger (`read_output`) before the next command.
+        """
+        self._begin()
+
+    def read_counts(self, counts: IntArray) -> int:
+        """Fill in the raw counts; give the instant at which the box was asked for them, ns: they are no older.
+
+        Raises:
+            DriverTimeout: no answer in time.
+            DriverFault: counts that cannot be, a frozen box, or one that waits for an order to resume.
+            DriverUnavailable: the port is gone; it is being opened again.
+        """
+        session = self._live()
+        try:
+            answer = session.talk(self.options.timeout_ms * 1e-3)
+        except DriverTimeout:
+            if session.silent_s > self.options.silent_reopen_s:
+                self._lose(f"{session.line.device}: the encoder box was silent for {session.silent_s:.1f} s")
+            raise
+        except DriverUnavailable as e:
+            self._lose(str(e))
+            raise
+        values = self._digest(answer)
+        for value, axis in zip(values, self._order, strict=True):
+            counts[axis] = value
+        return answer.asked_ns
+
+    def refuses(self, sink: Sink) -> str:
+        """Pulses only."""
+        return "" if sink.kind == "pulse" else f"inserts counts: it takes 'pulse', not {sink.kind!r}"
+
+    def apply(self, output: IntArray) -> None:
+        """Command the inserted counts of every axis, absolute. Nothing is waited for.
+
+        Raises:
+            DriverFault: the box waits for an order to resume, or the command would be a jump.
+            DriverTimeout: the port takes no bytes, or the box takes no commands.
+            DriverUnavailable: the port is gone.
+        """
+        session = self._live()
+        if session.silence:  # by then the box holds, or soon will; so does the loop
+            raise DriverTimeout(f"{session.line.device}: {session.silence}")
+        targets = [int(output[axis]) for axis in self._order]
+        self._ledger.check_command(targets)
+        try:
+            if self._ledger.pending:
+                session.ask(protocol.RESUME, protocol.resume_payload(self._ledger.boot))
+            session.send(protocol.COMMAND, protocol.command_payload(self._ledger.boot, targets))
+        except DriverUnavailable as e:
+            self._lose(str(e))
+            raise
+        self._ledger.commanded(self._clock.now_ns())
+
+    def read_output(self, output: IntArray) -> None:
+        """Fill in the ledger that the box told last.
+
+        Raises:
+            DriverUnavailable: it has not told any yet.
+        """
+        if self._ledger.counts is None:
+            raise DriverUnavailable(f"{self.options.place}: the encoder box has not told its ledger yet")
+        for value, axis in zip(self._ledger.counts, self._order, strict=True):
+            output[axis] = value
+
+    def hold(self) -> None:
+        """Nothing to send: the box keeps what it was last told, and holds by itself when it hears no more."""
+
+    def _begin(self) -> None:
+        """As ordered to resume: what the box says next is taken as it stands."""
+        self._ledger.order_resume()
+        self._last_us = -1
+        self._tracker.restart()
+
+    def _connect(self) -> BoxSession:
+        """Open and greet; called in the reopener's thread, so it changes nothing of the driver but the finder."""
+        device = self._finder.find()
+        session = BoxSession(SerialLine(self.options, device), self._clock)
+        try:
+            session.greet(self.options.open_timeout_s)
+            session.check(self._box_serial, len(self._order))
+        except DriverError:
+            _close(session)
+            raise
+        self._finder.remember(device)
+        return session
+
+    def _adopt(self, session: BoxSession) -> None:
+        self._session, self._last_us = session, -1
+        self._box_serial = session.info.box_serial
+        self._ledger.reconnected()
+        if session.info.counter_bits != self._tracker.bits:
+            self._tracker = self._new_tracker(session.info.counter_bits)
+
+    def _new_tracker(self, bits: int) -> CountTracker:
+        return CountTracker([self._machine.axis_names[i] for i in self._order], bits, self._limits)
+
+    def _live(self) -> BoxSession:
+        if not self._entered:
+            raise DriverUnavailable("serial_box: not entered, so its port is not open")
+        if self._session is not None:
+            return self._session
+        session = self._reopener.poll()
+        if session is None:
+            raise DriverUnavailable(f"{self._reopener.error}; trying again")
+        self._adopt(session)
+        return session
+
+    def _first_answer(self, session: BoxSession) -> Answer:
+        """Ask until the box answers; only before the first cycle."""
+        for _ in range(max(1, round(self.options.open_timeout_s / FIRST_WAIT_S)) - 1):
+            with suppress(DriverTimeout):
+                return session.exchange(FIRST_WAIT_S)
+        return session.exchange(FIRST_WAIT_S)
+
+    def _digest(self, answer: Answer) -> tuple[int, ...]:
+        """Give the unwrapped counts of a state, if it is sound."""
+        state = answer.state
+        self._ledger.told(state)
+        if self._ledger.must_resume:
+            raise DriverFault(self._ledger.must_resume)
+        frozen, self._last_us = state.time_us == self._last_us, state.time_us
+        if frozen:
+            raise DriverFault(f"{self.options.place}: the encoder box is frozen: its clock stands still")
+        try:
+            return self._tracker.update(state.counts, answer.asked_ns, answer.answered_ns)
+        finally:
+            if self._tracker.lost:
+                self._ledger.stop(self._tracker.lost)
+
+    def _lose(self, error: str) -> None:
+        if self._session is not None:
+            _close(self._session)
+            self._session = None
+        self._reopener.lost(error)
+
+    def _leave(self) -> None:
+        self._entered = False
+        self._reopener.close()
+        if self._session is not None:
+            _close(self._session)
+            self._session = None
+
+
+def _close(session: BoxSession) -> None:
+    session.line.close()

@@ -1,0 +1,230 @@
+"""A serial port that never blocks: options, finding it again by its USB serial number, reading and writing bytes."""
+
+import errno
+import os
+import select
+import termios
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rtec.errors import DriverTimeout, DriverUnavailable
+from rtec.tomlfile import Strict
+
+READ_BYTES = 4096
+SELECT_LIMIT = 1024
+Ports = Callable[[], Sequence[Any]]
+PARITIES = {"none": "N", "even": "E", "odd": "O", "mark": "M", "space": "S"}
+LOST = (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF, errno.EPIPE, errno.ENOENT)
+
+
+class PortOptions(Strict):
+    """What every serial device may say of its port.
+
+    Attributes:
+        port: device file; a link under /dev/serial/by-id is as good.
+        usb_serial: serial number of the USB adapter; the port is then found by it, whatever its name today. Without
+            it the number of the adapter behind `port` is remembered, and found again after it was pulled.
+        baud, bytesize, parity, stopbits: as the device wants them.
+        at_start: "required": the run does not begin without the port; "later": it may appear any time.
+        first_retry_s, longest_retry_s: between two attempts to open; doubled from the first up to the longest.
+    """
+
+    port: str | None = None
+    usb_serial: str | None = None
+    baud: Annotated[int, Field(ge=50, le=20_000_000)] = 115200
+    bytesize: Literal[5, 6, 7, 8] = 8
+    parity: Literal["none", "even", "odd", "mark", "space"] = "none"
+    stopbits: Literal[1, 2] = 1
+    at_start: Literal["required", "later"] = "required"
+    first_retry_s: Annotated[float, Field(gt=0, le=60)] = 0.1
+    longest_retry_s: Annotated[float, Field(gt=0, le=600)] = 5.0
+
+    @model_validator(mode="after")
+    def _some_port(self) -> Self:
+        if not self.port and not self.usb_serial:
+            raise ValueError("give port (a device file) or usb_serial (serial number of the USB adapter), or both")
+        return self
+
+    @property
+    def place(self) -> str:
+        """The port as people call it."""
+        return self.port or f"USB adapter {self.usb_serial}"
+
+
+class PortFinder:
+    """Knows which device file to open now, also after the adapter came back under another name.
+
+    Args:
+        options: port or serial number.
+        ports: lists the ports that there are; pyserial's list where not given.
+    """
+
+    def __init__(self, options: PortOptions, ports: Ports | None = None) -> None:
+        self._options, self._ports = options, ports or _comports
+        self._serial, self._interface = options.usb_serial, ""
+
+    def find(self) -> str:
+        """Give the device file.
+
+        Raises:
+            DriverUnavailable: no port, or several, with that serial number.
+        """
+        if self._serial is None:
+            return str(self._options.port)
+        there = list(self._ports())
+        same = [p for p in there if p.serial_number == self._serial]
+        ours = [p for p in same if self._is_ours(p)] if len(same) > 1 else same
+        if len(ours) == 1:
+            return str(ours[0].device)
+        if same:
+            raise DriverUnavailable(f"several ports have the USB serial number {self._serial!r}; name one with port")
+        seen = ", ".join(f"{p.device} ({p.serial_number})" for p in there if p.serial_number) or "none"
+        raise DriverUnavailable(f"no port with the USB serial number {self._serial!r}; USB ports here: {seen}")
+
+    def remember(self, device: str) -> None:
+        """Note which adapter is behind a port that was opened, so that it is found again by its number."""
+        real = os.path.realpath(device)
+        for p in self._ports():
+            if os.path.realpath(p.device) == real and p.serial_number:
+                self._serial, self._interface = p.serial_number, _interface(p)
+
+    def _is_ours(self, port: Any) -> bool:
+        if self._interface:
+            return _interface(port) == self._interface
+        named = self._options.port
+        return named is not None and os.path.realpath(port.device) == os.path.realpath(named)
+
+
+class SerialLine:
+    """An open port. Every call returns at once, but for `wait`.
+
+    Args:
+        options: how.
+        device: which.
+
+    Raises:
+        DriverUnavailable: it is not there, in use, or may not be opened.
+    """
+
+    def __init__(self, options: PortOptions, device: str) -> None:
+        self.device = device
+        self._serial = _open(options, device)
+        self._fd = int(self._serial.fileno())
+        self._unsent = b""
+        if self._fd >= SELECT_LIMIT:
+            self.close()
+            raise DriverUnavailable(f"{device}: more than {SELECT_LIMIT} files are open in this process")
+
+    def close(self) -> None:
+        """Give the port back; again does nothing."""
+        self._fd = -1
+        with suppress(OSError, termios.error):
+            self._serial.reset_output_buffer()  # else the system may wait up to 30 s for it to drain
+        with suppress(OSError, termios.error):
+            self._serial.close()
+
+    def write(self, data: bytes) -> None:
+        """Hand bytes to the system, all or none of this call's; what a full buffer cut off goes out with the next call.
+
+        Raises:
+            DriverTimeout: the port takes no bytes now; nothing of `data` was sent.
+            DriverUnavailable: the port is gone.
+        """
+        if self._unsent:
+            self._unsent = self._unsent[self._push(self._unsent) :]
+        sent = 0 if self._unsent else self._push(data)
+        if not sent and data:
+            raise DriverTimeout(f"{self.device}: takes no bytes")
+        self._unsent += data[sent:]
+
+    def read(self) -> bytes:
+        """Give the bytes that are there, none where there are none.
+
+        Raises:
+            DriverUnavailable: the port is gone.
+        """
+        if not self.wait(0.0):
+            return b""
+        try:
+            received = os.read(self._fd, READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as e:
+            raise self._gone(e) from e
+        if not received:
+            raise DriverUnavailable(f"{self.device}: gone (end of file)")
+        return received
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until bytes are there, or the port is gone, for at most so long; say whether to read.
+
+        Raises:
+            DriverUnavailable: the port was closed.
+        """
+        try:
+            return bool(select.select((self._fd,), (), (), max(0.0, timeout_s))[0])
+        except (OSError, ValueError) as e:
+            raise DriverUnavailable(f"{self.device}: closed") from e
+
+    def _push(self, data: bytes) -> int:
+        try:
+            return os.write(self._fd, data)
+        except BlockingIOError:
+            return 0
+        except OSError as e:
+            raise self._gone(e) from e
+
+    def _gone(self, error: OSError) -> DriverUnavailable:
+        reason = "gone" if error.errno in LOST else f"fails: {error.strerror}"
+        return DriverUnavailable(f"{self.device}: {reason}")
+
+
+def _comports() -> Sequence[Any]:
+    from serial.tools import list_ports
+
+    return list_ports.comports()
+
+
+def _interface(port: Any) -> str:
+    """Which of the ports of one adapter: the part of its USB place behind the colon."""
+    return str(port.location or "").partition(":")[2]
+
+
+def _open(options: PortOptions, device: str) -> Any:
+    try:
+        import serial
+    except ImportError as e:
+        raise DriverUnavailable(f"pyserial is not installed: {e}") from e
+    try:
+        port = serial.Serial(
+            device,
+            options.baud,
+            options.bytesize,
+            PARITIES[options.parity],
+            options.stopbits,
+            timeout=0,
+            write_timeout=0,
+            exclusive=True,
+        )
+    except (OSError, ValueError, termios.error) as e:
+        raise DriverUnavailable(f"{device}: {_why_not(e, device)}") from e
+    with suppress(OSError, ValueError, NotImplementedError, termios.error):
+        port.set_low_latency_mode(True)  # else many USB adapters keep bytes for 16 ms
+    with suppress(OSError, termios.error):
+        port.reset_input_buffer()
+    return port
+
+
+def _why_not(error: Exception, device: str) -> str:
+    number = getattr(error, "errno", None)
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "in use by another program"
+    if number in (errno.EACCES, errno.EPERM):
+        return "may not be opened by this user; members of the group 'dialout' may"
+    if not Path(device).exists():
+        return "no such port; plug it in, or name another"
+    return f"cannot be opened: {error}"

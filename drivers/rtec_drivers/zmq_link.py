@@ -1,0 +1,225 @@
+"""Counts and temperatures from another process, and commands to it, by ZeroMQ (`docs/zmq-link.md`)."""
+
+import math
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.correction.sinks import Sink
+from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec_drivers import zmq_message as message
+from rtec_drivers.box_options import max_counts_per_s
+from rtec_drivers.count_tracker import CountTracker
+from rtec_drivers.zmq_commands import CommandAccount
+from rtec_drivers.zmq_options import ZmqOptions, load_keys
+from rtec_drivers.zmq_sockets import Sockets
+from rtec_drivers.zmq_states import Counts, StateBook
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+LOOK_S = 0.01
+
+
+class ZmqLinkDriver:
+    """Another process as a device, by ZeroMQ.
+
+    Never waits: each call takes what has arrived. Commands are absolute, may be repeated, and are answered; the
+    answer is looked at in a later cycle. If the other process starts anew, counts and commands hold until `resume` is
+    called; temperatures go on.
+
+    Args:
+        options: what the run file says.
+        machine: whose axes and sensors the arrays follow.
+        clock: for instants.
+        base: folder that relative paths of key files start at.
+
+    Raises:
+        ConfigError: keys or speeds are wrong.
+    """
+
+    options_model = ZmqOptions
+    EXAMPLE = """\
+[device.cell]
+driver = "zmq_link"
+state = "ipc:///run/cell/state"
+command = "ipc:///run/cell/command"
+clock = "shared"                           # the other process is on this computer
+max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
+"""
+
+    def __init__(self, options: ZmqOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
+        self.options, self._machine, self._clock = options, machine, clock
+        self._keys = load_keys(options, base)
+        self._tracker: CountTracker | None = None
+        if options.max_speed_mm_s:
+            self._tracker = CountTracker(machine.axis_names, 64, max_counts_per_s(options.max_speed_mm_s, machine))
+        self._sockets: Sockets | None = None
+        self._book = StateBook(machine, options)
+        self._commands = CommandAccount(machine.axis_names, options.resume_step, options.command_timeout_s)
+        self._counts: Counts | None = None
+        self._counts_ns = -(2**62)
+
+    def __enter__(self) -> Self:
+        """Connect; wait for the first message. Starting a run is an order to resume.
+
+        Raises:
+            DriverTimeout: none came, and the options say `at_start = "required"`.
+            DriverUnavailable: an address cannot be used.
+        """
+        self._book = StateBook(self._machine, self.options)
+        self._sockets = Sockets(self.options, self._keys)
+        self.resume()
+        try:
+            self._first_message(self._sockets)
+        except DriverTimeout:
+            if self.options.at_start == "required":
+                self._leave()
+                raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Hold, then close."""
+        self.hold()
+        self._leave()
+
+    @property
+    def must_resume(self) -> str:
+        """Why counts and commands wait for an order to resume; "" where they do not."""
+        return self._commands.must_resume
+
+    def resume(self) -> None:
+        """The order to go on after the other process started anew or a position was lost."""
+        self._commands.order_resume()
+        self._counts, self._counts_ns = None, -(2**62)
+        if self._tracker is not None:
+            self._tracker.restart()
+
+    def read_counts(self, counts: IntArray) -> int:
+        """Fill in the counts that came last; give their instant of latching by our clock, ns.
+
+        Raises:
+            DriverTimeout: no counts in the last `silent_s`.
+            DriverFault: counts that cannot be, a garbled message, or an order to resume is waited for.
+            DriverUnavailable: not entered.
+        """
+        self._listen()
+        self._book.tell()
+        if self._commands.must_resume:
+            raise DriverFault(self._commands.must_resume)
+        if self._tracker is None:
+            raise DriverFault(f"{self.options.state}: counts are not taken without max_speed_mm_s")
+        got = self._book.counts
+        if got is None:
+            raise DriverTimeout(f"{self.options.state}: no counts yet")
+        if got is not self._counts:
+            self._check(self._tracker, got)
+        counts[:] = got.values
+        return self._counts_ns
+
+    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+        """Fill in what came since, °C and instants by our clock; then tell what is wrong.
+
+        Raises:
+            DriverTimeout, DriverFault, DriverUnavailable: as `read_counts`.
+        """
+        self._listen()
+        for i, name in enumerate(self._machine.sensor_names):
+            if name in self._book.degc:
+                degc[i], time_ns[i] = self._book.degc[name]
+        self._book.tell()
+
+    def read_spindle(self) -> float:
+        """Give the spindle speed that came last, 1/min.
+
+        Raises:
+            DriverTimeout: none in the last `silent_s`.
+            DriverFault, DriverUnavailable: as `read_counts`.
+        """
+        self._listen()
+        self._book.tell()
+        return self._book.spindle()
+
+    def refuses(self, sink: Sink) -> str:
+        """Take the one kind that the options name, in their unit; none without an address for commands."""
+        options = self.options
+        if options.command is None:
+            return "has no address for commands (its option command)"
+        if sink.kind != options.actuator:
+            return f"takes {options.actuator!r} (its option actuator), not {sink.kind!r}"
+        if sink.kind != "pulse" and not math.isclose(sink.unit_um, options.unit_um, rel_tol=1e-9):
+            return f"has units of {options.unit_um:g} µm (its option unit_um), the output has {sink.unit_um:g} µm"
+        return ""
+
+    def apply(self, output: IntArray) -> None:
+        """Send the absolute output of every axis. Nothing is waited for.
+
+        Raises:
+            DriverFault: the other process refuses, started anew, or the command would be a jump.
+            DriverTimeout: nobody takes commands, or nobody answers them.
+            DriverUnavailable: not entered.
+        """
+        sockets = self._listen()
+        now_ns = self._clock.now_ns()
+        sockets.send(self._commands.next_command([int(n) for n in output]))
+        self._commands.sent(now_ns)
+
+    def read_output(self, output: IntArray) -> None:
+        """Fill in what the other process says is applied.
+
+        Raises:
+            DriverUnavailable: it has not said yet.
+        """
+        self._listen()
+        if self._commands.has is None:
+            raise DriverUnavailable(f"{self.options.state}: the other process has not said what it has applied")
+        output[:] = self._commands.has
+
+    def hold(self) -> None:
+        """Nothing to send: the other process keeps what it was last told."""
+
+    def _listen(self) -> Sockets:
+        """Take in everything that has come."""
+        if self._sockets is None:
+            raise DriverUnavailable("zmq_link: not entered, so nothing is connected")
+        now_ns = self._clock.now_ns()
+        for text in self._sockets.states():
+            state = self._book.take(text, now_ns)
+            if state is not None:
+                self._commands.told(state.boot, state.output)
+        for text in self._sockets.answers():
+            try:
+                self._commands.answered(message.read_answer(text))
+            except message.MessageError as e:
+                self._book.fault(f"an answer {e}")
+        self._book.now(now_ns)
+        return self._sockets
+
+    def _first_message(self, sockets: Sockets) -> None:
+        for _ in range(max(1, round(self.options.open_timeout_s / LOOK_S))):
+            sockets.wait(LOOK_S)
+            self._listen()
+            if self._book.heard:
+                return
+        raise DriverTimeout(f"{self.options.state}: no message within {self.options.open_timeout_s:g} s")
+
+    def _check(self, tracker: CountTracker, got: Counts) -> None:
+        """Could the machine have moved so? How long it took, their own clock says."""
+        try:
+            tracker.update(got.values, got.their_ns, got.their_ns)
+        finally:
+            if tracker.lost:
+                self._commands.stop(tracker.lost)
+        # A quicker message than all before shows the offset of the clocks smaller; instants do not go back for that.
+        self._counts, self._counts_ns = got, max(self._counts_ns, got.instant_ns)
+
+    def _leave(self) -> None:
+        if self._sockets is not None:
+            self._sockets.close()
+            self._sockets = None

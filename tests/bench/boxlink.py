@@ -1,0 +1,134 @@
+"""Counts to command over the serial box link at 1 kHz, beside a bare echo over a pseudo terminal in the same run.
+
+The driver's round trip: READ sent, STATE received and checked, COMMAND sent. The echo's: the bytes of a STATE written
+and read back, from a Python process too that does nothing else. Both wait for the next millisecond first, and run at
+the loop's priority where the system grants it.
+"""
+
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from timeit import default_timer
+
+import numpy as np
+
+from rtec.runtime.clock import RealClock
+from rtec.tomlfile import validated
+from rtec_drivers.box_options import BoxOptions
+from rtec_drivers.serial_box import SerialBoxDriver
+from tests.bench.table import Row
+from tests.machines import turning_centre
+
+CYCLES = 5000
+WARM_UP = 200
+PERIOD_NS = 1_000_000
+PRIORITY = 80
+ANSWER_BYTES = 36
+ECHO = """
+import os, tty
+master, slave = os.openpty()
+tty.setraw(slave)
+print(os.ttyname(slave), flush=True)
+while True:
+    data = os.read(master, 4096)
+    os.write(master, data)
+"""
+
+
+def rows() -> list[Row]:
+    """All figures of this file."""
+    box, echo = [], []
+    with _real_time() as priority:
+        for _ in range(2):  # in turns, so that what else this computer does meets both
+            echo.append(_echo())
+            box.append(_box())
+    theirs, ours = np.concatenate(echo), np.concatenate(box)
+    return [
+        Row(
+            f"counts to command over the serial box link at 1 kHz, 2 axes, {name}",
+            f"{np.percentile(ours, percent):.0f} µs",
+            float(np.percentile(ours, percent) / np.percentile(theirs, percent)),
+            f"bare pty echo of {ANSWER_BYTES} bytes: {np.percentile(theirs, percent):.0f} µs, {priority}",
+            "",
+            True,
+        )
+        for name, percent in (("p50", 50), ("p99", 99))
+    ]
+
+
+def _box() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Times of round trips, µs."""
+    with tempfile.TemporaryDirectory() as folder, _process(["-m", "rtec_drivers.box_process", f"{folder}/box"]):
+        table = {"port": f"{folder}/box", "max_speed_mm_s": {"X": 400.0, "Z": 400.0}, "timeout_ms": 20.0}
+        clock, machine = RealClock(), turning_centre()
+        counts, output = np.zeros(2, np.int64), np.zeros(2, np.int64)
+        with SerialBoxDriver(validated(BoxOptions, table, "bench"), machine, clock, Path(folder)) as driver:
+
+            def cycle() -> None:
+                driver.read_counts(counts)
+                driver.apply(output)
+
+            return _times(clock, cycle)
+
+
+def _echo() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    with _process(["-c", ECHO]) as (_, name):
+        fd = os.open(name, os.O_RDWR | os.O_NOCTTY)
+        tty.setraw(fd)
+        message = b"\x55" * ANSWER_BYTES
+
+        def cycle() -> None:
+            os.write(fd, message)
+            got = 0
+            while got < ANSWER_BYTES:
+                select.select((fd,), (), ())
+                got += len(os.read(fd, 4096))
+
+        try:
+            return _times(RealClock(), cycle)
+        finally:
+            os.close(fd)
+
+
+def _times(clock: RealClock, cycle: Callable[[], None]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    out = np.empty(CYCLES)
+    for i in range(-WARM_UP, CYCLES):
+        clock.sleep_until_ns((clock.now_ns() // PERIOD_NS + 1) * PERIOD_NS)
+        start = default_timer()
+        cycle()
+        if i >= 0:
+            out[i] = default_timer() - start
+    return out * 1e6
+
+
+@contextmanager
+def _real_time() -> Iterator[str]:
+    """Run at the loop's priority, and so do processes that are started meanwhile; say how."""
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except PermissionError:
+        yield "both at ordinary priority"
+        return
+    try:
+        yield f"both SCHED_FIFO {PRIORITY}"
+    finally:
+        os.sched_setscheduler(0, *before)
+
+
+@contextmanager
+def _process(arguments: list[str]) -> "Iterator[tuple[subprocess.Popen[str], str]]":
+    """A process that says one line when it is ready; that line."""
+    command = [sys.executable, *arguments]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process, process.stdout.readline().strip()
+        finally:
+            process.terminate()
