@@ -179,7 +179,7 @@ def history(
 
     Example: `rtec history better.toml --report out/history`
     """
-    from rtec.diagnosis.compare_machine import load_with_machine
+    from rtec.diagnosis.machine_of import load_with_machine
     from rtec.report.diagnosis import history_page, steps_of
 
     known = load_with_machine(model, machine)
@@ -188,7 +188,7 @@ def history(
 
 
 def _load(model: Path, files: list[Path], machine: Path | None) -> tuple[Any, Any]:
-    from rtec.diagnosis.compare_machine import load_with_machine
+    from rtec.diagnosis.machine_of import load_with_machine
     from rtec.metrology.files import load_measurements
 
     known = load_with_machine(model, machine)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from rtec import __version__
-from rtec.cli import demo, effects, fit, import_, log, procedures, replay, run, simulate
+from rtec.cli import demo, diagnose, effects, fit, import_, log, plan, procedures, replay, run, simulate
 from rtec.errors import RtecError
 
 app = typer.Typer(
@@ -32,6 +32,9 @@ app.command("import")(import_.import_)
 app.command()(simulate.simulate)
 app.command()(fit.fit)
 app.command()(effects.effects)
+for _command in (diagnose.diagnose, diagnose.add, diagnose.improve, diagnose.history):
+    app.command()(_command)
+app.command()(plan.plan)
 for _procedure in (procedures.iso230, procedures.straightness, procedures.parallelism, procedures.drift):
     app.command()(_procedure)
 app.add_typer(log.app, name="log")

@@ -1,0 +1,51 @@
+"""Finds the machine file that a model was made for, where nobody names it."""
+
+from pathlib import Path
+
+from rtec.errors import ModelError, RtecError
+from rtec.machine import Machine, load_machine
+from rtec.model import Model, load_model
+from rtec.tomlfile import read_toml
+
+FOLDERS = (".", "..", "machines", "../machines", "configs/machines")
+MOST_BYTES = 1_000_000
+
+
+def load_with_machine(model: Path, machine: Path | None = None) -> Model:
+    """Load a model with its machine.
+
+    Args:
+        model: file.
+        machine: its machine's file; where None it is looked for by its content beside the model, in `machines` beside
+            it or one folder up, and in `configs/machines` of the working directory.
+
+    Raises:
+        ModelError: the model cannot be read, or no machine file belongs to it.
+    """
+    if machine is not None:
+        return load_model(model, load_machine(machine))
+    head = read_toml(model, ModelError).get("model")
+    wanted = head.get("machine_hash") if isinstance(head, dict) else None
+    if not isinstance(wanted, str):
+        raise ModelError(f"{model}: [model] machine_hash is missing; is this a model file?")
+    for found in _machines(model):
+        if found.hash == wanted:
+            return load_model(model, found)
+    name = head.get("machine", "") if isinstance(head, dict) else ""
+    raise ModelError(
+        f"{model}: no file of machine {name!r} as it was at the fit was found beside it or in configs/machines; "
+        "name it with --machine FILE"
+    )
+
+
+def _machines(model: Path) -> list[Machine]:
+    places = [model.resolve().parent / f for f in FOLDERS[:4]] + [Path(FOLDERS[4])]
+    out = []
+    for folder in dict.fromkeys(p.resolve() for p in places):
+        for file in sorted(folder.glob("*.toml")) if folder.is_dir() else []:
+            try:
+                if file.stat().st_size < MOST_BYTES and "machine" in read_toml(file) and "axis" in read_toml(file):
+                    out.append(load_machine(file))
+            except RtecError:
+                continue  # some other file, or one that is no machine's
+    return out
