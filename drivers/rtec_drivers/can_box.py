@@ -1,0 +1,254 @@
+"""Encoder box on a CAN bus: reads latched counts, inserts counts; one frame an axis (`docs/can.md`)."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from rtec.correction.sinks import Sink
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec_drivers import can_box_frames as frames
+from rtec_drivers.box_ledger import BoxLedger
+from rtec_drivers.box_options import axis_order, max_counts_per_s
+from rtec_drivers.box_protocol import NOT_RESUMED, BoxState
+from rtec_drivers.can_box_session import CanBoxSession, Latched
+from rtec_drivers.can_bus import CanOptions, CanPort
+from rtec_drivers.count_tracker import CountTracker
+
+COUNTER_BITS = 32
+REPEAT_NS = 20_000_000
+ASK_S = 0.05
+
+
+class CanBoxOptions(CanOptions):
+    """What a run file may say of an encoder box on a CAN bus.
+
+    Attributes:
+        base_id: first identifier of the box; a multiple of 64, 64 identifiers are its own.
+        axes: the box's inputs in order, by the machine's axis names; the machine's own order where not given.
+        max_speed_mm_s: highest speed of each axis; counts that move faster are refused.
+        timeout_ms: a reading older than this is told as missing.
+        open_timeout_s: longest wait for the box when its interface is opened.
+        command_timeout_s: so long may the box leave commands alone before that is told.
+        resume_step_counts: the first command after a start or an order to resume may differ from the box's ledger
+            by at most this.
+    """
+
+    base_id: Annotated[int, Field(ge=0x40, le=0x780)] = 0x140
+    axes: tuple[str, ...] | None = None
+    max_speed_mm_s: dict[str, Annotated[float, Field(gt=0)]]
+    timeout_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
+    open_timeout_s: Annotated[float, Field(ge=0.1, le=30)] = 2.0
+    command_timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.2
+    resume_step_counts: Annotated[int, Field(ge=0)] = 16
+
+    @field_validator("base_id")
+    @classmethod
+    def _block(cls, value: int) -> int:
+        if value % frames.BLOCK:
+            raise ValueError("must be a multiple of 64 (0x40)")
+        return value
+
+
+class CanBoxDriver:
+    """Encoder box on a CAN bus.
+
+    Each reading sends a LATCH frame and gives what the last one brought: it is a cycle old, and its instant, that of
+    the LATCH frame, says so. Commands are absolute and carry the number of the box's start: a lost or repeated frame
+    loses nothing, and a box that started anew takes none of them. The driver then refuses readings and commands, and
+    says so, until `resume` is called (or the run is started again).
+
+    Args:
+        options: what the run file says.
+        machine: whose axes the arrays follow.
+        clock: for instants and deadlines.
+        base: not used; there are no files.
+
+    Raises:
+        ConfigError: axes or speeds do not fit the machine.
+    """
+
+    options_model = CanBoxOptions
+    EXAMPLE = """\
+[device.box]
+driver = "can_box"
+interface = "socketcan"
+channel = "can0"
+base_id = 0x140
+max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
+"""
+
+    def __init__(self, options: CanBoxOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
+        del base
+        self._options, self._clock = options, clock
+        self._order = axis_order(options.axes, machine)
+        limits = max_counts_per_s(options.max_speed_mm_s, machine)
+        names = [machine.axis_names[i] for i in self._order]
+        self._tracker = CountTracker(names, COUNTER_BITS, [limits[i] for i in self._order])
+        self._ledger = BoxLedger(options.resume_step_counts, options.command_timeout_s)
+        axes = range(len(self._order))
+        hears = [frames.INFO, *(place + k for place in (frames.COUNTS, frames.LEDGER) for k in axes)]
+        self._port = CanPort(options, clock, [(options.base_id + n, False) for n in hears], self._hear)
+        self._where = f"{options.place}: the encoder box at {options.base_id:#x}"
+        self._sent: tuple[int, ...] | None = None
+        self._sent_ns = 0
+        self._digested: Latched | None = None
+        self._good: tuple[tuple[int, ...], int] | None = None
+        self._session = self._new_session()
+
+    def __enter__(self) -> Self:
+        """Open the interface and greet the box. Starting a run is an order to resume.
+
+        Raises:
+            DriverUnavailable, DriverTimeout, DriverFault: where the options say `at_start = "required"`.
+        """
+        self._session = self._new_session()
+        self.resume()
+        self._port.open()
+        try:
+            self._greet()
+        except DriverError:
+            if self._options.at_start == "required":
+                self._port.close()
+                raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Hold, then close."""
+        self.hold()
+        self._port.close()
+
+    @property
+    def must_resume(self) -> str:
+        """Why it waits for an order to resume; "" where it does not."""
+        return self._ledger.must_resume
+
+    def resume(self) -> None:
+        """The order to go on after a reset of the box or a lost position: its ledger and counts are taken as they are.
+
+        Whoever orders it must take over the ledger (`read_output`) before the next command.
+        """
+        self._ledger.order_resume()
+        self._tracker.restart()
+        self._sent = self._good = None
+
+    def read_counts(self, counts: NDArray[np.int64]) -> int:
+        """Fill in the newest raw counts; give the instant at which the box was told to latch them, ns.
+
+        Raises:
+            DriverTimeout: they are older than `timeout_ms`, or there are none yet.
+            DriverFault: counts that cannot be, or a box that waits for an order to resume.
+            DriverUnavailable: the interface is not open; it is being opened again.
+        """
+        self._port.check()
+        self._latch()
+        self._digest()
+        if self._ledger.must_resume:
+            raise DriverFault(self._ledger.must_resume)
+        if self._tracker.lost:
+            raise DriverFault(self._tracker.lost)
+        if self._good is None:
+            raise DriverTimeout(f"{self._where} does not answer")
+        values, asked_ns = self._good
+        age_ms = (self._clock.now_ns() - asked_ns) * 1e-6
+        if age_ms > self._options.timeout_ms:
+            raise DriverTimeout(f"{self._where} has sent no counts for {age_ms:.0f} ms")
+        for value, axis in zip(values, self._order, strict=True):
+            counts[axis] = value
+        return asked_ns
+
+    def refuses(self, sink: Sink) -> str:
+        """Pulses only."""
+        return "" if sink.kind == "pulse" else f"inserts counts: it takes 'pulse', not {sink.kind!r}"
+
+    def apply(self, output: NDArray[np.int64]) -> None:
+        """Command the inserted counts of every axis, absolute. Nothing is waited for.
+
+        Frames go out when the command changes, and every 20 ms: a lost one is made good by the next.
+
+        Raises:
+            DriverFault: the box waits for an order to resume, or the command would be a jump.
+            DriverTimeout: the interface takes no frames, or the box takes no commands.
+            DriverUnavailable: the interface is not open.
+        """
+        self._port.check()
+        targets = tuple(int(output[axis]) for axis in self._order)
+        self._ledger.check_command(targets)
+        now_ns = self._clock.now_ns()
+        if targets == self._sent and now_ns - self._sent_ns < REPEAT_NS:
+            return
+        self._session.command(targets, self._ledger.boot)
+        self._sent, self._sent_ns = targets, now_ns
+        self._ledger.commanded(now_ns)
+
+    def read_output(self, output: NDArray[np.int64]) -> None:
+        """Fill in the ledger that the box told last.
+
+        Raises:
+            DriverUnavailable: it has not told any yet.
+        """
+        if self._ledger.counts is None:
+            raise DriverUnavailable(f"{self._options.place}: the encoder box has not told its ledger yet")
+        for value, axis in zip(self._ledger.counts, self._order, strict=True):
+            output[axis] = value
+
+    def hold(self) -> None:
+        """Nothing to send: the box keeps what it was last told, and holds by itself when it hears no more."""
+
+    def faults(self) -> list[str]:
+        """What is wrong now, one line each."""
+        texts = (self._port.trouble, self._port.warning, self._ledger.must_resume, self._tracker.lost)
+        return [text for text in texts if text]
+
+    def _new_session(self) -> CanBoxSession:
+        self._digested = self._good = None
+        return CanBoxSession(self._options.base_id, len(self._order), self._port_send)
+
+    def _port_send(self, identifier: int, data: bytes) -> None:
+        self._port.send(identifier, data)
+
+    def _hear(self, identifier: int, extended: bool, data: bytes, now_ns: int) -> None:
+        self._session.take(identifier, extended, data, now_ns)
+
+    def _greet(self) -> None:
+        deadline_ns = self._clock.now_ns() + round(self._options.open_timeout_s * 1e9)
+        while self._clock.now_ns() < deadline_ns:
+            self._session.came.clear()
+            if not self._port.trouble:
+                self._latch()
+            self._session.came.wait(ASK_S)
+            if self._session.info is not None:
+                self._check_info(*self._session.info[:2])
+                self._digest()
+            if self._ledger.boot > 0:
+                return
+        raise DriverTimeout(f"{self._where} does not answer within {self._options.open_timeout_s:g} s")
+
+    def _check_info(self, version: int, axes: int) -> None:
+        if version != frames.VERSION:
+            raise DriverFault(f"{self._where} speaks version {version} of the link, rtec {frames.VERSION}")
+        if axes != len(self._order):
+            raise DriverFault(f"{self._where} has {axes} axes, the machine {len(self._order)}")
+
+    def _latch(self) -> None:
+        self._session.latch(self._ledger.boot < 0, self._clock.now_ns())
+
+    def _digest(self) -> None:
+        """Take over a new reading of counts and ledger, once."""
+        newest = self._session.newest
+        if newest is None or newest is self._digested:
+            return
+        self._digested = newest
+        told = self._session.ledger(newest.boot)
+        not_yet = self._ledger.boot < 0 and newest.status & NOT_RESUMED
+        if told is not None and not not_yet:
+            values, last_command = told
+            self._ledger.told(BoxState(newest.boot, newest.status, last_command, 0, newest.counts, values))
+        self._good = (self._tracker.update(newest.counts, newest.asked_ns, newest.came_ns), newest.asked_ns)

@@ -1,0 +1,232 @@
+"""A CAN interface that is kept open: frames in by a thread, frames out without waiting, errors of the bus told.
+
+Interfaces are python-can's, by its own names: socketcan, slcan, virtual, udp_multicast, pcan, kvaser, ixxat, vector, …
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.runtime.clock import Clock
+from rtec.tomlfile import Strict
+from rtec_drivers.modbus_worker import Backoff, Worker
+
+RECEIVE_S = 0.02
+"""Longest wait for a frame before the thread looks whether it shall stop, or whether something has fallen silent."""
+BUS_OFF, CONTROLLER, LOST_ARBITRATION, RESTARTED = 0x40, 0x04, 0x02, 0x100
+PASSIVE, WARNING, OVERFLOW = 0x30, 0x0C, 0x03
+ERROR_CLASSES = (0x04, 0x08, 0x20, 0x40, 0x44, 0x80)
+"""Bits of SocketCAN's error frames (linux/can/error.h); python-can hands them on as they are."""
+
+
+class CanOptions(Strict):
+    """What every CAN device may say of its interface.
+
+    Attributes:
+        interface: python-can's name of the kind.
+        channel: which one: "can0", a serial port for slcan, a group address for udp_multicast.
+        bitrate: bit/s, where the interface sets it itself (socketcan does not: `ip link set can0 type can bitrate …`).
+        settings: further settings of that kind of interface, by python-can's names.
+        at_start: "required": the run does not begin without the interface; "later": it may appear any time.
+        first_retry_s, longest_retry_s: between two attempts to open; doubled from the first up to the longest.
+    """
+
+    interface: str
+    channel: str
+    bitrate: Annotated[int, Field(ge=5_000, le=1_000_000)] | None = None
+    settings: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    at_start: Literal["required", "later"] = "required"
+    first_retry_s: Annotated[float, Field(gt=0, le=60)] = 0.1
+    longest_retry_s: Annotated[float, Field(gt=0, le=600)] = 5.0
+
+    @property
+    def place(self) -> str:
+        """The interface as people call it."""
+        return f"{self.interface} {self.channel}"
+
+
+class CanLink:
+    """An open interface.
+
+    Args:
+        options: which and how.
+        filters: identifiers to let through, as (identifier, extended); none: all.
+
+    Raises:
+        DriverUnavailable: it cannot be opened, or python-can or its back end is not installed.
+    """
+
+    def __init__(self, options: CanOptions, filters: Sequence[tuple[int, bool]]) -> None:
+        import can
+
+        self.place, self._errors = options.place, (can.CanError, OSError, ValueError)
+        settings: Mapping[str, Any] = {**options.settings, **({"bitrate": options.bitrate} if options.bitrate else {})}
+        # Interfaces that filter in software filter error frames too: their classes must pass, or bus-off goes unseen.
+        passed = [*filters, *((n, False) for n in ERROR_CLASSES)] if filters else []
+        exact = [{"can_id": n, "can_mask": 0x1FFFFFFF if e else 0x7FF, "extended": e} for n, e in passed]
+        try:
+            self._bus: Any = can.Bus(
+                interface=options.interface, channel=options.channel, can_filters=exact or None, **settings
+            )
+        except (*self._errors, ImportError, NotImplementedError, TypeError) as e:
+            raise DriverUnavailable(f"{self.place}: cannot be opened: {e}") from e
+
+    def receive(self) -> Any:
+        """The next frame, or None after a short while; DriverUnavailable when the interface is gone."""
+        try:
+            return self._bus.recv(RECEIVE_S)
+        except self._errors as e:
+            raise DriverUnavailable(f"{self.place}: is gone: {e}") from e
+
+    def send(self, identifier: int, data: bytes, extended: bool = False) -> None:
+        """Hand a frame to the interface, without waiting; DriverTimeout when it takes none now."""
+        import can
+
+        try:
+            self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=extended), timeout=0)
+        except self._errors as e:
+            raise DriverTimeout(f"{self.place}: takes no frame: {e}") from e
+
+    def off(self) -> bool:
+        """Does the interface itself say that it has left the bus?"""
+        import can
+
+        with suppress(*self._errors, NotImplementedError):
+            return bool(self._bus.state is can.BusState.ERROR)
+        return False
+
+    def close(self) -> None:
+        """Let go of the interface."""
+        with suppress(*self._errors):
+            self._bus.shutdown()
+
+
+class CanPort:
+    """Keeps an interface open.
+
+    Args:
+        options: which and how.
+        clock: frames are stamped with it.
+        filters: identifiers to let through; none: all.
+        on_frame: is given identifier, whether it is extended, content and instant, ns, in the port's thread.
+        on_idle: is called now and then in the port's thread, with the instant, ns.
+
+    Attributes:
+        trouble: why the interface is not open, or "".
+        warning: what the controller complains about (error passive, overflow), or "".
+    """
+
+    def __init__(
+        self,
+        options: CanOptions,
+        clock: Clock,
+        filters: Sequence[tuple[int, bool]],
+        on_frame: Callable[[int, bool, bytes, int], None],
+        on_idle: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        self.trouble, self.warning = "", ""
+        self._options, self._clock, self._filters = options, clock, tuple(filters)
+        self._on_frame, self._on_idle = on_frame, on_idle
+        self._link: CanLink | None = None
+        self._worker: Worker[CanLink] | None = None
+
+    @property
+    def entered(self) -> bool:
+        """Was it opened and not closed?"""
+        return self._worker is not None
+
+    @property
+    def attempts(self) -> int:
+        """How often the interface was opened, or tried to, in the background."""
+        return self._worker.attempts if self._worker is not None else 0
+
+    def open(self) -> None:
+        """Open the interface and start listening.
+
+        Raises:
+            DriverUnavailable: it cannot be opened, and the options say `at_start = "required"`.
+        """
+        link, self.trouble = None, ""
+        try:
+            link = self._connect()
+        except DriverUnavailable as e:
+            if self._options.at_start == "required":
+                raise
+            self.trouble = str(e)
+        backoff = Backoff(self._options.first_retry_s, self._options.longest_retry_s)
+        self._worker = Worker("rtec-can", self._clock, self._connect, self._serve, self._tell, backoff)
+        self._worker.start(link)
+
+    def close(self) -> None:
+        """Stop listening and let go of the interface."""
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.stop()
+
+    def send(self, identifier: int, data: bytes, extended: bool = False) -> None:
+        """Send a frame without waiting.
+
+        Raises:
+            DriverTimeout: the interface takes none now.
+            DriverUnavailable: it is not open.
+        """
+        link = self._link
+        if link is None:
+            raise DriverUnavailable(self.trouble or f"{self._options.place}: not open")
+        link.send(identifier, data, extended)
+
+    def check(self) -> None:
+        """Raise DriverUnavailable while the interface is not open."""
+        if not self.entered:
+            raise DriverUnavailable(f"{self._options.place}: not entered, so it is not open")
+        if self.trouble:
+            raise DriverUnavailable(f"{self.trouble}; trying again")
+
+    def _connect(self) -> CanLink:
+        self._link = CanLink(self._options, self._filters)
+        return self._link
+
+    def _serve(self, link: CanLink) -> None:
+        worker = self._worker
+        try:
+            while worker is not None and not worker.stopping:
+                message = link.receive()
+                now_ns = self._clock.now_ns()
+                if message is None:
+                    if link.off():
+                        raise DriverFault(f"{link.place}: bus-off: look at wiring, termination and bit rate")
+                    self._on_idle(now_ns)
+                elif message.is_error_frame:
+                    self._error(link, message)
+                elif not message.is_remote_frame:
+                    worker.backoff.reset()
+                    self.warning = ""
+                    self._on_frame(message.arbitration_id, message.is_extended_id, bytes(message.data), now_ns)
+        finally:
+            self._link = None
+
+    def _error(self, link: CanLink, message: Any) -> None:
+        if message.arbitration_id & BUS_OFF:
+            raise DriverFault(f"{link.place}: bus-off: look at wiring, termination and bit rate")
+        detail = message.data[1] if len(message.data) > 1 else 0
+        if message.arbitration_id & CONTROLLER and detail & PASSIVE:
+            self.warning = f"{link.place}: error passive: nobody acknowledges, or the wiring is bad"
+        elif message.arbitration_id & CONTROLLER and detail & OVERFLOW:
+            self.warning = f"{link.place}: frames were lost, the computer is too slow for the bus"
+        elif message.arbitration_id & ~(LOST_ARBITRATION | RESTARTED | CONTROLLER):
+            self.warning = f"{link.place}: errors on the bus (error frame {message.arbitration_id:#x})"
+
+    def _tell(self, why: str) -> None:
+        self.trouble = why
+
+
+def trouble_of(action: Callable[[], None]) -> str:
+    """What an action complains about, or ""."""
+    try:
+        action()
+    except DriverError as e:
+        return str(e)
+    return ""

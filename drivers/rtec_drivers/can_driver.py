@@ -1,0 +1,221 @@
+"""Temperatures and spindle speed from frames on a CAN bus, named in a DBC file or mapped in CANopen PDOs."""
+
+import math
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec_drivers.can_bus import CanOptions, CanPort
+from rtec_drivers.can_nodes import NMT, NodeOptions, NodeWatch
+from rtec_drivers.can_signals import Dbc, SignalOptions, Source
+from rtec_drivers.thermocouple_readings import Conversion, Readings
+
+Timeout = Annotated[float, Field(gt=0, le=3600)]
+
+
+class TemperatureSignal(SignalOptions, Conversion):
+    """A temperature in a frame.
+
+    Attributes:
+        timeout_s: longest time between two of its frames. `scale` and `offset` come on top of the DBC file's own.
+    """
+
+    timeout_s: Timeout = 5.0
+
+
+class SpindleSignal(SignalOptions):
+    """The spindle speed in a frame.
+
+    Attributes:
+        scale: 1/min for one unit.
+        timeout_s: longest time between two of its frames.
+    """
+
+    scale: float = 1.0
+    timeout_s: Timeout = 1.0
+
+
+class CanTemperatureOptions(CanOptions):
+    """What a run file may say of temperatures on a CAN bus.
+
+    Attributes:
+        dbc: file with messages and signals; a relative path starts at the folder of the run file.
+        temperature: by sensor.
+        spindle: where the spindle speed stands.
+        node: CANopen devices that are watched, by a name of your choice.
+    """
+
+    dbc: Path | None = None
+    temperature: dict[str, TemperatureSignal] = Field(default_factory=dict)
+    spindle: SpindleSignal | None = None
+    node: dict[str, NodeOptions] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _reads_something(self) -> Self:
+        if not self.temperature and self.spindle is None:
+            raise ValueError("nothing is read: give temperature or spindle")
+        return self
+
+
+class CanDriver:
+    """Temperatures and spindle speed from a CAN bus, as they come; nothing that the loop calls waits for the bus.
+
+    Args:
+        options: what the run file says.
+        machine: whose sensors the arrays follow.
+        clock: frames are stamped with it when they are received.
+        base: folder that relative paths start at.
+
+    Raises:
+        ConfigError: a sensor, message or signal that does not exist; everything at once.
+        DriverUnavailable: a package that is needed is not installed.
+    """
+
+    options_model = CanTemperatureOptions
+    EXAMPLE = """\
+[device.can]
+driver = "can"
+interface = "socketcan"            # or "slcan" with channel = "/dev/ttyACM0" and bitrate = 500000
+channel = "can0"
+
+# A CANopen measuring device (CiA 404): four temperatures in tenths of a degree in its first PDO.
+[device.can.temperature.T_bed]
+node = 5
+pdo = 1
+map = ["i16", "i16", "i16", "i16"]
+item = 1
+scale = 0.1
+open_codes = [32767]
+
+[device.can.node.thermometer]
+id = 5
+heartbeat_s = 2.0
+
+# With dbc = "machine.dbc" a signal may be named instead: message = "Spindle", signal = "Speed".
+[device.can.spindle]
+node = 8
+pdo = 2
+map = ["i32"]
+"""
+
+    def __init__(self, options: CanTemperatureOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
+        self._options, self._clock = options, clock
+        dbc = Dbc(None if options.dbc is None else base / options.dbc)
+        self._readings = Readings(machine.sensor_names, options.temperature)
+        faults: list[str] = []
+        self._sources = {n: _source(dbc, t, f"temperature {n!r}", faults) for n, t in options.temperature.items()}
+        self._spindle = _source(dbc, options.spindle, "spindle", faults) if options.spindle else None
+        if faults:
+            raise ConfigError("\n".join(faults))
+        self._nodes = NodeWatch(list(options.node.values()))
+        self._heard_ns = dict.fromkeys(options.temperature, 0)
+        self._rpm, self._rpm_ns = math.nan, -(2**62)
+        wanted = [s for s in (*self._sources.values(), self._spindle) if s is not None]
+        filters = {(s.identifier, s.extended) for s in wanted} | set(self._nodes.identifiers())
+        self._port = CanPort(options, clock, sorted(filters), self._frame, self._look)
+
+    def __enter__(self) -> Self:
+        """Open the interface and start listening."""
+        now_ns = self._clock.now_ns()
+        self._heard_ns = dict.fromkeys(self._heard_ns, now_ns)
+        self._port.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop listening and close."""
+        self._port.close()
+
+    def read_temperatures(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64]) -> None:
+        """Fill in what came last, °C, and when it was received, ns; then tell what is wrong.
+
+        Raises:
+            DriverFault: of some sensors there is no believable new value, or a device is not well; all others are in.
+            DriverUnavailable: the interface is not open; it is being opened again.
+        """
+        self._readings.fill(degc, time_ns)
+        self._port.check()
+        faults = self.faults()
+        if faults:
+            raise DriverFault("; ".join(faults))
+
+    def read_spindle(self) -> float:
+        """Give the spindle speed that came last, 1/min.
+
+        Raises:
+            DriverFault: the run file names no spindle.
+            DriverTimeout: it is older than its timeout.
+            DriverUnavailable: the interface is not open.
+        """
+        self._port.check()
+        spindle = self._options.spindle
+        if spindle is None:
+            raise DriverFault("can: the table spindle is missing, so there is no spindle speed")
+        if self._clock.now_ns() - self._rpm_ns > spindle.timeout_s * 1e9:
+            raise DriverTimeout(f"can: no spindle speed for {spindle.timeout_s:g} s")
+        return self._rpm
+
+    def faults(self) -> list[str]:
+        """What is wrong now, one line each; of the bus, of devices, of sensors."""
+        bus = [text for text in (self._port.trouble, self._port.warning) if text]
+        return [*bus, *self._nodes.faults(self._clock.now_ns()), *self._readings.faults()]
+
+    @property
+    def attempts(self) -> int:
+        """How often the interface was opened, or tried to, in the background."""
+        return self._port.attempts
+
+    def _frame(self, identifier: int, extended: bool, data: bytes, now_ns: int) -> None:
+        order = None if extended else self._nodes.frame(identifier, data, now_ns)
+        if order is not None:
+            self._start(order)
+        for name, source in self._sources.items():
+            if source is not None and (source.identifier, source.extended) == (identifier, extended):
+                self._take(name, source, data, now_ns)
+        spindle = self._spindle
+        if spindle is not None and (spindle.identifier, spindle.extended) == (identifier, extended):
+            try:
+                scale = self._options.spindle.scale if self._options.spindle else 1.0
+                self._rpm, self._rpm_ns = spindle.number(data) * scale, now_ns
+            except DriverFault:  # it gets old, and that is told
+                return
+        self._look(now_ns)
+
+    def _take(self, name: str, source: Source, data: bytes, now_ns: int) -> None:
+        try:
+            number = source.number(data)
+        except DriverFault as e:
+            self._readings.silent([name], str(e))
+            return
+        self._heard_ns[name] = now_ns
+        self._readings.take(name, number, now_ns)
+
+    def _look(self, now_ns: int) -> None:
+        for name, table in self._options.temperature.items():
+            silent_s = (now_ns - self._heard_ns[name]) * 1e-9
+            if silent_s > table.timeout_s:
+                self._readings.silent([name], f"no frame for {silent_s:.1f} s")
+
+    def _start(self, order: bytes) -> None:
+        try:
+            self._port.send(NMT, order)
+        except (DriverTimeout, DriverUnavailable):  # the next heartbeat brings the next attempt
+            return
+
+
+def _source(dbc: Dbc, options: SignalOptions, what: str, faults: list[str]) -> Source | None:
+    try:
+        return dbc.source(options, scaled=True)
+    except DriverUnavailable:
+        raise
+    except RtecError as e:
+        faults.append(f"{what}: {e}")
+        return None

@@ -1,0 +1,205 @@
+"""Encoders on a CAN bus (CANopen profile CiA 406, or any with a DBC file) as one count source."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec.tomlfile import nearest
+from rtec_drivers.can_bus import CanOptions, CanPort
+from rtec_drivers.can_nodes import NodeOptions, NodeWatch
+from rtec_drivers.can_signals import Dbc, SignalOptions
+from rtec_drivers.count_tracker import CountTracker
+
+SYNC = 0x080
+Reading = tuple[tuple[int, ...], int, int]
+"""Counters of all axes, and between which two instants they were latched, ns."""
+
+
+class EncoderSignal(SignalOptions):
+    """The position of one axis, in counts.
+
+    Attributes:
+        max_speed_mm_s: highest speed of the axis; faster counts are refused.
+    """
+
+    max_speed_mm_s: Annotated[float, Field(gt=0)]
+
+
+class CanEncoderOptions(CanOptions):
+    """What a run file may say of encoders on a CAN bus.
+
+    Attributes:
+        dbc: file with messages and signals; a relative path starts at the folder of the run file.
+        axis: by axis name; all of the machine's.
+        bits: width of the position value; it wraps there.
+        sync: send SYNC, so that all encoders latch at the same instant (their PDOs must be synchronous, type 1).
+            Without it each position has the instant of its own frame, and the reading that of the oldest.
+        timeout_ms: a reading older than this is told as missing.
+        node: CANopen devices that are watched, by a name of your choice.
+    """
+
+    dbc: Path | None = None
+    axis: dict[str, EncoderSignal]
+    bits: Annotated[int, Field(ge=8, le=64)] = 32
+    sync: bool = True
+    timeout_ms: Annotated[float, Field(gt=0, le=10_000)] = 20.0
+    node: dict[str, NodeOptions] = Field(default_factory=dict)
+
+
+class CanEncodersDriver:
+    """Count source: positions of all axes from a CAN bus.
+
+    With `sync` each reading sends the next SYNC and gives what the last one brought: it is a cycle old, and its
+    instant says so. The next SYNC waits until all have answered the last one, or have had `timeout_ms` for it, so no
+    position is counted to the wrong instant.
+
+    Args:
+        options: what the run file says.
+        machine: whose axes the array follows.
+        clock: instants are in its time.
+        base: folder that relative paths start at.
+
+    Raises:
+        ConfigError: an axis, message or signal that does not exist, or an axis that is missing.
+    """
+
+    options_model = CanEncoderOptions
+    EXAMPLE = """\
+[device.scales]
+driver = "can_encoders"
+interface = "socketcan"
+channel = "can0"
+bits = 25                          # single turn 13 bits, 4096 turns
+
+# CiA 406: object 6004h, position value, in the first PDO.
+[device.scales.axis.X]
+node = 10
+pdo = 1
+map = ["u32"]
+max_speed_mm_s = 500
+
+[device.scales.axis.Z]
+node = 11
+pdo = 1
+map = ["u32"]
+max_speed_mm_s = 500
+"""
+
+    def __init__(self, options: CanEncoderOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
+        names = machine.axis_names
+        wrong = [f"axis {n!r}: the machine has no such axis{nearest(n, names)}" for n in options.axis if n not in names]
+        wrong += [f"axis {n!r} is missing" for n in names if n not in options.axis]
+        if wrong:
+            raise ConfigError("\n".join(wrong))
+        self._options, self._clock, self._names = options, clock, names
+        dbc = Dbc(None if options.dbc is None else base / options.dbc)
+        self._sources = [dbc.source(options.axis[n], scaled=False) for n in names]
+        fastest = [options.axis[a.name].max_speed_mm_s * a.counts_per_mm for a in machine.axes]
+        self._tracker = CountTracker(names, options.bits, fastest)
+        self._nodes = NodeWatch(list(options.node.values()))
+        filters = {(s.identifier, s.extended) for s in self._sources} | set(self._nodes.identifiers())
+        self._port = CanPort(options, clock, sorted(filters), self._frame)
+        self._pending: dict[int, tuple[int, int]] = {}
+        self._newest: Reading | None = None
+        self._used: Reading | None = None
+        self._counts: tuple[int, ...] | None = None
+        self._instant_ns = self._sync_ns = -(2**62)
+        self._waiting = False
+
+    def __enter__(self) -> Self:
+        """Open the interface and start listening."""
+        self._forget()
+        self._tracker.restart()
+        self._port.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop listening and close."""
+        self._port.close()
+
+    def resume(self) -> None:
+        """The order to go on after a lost position: the next reading is taken as it stands."""
+        self._tracker.restart()
+        self._used, self._counts = self._newest, None
+
+    def read_counts(self, counts: NDArray[np.int64]) -> int:
+        """Fill in the newest positions, counts; give the instant at which they were latched, ns, or the earliest.
+
+        Raises:
+            DriverTimeout: they are older than `timeout_ms`, or there are none yet.
+            DriverFault: they cannot be: a jump that the machine cannot make.
+            DriverUnavailable: the interface is not open.
+        """
+        self._port.check()
+        newest = self._newest
+        if newest is not None and newest is not self._used:
+            self._used = newest
+            raw, earliest_ns, latest_ns = newest
+            self._counts, self._instant_ns = self._tracker.update(raw, earliest_ns, latest_ns), earliest_ns
+        elif self._tracker.lost:
+            raise DriverFault(self._tracker.lost)
+        now_ns = self._clock.now_ns()
+        if self._options.sync:
+            self._send_sync(now_ns)
+        if self._counts is None or now_ns - self._instant_ns > self._options.timeout_ms * 1e6:
+            raise DriverTimeout(self._silent())
+        counts[:] = self._counts
+        return self._instant_ns
+
+    def faults(self) -> list[str]:
+        """What is wrong now, one line each."""
+        bus = [text for text in (self._port.trouble, self._port.warning, self._tracker.lost) if text]
+        return [*bus, *self._nodes.faults(self._clock.now_ns())]
+
+    def _forget(self) -> None:
+        self._pending.clear()
+        self._newest = self._used = self._counts = None
+        self._instant_ns = self._sync_ns = -(2**62)
+        self._waiting = False
+
+    def _send_sync(self, now_ns: int) -> None:
+        if self._waiting and now_ns - self._sync_ns < self._options.timeout_ms * 1e6:
+            return
+        self._pending.clear()
+        self._sync_ns, self._waiting = now_ns, True
+        try:
+            self._port.send(SYNC, b"")
+        except DriverError:
+            self._waiting = False
+            raise
+
+    def _frame(self, identifier: int, extended: bool, data: bytes, now_ns: int) -> None:
+        if not extended:
+            self._nodes.frame(identifier, data, now_ns)
+        if self._options.sync and not self._waiting:
+            return
+        for k, source in enumerate(self._sources):
+            if (source.identifier, source.extended) == (identifier, extended):
+                try:
+                    self._pending[k] = (int(source.number(data)), now_ns)
+                except DriverFault:  # the reading gets old, and that is told
+                    return
+        if len(self._pending) == len(self._sources):
+            self._complete(now_ns)
+
+    def _complete(self, now_ns: int) -> None:
+        raw = tuple(self._pending[k][0] for k in range(len(self._sources)))
+        earliest_ns = self._sync_ns if self._options.sync else min(t for _, t in self._pending.values())
+        self._newest = (raw, earliest_ns, now_ns)
+        self._pending.clear()
+        self._waiting = False
+
+    def _silent(self) -> str:
+        missing = [n for k, n in enumerate(self._names) if k not in self._pending]
+        return (
+            f"can_encoders: no new positions within {self._options.timeout_ms:g} ms (waiting for {', '.join(missing)})"
+        )

@@ -1,0 +1,160 @@
+"""Where in which frame a number stands: a signal of a DBC file, or an object in a CANopen PDO."""
+
+import importlib
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rtec.errors import ConfigError, DriverFault, DriverUnavailable
+from rtec.tomlfile import Strict, nearest
+
+ObjectType = Literal["i8", "u8", "i16", "u16", "i24", "u24", "i32", "u32", "i64", "u64", "f32", "f64"]
+PDO_IDS = {1: 0x180, 2: 0x280, 3: 0x380, 4: 0x480}
+"""CiA 301, pre-defined connection set: transmit PDOs of a node are at these plus its number."""
+Decoder = Callable[[bytes], float]
+
+
+class SignalOptions(Strict):
+    """Where a number stands: either `message` and `signal` of the DBC file, or `node`, `pdo` and `map`.
+
+    Attributes:
+        message, signal: names in the DBC file; its own scale and offset are used.
+        node: CANopen number of the device.
+        pdo: number of its transmit PDO, 1 to 4.
+        cob_id: identifier of the PDO where it is not the pre-defined one.
+        map: types of the objects in the PDO, in order (what the device's object 1A00h to 1A03h says).
+        item: which of them it is, from 1.
+    """
+
+    message: str | None = None
+    signal: str | None = None
+    node: Annotated[int, Field(ge=1, le=127)] | None = None
+    pdo: Literal[1, 2, 3, 4] = 1
+    cob_id: Annotated[int, Field(ge=1, le=0x7FF)] | None = None
+    map: Annotated[tuple[ObjectType, ...], Field(max_length=8)] = ()
+    item: Annotated[int, Field(ge=1, le=8)] = 1
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.message is None) != (self.signal is None):
+            raise ValueError("message and signal go together")
+        if (self.message is None) == (self.node is None):
+            raise ValueError("give either message and signal (DBC), or node, pdo and map (CANopen)")
+        if self.node is not None and not self.map:
+            raise ValueError('map is missing: the types of the objects in the PDO, for example ["i16", "i16"]')
+        if self.node is not None and self.item > len(self.map):
+            raise ValueError(f"item {self.item}: map has only {len(self.map)}")
+        if sum(_bytes(t) for t in self.map) > 8:
+            raise ValueError("map has more than 8 bytes, which no PDO has")
+        return self
+
+
+@dataclass(frozen=True)
+class Source:
+    """A number in a frame.
+
+    Attributes:
+        identifier, extended: of the frame.
+        number: reads it from the frame's content; raises DriverFault where it is not there.
+    """
+
+    identifier: int
+    extended: bool
+    number: Decoder
+
+
+class Dbc:
+    """A DBC file, read when the first signal is asked for.
+
+    Args:
+        path: the file, or None where the device has none.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._database: Any = None
+
+    def source(self, options: SignalOptions, scaled: bool) -> Source:
+        """Where a signal stands.
+
+        Args:
+            options: its names, or its place in a PDO.
+            scaled: with the file's scale and offset, or as the bare number.
+
+        Raises:
+            ConfigError: no such message or signal, or no DBC file.
+            DriverUnavailable: the package that reads DBC files is not installed.
+        """
+        if options.node is not None:
+            return _pdo_source(options)
+        if self._database is None:
+            self._database = self._read()
+        names = {m.name: m for m in self._database.messages}
+        message = names.get(options.message)
+        if message is None:
+            raise ConfigError(f"{self._path}: no message {options.message!r}{nearest(str(options.message), names)}")
+        signals = [s.name for s in message.signals]
+        if options.signal not in signals:
+            where = f"{self._path}: message {message.name}"
+            raise ConfigError(f"{where} has no signal {options.signal!r}{nearest(str(options.signal), signals)}")
+        return Source(message.frame_id, message.is_extended_frame, _dbc_decoder(message, str(options.signal), scaled))
+
+    def _read(self) -> Any:
+        if self._path is None:
+            raise ConfigError("signals are named, but no dbc file is given")
+        try:
+            cantools = importlib.import_module("cantools")
+        except ImportError as e:
+            raise DriverUnavailable("DBC files need the package cantools: pip install 'rtec[can]'") from e
+        try:
+            return cantools.database.load_file(self._path)
+        except (OSError, UnicodeDecodeError) as e:
+            raise ConfigError(f"{self._path}: cannot be read: {e}") from e
+        except cantools.database.Error as e:
+            raise ConfigError(f"{self._path}: not a good DBC file: {e}") from e
+
+
+def _dbc_decoder(message: Any, signal: str, scaled: bool) -> Decoder:
+    def number(data: bytes) -> float:
+        try:
+            content = message.decode(data, decode_choices=False, scaling=scaled)
+        except (
+            ValueError,
+            KeyError,
+        ) as e:  # cantools' DecodeError is a ValueError in some releases, an Error in others
+            raise DriverFault(f"frame {message.name}: cannot be decoded: {e}") from e
+        except Exception as e:
+            if type(e).__module__.startswith(("cantools", "bitstruct")):
+                raise DriverFault(f"frame {message.name}: cannot be decoded: {e}") from e
+            raise
+        if signal not in content:
+            raise DriverFault(f"frame {message.name}: signal {signal} is not in this one (multiplexed)")
+        value: float = content[signal]
+        return value
+
+    return number
+
+
+def _pdo_source(options: SignalOptions) -> Source:
+    start = sum(_bytes(t) for t in options.map[: options.item - 1])
+    kind = options.map[options.item - 1]
+    end = start + _bytes(kind)
+    identifier = options.cob_id if options.cob_id is not None else PDO_IDS[options.pdo] + (options.node or 0)
+
+    def number(data: bytes) -> float:
+        if len(data) < end:
+            raise DriverFault(f"PDO {identifier:#x} has {len(data)} bytes, the map needs {end}: another mapping?")
+        part = data[start:end]
+        if kind in ("f32", "f64"):
+            return float(struct.unpack("<f" if kind == "f32" else "<d", part)[0])
+        return int.from_bytes(part, "little", signed=kind[0] == "i")
+
+    return Source(identifier, False, number)
+
+
+def _bytes(kind: str) -> int:
+    return int(kind[1:]) // 8

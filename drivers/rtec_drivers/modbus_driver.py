@@ -1,0 +1,213 @@
+"""Temperatures over Modbus RTU and TCP, from modules with a shipped register map or one written in the run file."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import ConfigError, DriverUnavailable
+from rtec.machine import Machine
+from rtec.runtime.clock import Clock
+from rtec.tomlfile import nearest
+from rtec_drivers.modbus_exchange import Exchange, RtuExchange, TcpExchange
+from rtec_drivers.modbus_line import Line, RtuLine, TcpLine, TcpOptions
+from rtec_drivers.modbus_map import Register, blocks_of, load_profile
+from rtec_drivers.modbus_options import ModbusOptions, SlaveOptions
+from rtec_drivers.modbus_poll import Poller, Slave
+from rtec_drivers.modbus_worker import NS, Backoff, Worker
+from rtec_drivers.serial_line import PortFinder, PortOptions
+from rtec_drivers.thermocouple_readings import Readings
+
+SILENT_CHARACTERS = 3.5
+LEAST_SILENCE_NS = 1_750_000
+"""MODBUS over Serial Line 1.02, 2.5.1.1: above 19200 baud the silence between frames stays 1.75 ms."""
+
+
+class ModbusDriver:
+    """Temperature source: polls Modbus slaves in a thread of its own and hands out the newest believed values.
+
+    A line that is lost is opened again, with growing waits, until it is there; slaves that fall silent are told, and
+    slow no other. Nothing that the loop calls waits for the line.
+
+    Args:
+        options: what the run file says.
+        machine: whose sensors the arrays follow.
+        clock: stamps and deadlines are in its time.
+        base: not used.
+
+    Attributes:
+        poller: who polls the line that is open now, with its figures.
+
+    Raises:
+        ConfigError: a sensor, profile or channel that does not exist; everything at once.
+        DriverUnavailable: voltages are to be converted and the package for it is not installed.
+    """
+
+    options_model = ModbusOptions
+    EXAMPLE = """\
+[device.thermocouples]
+driver = "modbus"
+serial = { port = "/dev/serial/by-id/usb-FTDI_USB-RS485_Cable_FT0ABCDE-if00-port0", baud = 19200, parity = "even" }
+# or: tcp = { host = "192.168.1.50" }
+
+# A module with a shipped register map: which of the machine's sensors is on which terminal.
+[device.thermocouples.slave.bed]
+id = 1
+profile = "isma-sfar-s-6ti"
+channels = { T_bed = "1", T_column = "2" }
+
+# A module of your own: addresses as they go over the line, from 0.
+[device.thermocouples.slave.spindle]
+id = 2
+period_s = 0.5
+timeout_s = 0.1
+
+[device.thermocouples.slave.spindle.register.T_spindle]
+address = 0
+function = "input"
+type = "int16"
+scale = 0.1
+open_codes = [32767, -32768]
+"""
+
+    def __init__(self, options: ModbusOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
+        del base
+        self._options, self._clock = options, clock
+        maps = _register_maps(options)
+        self._readings = Readings(machine.sensor_names, {n: r for m in maps.values() for n, r in m.items()})
+        self._maps = maps
+        self._connect, self._retry = _way(options, clock)
+        self._worker: Worker[Line] | None = None
+        self._slaves: list[Slave] = []
+        self.poller: Poller | None = None
+
+    def __enter__(self) -> Self:
+        """Open the line and start polling.
+
+        Raises:
+            DriverUnavailable: it cannot be opened, and the options say `at_start = "required"`.
+        """
+        line = None
+        try:
+            line = self._connect()
+        except DriverUnavailable as e:
+            if self._retry.at_start == "required":
+                raise
+            self._tell(str(e))
+        self._slaves = [self._slave(name, table) for name, table in self._options.slave.items()]
+        self._worker = Worker("rtec-modbus", self._clock, self._connect, self._serve, self._tell, self._backoff())
+        self._worker.start(line)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop polling and close the line."""
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.stop()
+
+    def read_temperatures(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64]) -> None:
+        """Fill in the newest believed values, °C, and when their slave was asked, ns; then tell what is wrong.
+
+        Raises:
+            DriverFault: of some sensors there is no believable new value; all others are filled in.
+            DriverUnavailable: not entered.
+        """
+        if self._worker is None:
+            raise DriverUnavailable("modbus: not entered, so nothing is read")
+        self._readings.fill(degc, time_ns)
+        self._readings.tell()
+
+    @property
+    def attempts(self) -> int:
+        """How often the line was opened, or tried to, in the background."""
+        return self._worker.attempts if self._worker is not None else 0
+
+    def faults(self) -> list[str]:
+        """What is wrong now, one line a sensor."""
+        return self._readings.faults()
+
+    def _backoff(self) -> Backoff:
+        return Backoff(self._retry.first_retry_s, self._retry.longest_retry_s)
+
+    def _serve(self, line: Line) -> None:
+        worker = self._worker
+        if worker is not None:
+            self.poller = Poller(self._slaves, self._readings, self._clock, self._exchange(worker.wait_until_ns))
+            self.poller.serve(line, worker)
+
+    def _exchange(self, wait: Callable[[int], None]) -> Exchange:
+        tcp, port = self._options.tcp, self._options.serial
+        if tcp is not None and not tcp.rtu:
+            return TcpExchange(self._clock)
+        silence_ns = LEAST_SILENCE_NS
+        if port is not None:
+            bits = 1 + port.bytesize + (port.parity != "none") + port.stopbits
+            silence_ns = max(silence_ns, round(SILENT_CHARACTERS * bits * NS / port.baud))
+        return RtuExchange(self._clock, wait, silence_ns)
+
+    def _slave(self, name: str, table: SlaveOptions) -> Slave:
+        tcp = self._options.tcp
+        numbered = tcp is not None and not tcp.rtu  # then a late answer can be told from a new one
+        late_s = 0.0 if numbered else max(table.late_s, table.timeout_s)
+        return Slave(
+            name,
+            table.id,
+            blocks_of(table.id, self._maps[name], table.max_gap),
+            round(table.period_s * NS),
+            round(table.timeout_s * NS),
+            round(late_s * NS),
+            self._backoff(),
+        )
+
+    def _tell(self, why: str) -> None:
+        if why:
+            self._readings.silent([n for m in self._maps.values() for n in m], why)
+
+
+def _way(options: ModbusOptions, clock: Clock) -> tuple[Callable[[], Line], PortOptions | TcpOptions]:
+    """How the line is opened, and the options that say when to try again."""
+    serial, tcp = options.serial, options.tcp
+    if tcp is not None:
+        return (lambda: TcpLine(tcp, clock)), tcp
+    if serial is None:
+        raise ConfigError("give either serial or tcp")
+    finder = PortFinder(serial)
+    return (lambda: RtuLine(serial, finder, clock)), serial
+
+
+def _register_maps(options: ModbusOptions) -> dict[str, Mapping[str, Register]]:
+    out: dict[str, Mapping[str, Register]] = {}
+    faults: list[str] = []
+    seen: dict[str, str] = {}
+    for name, table in options.slave.items():
+        out[name] = {**_from_profile(name, table, faults), **table.register_}
+        for sensor in out[name]:
+            if sensor in seen:
+                faults.append(f"sensor {sensor!r} stands in slave {seen[sensor]!r} and in slave {name!r}")
+            seen[sensor] = name
+    numbers = [t.id for t in options.slave.values()]
+    faults += [f"two slaves have id {n}" for n in sorted(set(numbers)) if numbers.count(n) > 1]
+    if faults:
+        raise ConfigError("\n".join(faults))
+    return out
+
+
+def _from_profile(name: str, table: SlaveOptions, faults: list[str]) -> dict[str, Register]:
+    if table.profile is None:
+        return {}
+    try:
+        profile = load_profile(table.profile)
+    except ConfigError as e:
+        faults.append(f"slave {name!r}: {e}")
+        return {}
+    faults += [
+        f"slave {name!r}: profile {table.profile} has no channel {c!r}{nearest(c, profile.channel)}"
+        for c in table.channels.values()
+        if c not in profile.channel
+    ]
+    return {s: profile.channel[c] for s, c in table.channels.items() if c in profile.channel}

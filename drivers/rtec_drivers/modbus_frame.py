@@ -1,0 +1,139 @@
+"""Modbus frames: requests built, answers found, on a serial line (RTU) and over TCP.
+
+Sources: MODBUS Application Protocol 1.1b3 and MODBUS over Serial Line 1.02 (modbus.org). Requests, answers and the
+checksum are pymodbus'. Finding the answer is done here, because an RTU answer carries no number of its request: only
+a frame of exactly the shape that was asked for, from the slave that was asked, with a good CRC, is an answer; whatever
+noise stands before or behind it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
+
+HOLDING, INPUT = 3, 4
+MAX_REGISTERS = 125
+ERROR_BIT = 0x80
+ERRORS = {
+    1: 'it does not know this function; try function = "input" instead of "holding", or the other way round',
+    2: "it has no such register; look at address and count",
+    3: "it does not like the count",
+    4: "it has failed",
+    6: "it is busy",
+    10: "the gateway has no way to it",
+    11: "the gateway got no answer from it",
+}
+_DECODER = DecodePDU(is_server=False)
+_RTU, _TCP = FramerRTU(_DECODER), FramerSocket(_DECODER)
+MBAP_BYTES = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Read `count` registers from `address` of slave `slave` with function 3 (holding) or 4 (input)."""
+
+    slave: int
+    function: int
+    address: int
+    count: int
+
+    def _pdu(self) -> ReadHoldingRegistersRequest | ReadInputRegistersRequest:
+        kind = ReadHoldingRegistersRequest if self.function == HOLDING else ReadInputRegistersRequest
+        return kind(dev_id=self.slave, address=self.address, count=self.count)
+
+    def rtu(self) -> bytes:
+        """The request as it goes onto a serial line."""
+        return _RTU.buildFrame(self._pdu())
+
+    def tcp(self, transaction: int) -> bytes:
+        """The request as it goes into a TCP connection, with the number that its answer carries."""
+        pdu = self._pdu()
+        pdu.transaction_id = transaction
+        return _TCP.buildFrame(pdu)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a slave answered: registers, or the code of an error (then there are none)."""
+
+    registers: tuple[int, ...] = ()
+    error: int = 0
+
+
+def good_crc(frame: bytes) -> bool:
+    """Does an RTU frame end with the checksum of what stands before?"""
+    return len(frame) >= 4 and FramerRTU.compute_CRC(frame[:-2]) == int.from_bytes(frame[-2:], "big")
+
+
+def find_rtu(data: bytes, request: Request) -> Answer | None:
+    """The answer to a request among received bytes, or None."""
+    whole, refused = 5 + 2 * request.count, 5
+    for start in range(len(data) - refused + 1):
+        if data[start] != request.slave:
+            continue
+        function = data[start + 1]
+        if function == request.function and data[start + 2] == 2 * request.count:
+            frame = data[start : start + whole]
+        elif function == request.function | ERROR_BIT:
+            frame = data[start : start + refused]
+        else:
+            continue
+        if len(frame) in (whole, refused) and good_crc(frame):
+            return decode(frame[1:-2], request)
+    return None
+
+
+def decode(pdu: bytes, request: Request) -> Answer | None:
+    """Function code and content to registers; None if it is no answer to this request."""
+    if len(pdu) == 2 and pdu[0] == request.function | ERROR_BIT:
+        return Answer(error=pdu[1])
+    if len(pdu) != 2 + 2 * request.count or pdu[0] != request.function or pdu[1] != 2 * request.count:
+        return None
+    answer = _DECODER.decode(pdu)
+    return Answer(tuple(answer.registers)) if answer is not None else None
+
+
+def frames_of_slaves(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """All register answers and refusals with a good CRC among received bytes: slave and frame."""
+    start = 0
+    while start + 5 <= len(data):
+        function = data[start + 1]
+        size = 5 if function & ERROR_BIT else 5 + data[start + 2]
+        plausible = function & ~ERROR_BIT in (HOLDING, INPUT)
+        if plausible and good_crc(data[start : start + size]) and start + size <= len(data):
+            yield data[start], data[start : start + size]
+            start += size
+        else:
+            start += 1
+
+
+def why_not(data: bytes, request: Request) -> str:
+    """Say in words what came instead of the answer."""
+    if not data:
+        return "no answer"
+    others = sorted({slave for slave, _ in frames_of_slaves(data)} - {request.slave})
+    if others:
+        return f"slave {', '.join(map(str, others))} answered instead; two slaves with one number, or a wrong id?"
+    if any(slave == request.slave for slave, _ in frames_of_slaves(data)):
+        return "it answered something that was not asked; perhaps an older request"
+    if data[:1] == bytes([request.slave]) and len(data) >= 5 + 2 * request.count:
+        return "the answer's checksum is wrong; look at cable, shield and termination"
+    if data[:1] == bytes([request.slave]) and len(data) > 1:
+        return f"only {len(data)} of {5 + 2 * request.count} bytes of an answer came"
+    return f"{len(data)} bytes that are no answer; look at baud rate, parity and wiring"
+
+
+def split_tcp(data: bytes) -> tuple[list[tuple[int, int, bytes]], bytes] | None:
+    """Received bytes to (transaction, unit, content) of each whole message and the rest; None if they are no Modbus."""
+    out = []
+    while len(data) >= MBAP_BYTES:
+        length = int.from_bytes(data[4:6], "big")
+        if data[2:4] != b"\0\0" or not 3 <= length <= 254:
+            return None
+        if len(data) < 6 + length:
+            break
+        out.append((int.from_bytes(data[:2], "big"), data[6], data[7 : 6 + length]))
+        data = data[6 + length :]
+    return out, data

@@ -1,0 +1,128 @@
+"""Register maps: where in a slave a number stands, how its bits are read, and which reads fetch all of them."""
+
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rtec.errors import ConfigError
+from rtec.tomlfile import Strict, nearest, read_toml, validated
+from rtec_drivers.modbus_frame import HOLDING, INPUT, MAX_REGISTERS, Request
+from rtec_drivers.thermocouple_readings import Conversion
+
+NumberType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64"]
+_STRUCT = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f", "float64": ">d"}
+
+
+class Register(Conversion):
+    """One number in a slave, and how it becomes a temperature.
+
+    Attributes:
+        address: as it goes over the line, from 0: a manual's "40001" or "30001" is 0.
+        function: "holding" (function 3) or "input" (function 4).
+        type: of the number.
+        word_order: which of several registers comes first, the "high" or the "low" one.
+    """
+
+    address: Annotated[int, Field(ge=0, le=65535)]
+    function: Literal["holding", "input"] = "holding"
+    type: NumberType = "int16"
+    word_order: Literal["high", "low"] = "high"
+
+    @property
+    def words(self) -> int:
+        """Registers that the number takes."""
+        return struct.calcsize(_STRUCT[self.type]) // 2
+
+    def number(self, words: Iterable[int]) -> float:
+        """The raw number in its registers, in the order in which they came."""
+        ordered = list(words)
+        if self.word_order == "low":
+            ordered.reverse()
+        return float(struct.unpack(_STRUCT[self.type], struct.pack(f">{len(ordered)}H", *ordered))[0])
+
+
+class Profile(Strict):
+    """A module's register map, as shipped in `profiles`.
+
+    Attributes:
+        module: maker and type.
+        source: document, edition and page that the map stands in.
+        notes: what must be set in the module, and what the document leaves open.
+        channel: by the channel's name on the module's terminals.
+    """
+
+    module: str
+    source: str
+    notes: str = ""
+    channel: dict[str, Register]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Registers that one request fetches, and the numbers in it: name and register."""
+
+    request: Request
+    numbers: tuple[tuple[str, Register], ...]
+
+    def raw(self, registers: tuple[int, ...]) -> Iterable[tuple[str, float]]:
+        """Name and raw number of each."""
+        for name, register in self.numbers:
+            start = register.address - self.request.address
+            yield name, register.number(registers[start : start + register.words])
+
+
+def profile_names() -> list[str]:
+    """Profiles that are shipped."""
+    return sorted(p.name.removesuffix(".toml") for p in _folder().iterdir() if p.name.endswith(".toml"))
+
+
+def load_profile(name: str) -> Profile:
+    """Read a shipped profile.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in profile_names():
+        raise ConfigError(f"no profile {name!r}{nearest(name, profile_names())}")
+    with resources.as_file(_folder() / f"{name}.toml") as path:
+        return validated(Profile, read_toml(Path(path)), f"profile {name}")
+
+
+def blocks_of(slave: int, registers: Mapping[str, Register], max_gap: int) -> list[Block]:
+    """The fewest reads of neighbouring registers; unused registers up to `max_gap` between two are read with them."""
+    out: list[Block] = []
+    for function, code in (("holding", HOLDING), ("input", INPUT)):
+        group: list[tuple[str, Register]] = []
+        chosen = [(n, r) for n, r in registers.items() if r.function == function]
+        for item in sorted(chosen, key=lambda item: item[1].address):
+            if group and not _fits(group, item[1], max_gap):
+                out.append(_block(slave, code, group))
+                group = []
+            group.append(item)
+        if group:
+            out.append(_block(slave, code, group))
+    return out
+
+
+def _fits(group: list[tuple[str, Register]], register: Register, max_gap: int) -> bool:
+    end = _end(group)
+    span = max(end, register.address + register.words) - group[0][1].address
+    return register.address - end <= max_gap and span <= MAX_REGISTERS
+
+
+def _end(group: list[tuple[str, Register]]) -> int:
+    return max(r.address + r.words for _, r in group)
+
+
+def _block(slave: int, code: int, group: list[tuple[str, Register]]) -> Block:
+    first = group[0][1].address
+    return Block(Request(slave, code, first, _end(group) - first), tuple(group))
+
+
+def _folder() -> resources.abc.Traversable:
+    return resources.files("rtec_drivers") / "profiles"

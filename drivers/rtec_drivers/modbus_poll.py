@@ -1,0 +1,215 @@
+"""Asks the slaves on one line in turn, so that one that is silent costs the others next to nothing.
+
+- Every slave has its own period, its own deadline and its own back-off. One that did not answer is asked again only
+  when no healthy slave is due meanwhile, or when it has waited for `STARVED_NS`.
+- RTU answers carry no number. After a deadline has passed a slave is left alone for its late time, within which the old
+  answer may still come; what comes then is thrown away. Its first answer afterwards is only a sign of life: it is not
+  taken, and the line must stay free of further answers for twice the late time before the slave is believed again. An
+  answer that nobody waits for makes the late time longer.
+- A damaged answer (checksum) is asked for again in the next period; three in a row count as silence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from rtec.errors import DriverTimeout
+from rtec.runtime.clock import Clock
+from rtec_drivers.modbus_exchange import LONGEST_NOISE, Exchange
+from rtec_drivers.modbus_frame import ERRORS, frames_of_slaves, why_not
+from rtec_drivers.modbus_line import Line
+from rtec_drivers.modbus_map import Block
+from rtec_drivers.modbus_worker import NS, Backoff, Worker
+from rtec_drivers.thermocouple_readings import Readings
+
+STARVED_NS = 5 * NS
+LONGEST_LATE_NS = 10 * NS
+NEVER_NS = 3600 * NS
+LISTEN_NS = NS // 20
+FRAME_PAUSE_NS = NS // 50
+"""A pause within a frame is shorter than this, even behind a USB adapter."""
+CORRUPT_IN_A_ROW = 3
+SILENT_IN_A_ROW = 3
+
+
+@dataclass
+class Slave:
+    """One slave: what is read from it, when, and how it has behaved.
+
+    Attributes:
+        name, number: in the run file; on the line.
+        blocks: the reads that fetch all its numbers.
+        period_ns, timeout_ns: how often; how long it may take to answer.
+        late_ns: how long after its request an answer may still turn up.
+        backoff: waits after silence.
+    """
+
+    name: str
+    number: int
+    blocks: Sequence[Block]
+    period_ns: int
+    timeout_ns: int
+    late_ns: int
+    backoff: Backoff
+    due_ns: int = 0
+    silent: int = 0
+    corrupt: int = 0
+    unanswered_ns: int = 0
+    probation: bool = False
+    names: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.names = tuple(name for block in self.blocks for name, _ in block.numbers)
+
+    @property
+    def failing(self) -> bool:
+        """Did it leave the last request unanswered?"""
+        return self.silent > 0
+
+    def answered(self, now_ns: int) -> None:
+        """Keep the beat; after a pause start a new one."""
+        self.silent = self.corrupt = self.unanswered_ns = 0
+        self.probation = False
+        self.backoff.reset()
+        self.due_ns += self.period_ns
+        if self.due_ns <= now_ns:
+            self.due_ns = now_ns + self.period_ns
+
+    def was_silent(self, asked_ns: int, now_ns: int) -> None:
+        """Leave it alone: for its back-off, and for as long as its answer may still come."""
+        self.silent += 1
+        self.unanswered_ns, self.probation = asked_ns, True
+        self.due_ns = max(now_ns + self.backoff.next_ns(), asked_ns + self.late_ns)
+
+    def line_opened(self, now_ns: int) -> None:
+        """Begin at once, but for an old answer that may still come."""
+        self.due_ns = max(now_ns, self.unanswered_ns + self.late_ns) if self.unanswered_ns else now_ns
+        self.silent = 0
+
+    def lives(self, now_ns: int) -> None:
+        """It answers again, but perhaps an older request: see first whether more is on its way."""
+        self.silent, self.probation, self.unanswered_ns = 1, False, 0
+        self.due_ns = now_ns + 2 * self.late_ns
+
+    def spoke_unasked(self, now_ns: int) -> None:
+        """An old answer has come: know how late it can be, and wait for silence again."""
+        lateness_ns = now_ns - self.unanswered_ns if self.unanswered_ns else self.late_ns
+        self.late_ns = min(max(self.late_ns, 2 * lateness_ns), LONGEST_LATE_NS)
+        if not self.unanswered_ns:
+            self.silent, self.probation = max(self.silent, 1), True
+            self.due_ns = now_ns + self.late_ns
+        self.unanswered_ns = 0
+
+
+class Poller:
+    """Serves one open line until the worker stops or the line breaks."""
+
+    def __init__(self, slaves: Sequence[Slave], readings: Readings, clock: Clock, exchange: Exchange) -> None:
+        self._slaves, self._readings, self._clock, self._exchange = slaves, readings, clock, exchange
+        self.requests = self.late = 0
+        self._why = ""
+
+    def serve(self, line: Line, worker: Worker[Line]) -> None:
+        """Ask whoever is due, for ever.
+
+        Raises:
+            DriverUnavailable: the line is gone.
+            DriverTimeout: no slave has answered for a while; opening the line again may help.
+        """
+        now_ns = self._clock.now_ns()
+        for slave in self._slaves:
+            slave.line_opened(now_ns)
+        while not worker.stopping:
+            chosen, wake_ns = self.choose(self._clock.now_ns())
+            if chosen is None:
+                self._idle(line, worker, wake_ns)
+                continue
+            self._drop_old(line)
+            self._ask(line, chosen)
+            if not chosen.failing:
+                worker.backoff.reset()
+            if all(s.silent >= SILENT_IN_A_ROW for s in self._slaves):
+                raise DriverTimeout(f"{self._why}; no other slave answers either; opening the line again")
+
+    def choose(self, now_ns: int) -> tuple[Slave | None, int]:
+        """Who is asked now, or None and until when to wait, ns: healthy ones first, failing ones into the gaps."""
+        healthy = [s for s in self._slaves if not s.failing]
+        failing = sorted((s for s in self._slaves if s.failing), key=lambda s: s.due_ns)
+        next_ns = min((s.due_ns for s in healthy), default=now_ns + NEVER_NS)
+        if next_ns <= now_ns:
+            return min(healthy, key=lambda s: s.due_ns), now_ns
+        for waiting in failing:
+            starved = now_ns - waiting.due_ns > STARVED_NS
+            if waiting.due_ns <= now_ns and (starved or next_ns >= now_ns + waiting.timeout_ns):
+                return waiting, now_ns
+        later = (s.due_ns if s.due_ns > now_ns else s.due_ns + STARVED_NS + 1 for s in failing)
+        return None, min(next_ns, *later) if failing else next_ns
+
+    def _ask(self, line: Line, slave: Slave) -> None:
+        for block in slave.blocks:
+            asked_ns = self._clock.now_ns()
+            self.requests += 1
+            answer, data = self._exchange.ask(line, block.request, asked_ns + slave.timeout_ns)
+            self._look_for_late(data, slave)
+            if answer is None:
+                self._no_answer(slave, block, data, asked_ns)
+                return
+            if answer.error:
+                self._refused(slave, answer.error, asked_ns)
+                return
+            if slave.probation and not self._exchange.numbered:
+                slave.lives(self._clock.now_ns())
+                return
+            for name, raw in block.raw(answer.registers):
+                self._readings.take(name, raw, asked_ns)
+        slave.answered(self._clock.now_ns())
+
+    def _no_answer(self, slave: Slave, block: Block, data: bytes, asked_ns: int) -> None:
+        now_ns = self._clock.now_ns()
+        why = why_not(data, block.request)
+        if data[:1] == bytes([slave.number]) and slave.corrupt + 1 < CORRUPT_IN_A_ROW:
+            slave.corrupt += 1
+            slave.due_ns = now_ns + slave.period_ns
+            return
+        slave.was_silent(asked_ns, now_ns)
+        within_ms = slave.timeout_ns // 1_000_000
+        self._why = f"slave {slave.number} ({slave.name}): {why}, within {within_ms} ms"
+        self._readings.silent(slave.names, self._why)
+
+    def _refused(self, slave: Slave, error: int, asked_ns: int) -> None:
+        slave.was_silent(asked_ns, self._clock.now_ns())
+        slave.unanswered_ns = 0
+        self._why = f"slave {slave.number} ({slave.name}): error {error}: {ERRORS.get(error, 'it refuses')}"
+        self._readings.silent(slave.names, self._why)
+
+    def _idle(self, line: Line, worker: Worker[Line], wake_ns: int) -> None:
+        """Wait for the next turn; listen meanwhile if an old answer may come, so as to know how late it is."""
+        if self._exchange.numbered or not any(s.failing for s in self._slaves):
+            worker.wait_until_ns(wake_ns)
+            return
+        data = line.receive(min(wake_ns, self._clock.now_ns() + LISTEN_NS))
+        while data and len(data) < LONGEST_NOISE:
+            more = line.receive(self._clock.now_ns() + FRAME_PAUSE_NS)
+            if not more:
+                break
+            data += more
+        self._look_for_late(data, None)
+
+    def _drop_old(self, line: Line) -> None:
+        """Whatever came unasked is thrown away, and whose it was is noted; numbered answers are sorted out later."""
+        if self._exchange.numbered:
+            return
+        data = b""
+        while len(data) < LONGEST_NOISE and (more := line.receive(0)):
+            data += more
+        self._look_for_late(data, None)
+
+    def _look_for_late(self, data: bytes, asked: Slave | None) -> None:
+        if self._exchange.numbered or not data:
+            return
+        numbers = {number for number, _ in frames_of_slaves(data)}
+        for slave in self._slaves:
+            if slave is not asked and slave.number in numbers:
+                self.late += 1
+                slave.spoke_unasked(self._clock.now_ns())
+                why = f"slave {slave.number} ({slave.name}): answers later than its timeout_s"
+                self._readings.silent(slave.names, why)

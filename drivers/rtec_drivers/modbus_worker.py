@@ -1,0 +1,134 @@
+"""A thread that keeps one link alive: open, serve until it breaks, close, wait a little longer each time, open again.
+
+Used by the Modbus and the CAN drivers. Nothing here spins: between attempts, and while serving, the thread waits in
+the kernel, and `stop` wakes it.
+"""
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from rtec.errors import DriverError, DriverUnavailable
+from rtec.runtime.clock import Clock
+
+NS = 1_000_000_000
+STOP_TIMEOUT_S = 15.0
+
+
+class Backoff:
+    """Waiting times that double from the first to the longest, and start again after a success."""
+
+    def __init__(self, first_s: float, longest_s: float) -> None:
+        self._first_ns, self._longest_ns = round(first_s * NS), round(longest_s * NS)
+        self._next_ns = self._first_ns
+
+    def next_ns(self) -> int:
+        """How long to wait now, ns."""
+        now_ns = self._next_ns
+        self._next_ns = min(2 * now_ns, self._longest_ns)
+        return now_ns
+
+    def reset(self) -> None:
+        """Begin again with the shortest."""
+        self._next_ns = self._first_ns
+
+
+class Link(Protocol):
+    """What a worker opens."""
+
+    def close(self) -> None:
+        """Let go of the port; never raises."""
+        ...
+
+
+L = TypeVar("L", bound=Link)
+
+
+class Worker(Generic[L]):
+    """Keeps a link alive in a thread of its own.
+
+    Args:
+        name: of the thread.
+        clock: deadlines are in its time.
+        connect: opens the link or raises DriverError.
+        serve: uses the link until `stopping`, or raises DriverError when the link is broken.
+        tell: is given the reason whenever the link is not open, and "" when it is.
+        backoff: waits between attempts; `serve` resets it when the device really answers.
+
+    Attributes:
+        attempts: how often the link was opened or tried.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        clock: Clock,
+        connect: Callable[[], L],
+        serve: Callable[[L], None],
+        tell: Callable[[str], None],
+        backoff: Backoff,
+    ) -> None:
+        self.attempts, self.backoff = 0, backoff
+        self._name, self._clock = name, clock
+        self._connect, self._serve, self._tell = connect, serve, tell
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+
+    @property
+    def stopping(self) -> bool:
+        """Has somebody asked to stop?"""
+        return self._stop.is_set()
+
+    def start(self, link: L | None = None) -> None:
+        """Start the thread, with a link that is open already or without."""
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._run, args=(link,), name=self._name, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ask the thread to close the link and end; return when it has. Nothing happens the second time.
+
+        Raises:
+            DriverUnavailable: it does not end.
+        """
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        self._stop.set()
+        thread.join(STOP_TIMEOUT_S)
+        if thread.is_alive():
+            raise DriverUnavailable(f"{self._name}: does not end; the port's own driver hangs")
+
+    def wait_until_ns(self, instant_ns: int) -> None:
+        """Wait in the kernel until an instant, or until somebody asks to stop."""
+        left_ns = instant_ns - self._clock.now_ns()
+        if left_ns > 0:
+            self._stop.wait(left_ns / NS)
+
+    def _run(self, link: L | None) -> None:
+        with contextlib.suppress(OSError):  # slow buses are not urgent, whatever the loop's priority is
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        while not self.stopping:
+            why = self._once(link)
+            link = None
+            if self.stopping:
+                return
+            self._tell(why)
+            self.wait_until_ns(self._clock.now_ns() + self.backoff.next_ns())
+
+    def _once(self, link: L | None) -> str:
+        self.attempts += 1
+        try:
+            link = link or self._connect()
+        except DriverError as e:
+            return str(e)
+        try:
+            self._tell("")
+            self._serve(link)
+        except DriverError as e:
+            return str(e)
+        finally:
+            link.close()
+        return "closed"
