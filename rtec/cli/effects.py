@@ -1,7 +1,7 @@
 """`rtec effects`: what the effects are."""
 
-import dataclasses
 import json
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,29 +11,32 @@ def effects(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="One effect, in full.", show_default=False)
     ] = None,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Write the picture of its shape here.", show_default=False)
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
 ) -> None:
-    """Name the effects that a model can be made of; with a name: equation, size, what shows it, what looks alike.
+    """Name the effects that a model can be made of; with a name: equation, usual size, shape, what shows it.
 
-    Example: rtec effects axis_expansion
+    With a name it also tells what looks like the effect, and the experiment that tells the two apart.
+
+    Example: rtec effects lost_motion --figure lost-motion.png
     """
-    from rtec.effects import EFFECTS, effect_class
+    from rtec.cli.show import show_page
+    from rtec.errors import ConfigError
+    from rtec.report import effects_page as told
+    from rtec.report.effects_figure import sketch_of, write_figure
 
-    wanted = {name: effect_class(name, "rtec effects")} if name else EFFECTS
-    facts = {key: dataclasses.asdict(kind.about) for key, kind in wanted.items()}
+    if figure is not None and name is None:
+        raise ConfigError("rtec effects: --figure draws one effect; name it: rtec effects lost_motion --figure out.png")
+    facts = told.all_facts(name)
+    if figure is not None and name is not None:
+        write_figure(name, figure)
     if as_json:
         typer.echo(json.dumps(facts, indent=2, ensure_ascii=False))
         return
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=not name)
-    if name:
-        for key, text in facts[name].items():
-            table.add_row(key.replace("_", " "), text)
-    else:
-        for column in ("effect", "what", "equation"):
-            table.add_column(column)
-        for key, about in facts.items():
-            table.add_row(key, about["title"], about["equation"])
-    Console().print(table)
+    show_page(told.effect_page(name) if name is not None else told.catalogue_page())
+    if name is not None:
+        typer.echo("\n".join(sketch_of(name)))
+    if figure is not None:
+        typer.echo(f"Figure: {figure}")

@@ -173,4 +173,5 @@ class CyclicPole(_Wave):
         """`period`: tooth or pole pitch."""
         low, high = self.the_axis(machine).travel_mm
         longest = min(60.0, 0.4 * (high - low))
-        return (Parameter("period", "mm", min(16.0, 0.8 * longest), min(2.5, 0.2 * longest), longest),)
+        start = min(16.0, 0.8 * longest)
+        return (Parameter("period", "mm", start, min(2.5, 0.2 * longest), longest, start),)

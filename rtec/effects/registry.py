@@ -1,45 +1,19 @@
 """The registry: every effect by name, literally; and those of installed plug-ins."""
 
 from rtec.effects.base import Effect
+from rtec.effects.bending import BedBending, ColumnTilt
 from rtec.effects.cyclic import CouplingMisalignment, CyclicPole, CyclicScrew, InterpolationError
+from rtec.effects.drift import AmbientDrift, CoolantExpansion, MountExpansion
 from rtec.effects.expression import Expression
-from rtec.effects.geometric import (
-    AngularMotion,
-    GuideCurvature,
-    GuideTwist,
-    Parallelism,
-    PiecewisePosition,
-    PolynomialPosition,
-    Scale,
-    Squareness,
-    Straightness,
-)
+from rtec.effects.friction import AngularReversal, LostMotion, ReversalSpike, Stribeck
+from rtec.effects.geometric import PiecewisePosition, PolynomialPosition, Scale
+from rtec.effects.guides import AngularMotion, GuideCurvature, GuideTwist, Parallelism, Squareness, Straightness
 from rtec.effects.load import CrossTalk, ForceDeflection, LoadDeformation, RamSag
 from rtec.effects.motion import GuideLift, Inertia, ServoLag, ServoPhase
 from rtec.effects.plugins import plug_ins
-from rtec.effects.reversal import (
-    AngularReversal,
-    Backlash,
-    BacklashLoad,
-    BacklashPosition,
-    BacklashTemperature,
-    BacklashWear,
-    LostMotion,
-    ReversalSpike,
-    Stribeck,
-)
-from rtec.effects.thermal import (
-    AmbientDrift,
-    AxisExpansion,
-    AxisExpansionNonuniform,
-    BedBending,
-    ColumnTilt,
-    CoolantExpansion,
-    MountExpansion,
-    SpindleGrowth,
-    SpindleSpeedShift,
-    SpindleTilt,
-)
+from rtec.effects.reversal import Backlash, BacklashLoad, BacklashPosition, BacklashTemperature, BacklashWear
+from rtec.effects.spindle import SpindleGrowth, SpindleSpeedShift, SpindleTilt
+from rtec.effects.thermal import AxisExpansion, AxisExpansionNonuniform
 from rtec.effects.time_data import NOT_EFFECTS, DailyDrift, MissedCounts, WearDrift
 from rtec.errors import ModelError
 from rtec.tomlfile import nearest

@@ -174,7 +174,7 @@ NOT_EFFECTS: dict[str, About] = {
         seen_by=(),
         source="catalogue A6",
         confusions=(Confusion("reversal_spike", "a spike sampled once", "a recording of 1 kHz or more"),),
-        reveal="told with every fit and diagnosis",
+        reveal="told with every fit and diagnosis; only isolated readings are left out",
     ),
 }
 """What looks like an effect and is none: `rtec effects` shows them, a model cannot hold them."""

@@ -1,102 +1,32 @@
 """One or more instances of every effect, each with its own equation written out once more.
 
-`EXAMPLES` is what the laws in test_effects_laws.py run over; an effect of the registry that has no instance here
-fails a law of its own.
+`EXAMPLES` is what the laws in test_effects_laws.py run over; an effect of the registry that has no instance here or in
+effect_examples_motion.py fails a law of its own.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
-from scipy.signal import lsim
 
-from rtec.effects import Effect, effect_class
 from rtec.effects.state import State
-from rtec.model import FittedEffect, Model
-from tests.machines import turning_centre
+from rtec.model import Model
+from tests.unit.effect_example import (
+    MACHINE,
+    REFERENCE_DEGC,
+    Example,
+    Theta,
+    example,
+    fixed_theta,
+    krpm,
+    lag,
+    rise,
+    scaled,
+    states,
+)  # fmt: skip
+from tests.unit.effect_examples_motion import OF_MOTION, OF_TIME_AND_LOAD
 
-Floats = NDArray[np.float64]
-Theta = Mapping[str, float]
-MACHINE = turning_centre()
-REFERENCE_DEGC = 20.0
-DT_S = 45.0
-
-
-def states(n: int = 60, seed: int = 7) -> State:
-    """A warm-up of n instants, DT_S apart: positions, directions, speeds and temperatures all vary."""
-    rng = np.random.default_rng(seed)
-    channels = {
-        "x": rng.uniform(0.0, 200.0, n),
-        "z": rng.uniform(0.0, 400.0, n),
-        "d_x": np.where(rng.random(n) < 0.5, -1.0, 1.0),
-        "d_z": np.where(rng.random(n) < 0.5, -1.0, 1.0),
-        "spindle_rpm": np.repeat(rng.uniform(300.0, 4000.0, n // 6 + 1), 6)[:n],
-        **{name: 20.5 + np.cumsum(rng.uniform(-0.2, 0.5, n)) for name in MACHINE.sensor_names},
-    }
-    return State(MACHINE, np.arange(n, dtype=np.float64) * DT_S, channels, REFERENCE_DEGC)
-
-
-def lag(value: Floats, tau_s: float) -> Floats:
-    """First-order lag of evenly spaced values by scipy's solver for linear systems; settled at the first."""
-    time_s = np.arange(len(value)) * DT_S
-    return np.asarray(lsim(([1.0], [tau_s, 1.0]), value - value[0], time_s, interp=True)[1] + value[0])
-
-
-def scaled(s: State, name: str) -> Floats:
-    """Position over the travel as -1 … +1."""
-    low, high = MACHINE.axis(name).travel_mm
-    return np.interp(s.value(name.lower()), [low, high], [-1.0, 1.0])
-
-
-@dataclass(frozen=True)
-class Example:
-    """An effect's arguments, its coefficients' names and units, and its basis by other means."""
-
-    arguments: Mapping[str, Any]
-    units: Mapping[str, str]
-    basis: Callable[[State, Theta], list[Floats | float]]
-    theta: Theta = field(default_factory=dict)
-
-    @property
-    def effect(self) -> Effect:
-        """The effect itself."""
-        return effect_class(self.arguments["effect"], "example").model_validate(dict(self.arguments))
-
-    @property
-    def fitted(self) -> FittedEffect:
-        """The effect with numbers, all different and none zero."""
-        values = {name: 1.5 - 0.7 * i for i, name in enumerate(self.units)}
-        return FittedEffect(self.effect, values, dict(self.theta), dict.fromkeys(self.units, 0.01))
-
-    @property
-    def model(self) -> Model:
-        """A model of this effect alone."""
-        return Model(MACHINE, (self.fitted,), reference_degc=REFERENCE_DEGC)
-
-    def __str__(self) -> str:
-        extra = [str(v) for k, v in self.arguments.items() if k not in ("effect", "linear", "free")]
-        return "-".join([self.arguments["effect"], *extra])[:70]
-
-
-def example(
-    effect: str, component: str, units: Mapping[str, str], basis: Callable[[State, Theta], list[Any]],
-    theta: Theta | None = None, **arguments: Any,
-) -> Example:  # fmt: skip
-    """Give an example; `basis` takes the state and the non-linear parameters."""
-    return Example({"effect": effect, "component": component, **arguments}, units, basis, theta or {})
-
-
-def fixed_theta(basis: Callable[[State], list[Any]]) -> Callable[[State, Theta], list[Any]]:
-    """A basis without non-linear parameters."""
-
-    def whole(s: State, theta: Theta) -> list[Any]:
-        assert not theta
-        return basis(s)
-
-    return whole
+__all__ = ["EXAMPLES", "MACHINE", "Example", "everything", "states"]
 
 
 def hats(s: State) -> list[Any]:
@@ -109,15 +39,16 @@ def waves(s: State, theta: Theta) -> list[Any]:
     return [f(k * turn) for k in (1, 2, 3) for f in (np.sin, np.cos)]
 
 
-def krpm(s: State) -> Floats:
-    return np.asarray(s.value("spindle_rpm") / 1000.0)
+def turns(s: State, theta: Theta, channel: str = "x") -> list[Any]:
+    wave = np.exp(2j * np.pi * s.value(channel) / theta["period"])
+    return [wave.imag, wave.real]
 
 
-def rise(s: State, name: str) -> Floats:
-    return np.asarray(s.value(name) - REFERENCE_DEGC)
+def bow(s: State) -> list[Any]:
+    return [legendre.legval(scaled(s, "X"), row) for row in ([0, 0, 1], [0, 0, 0, 1])]
 
 
-EXAMPLES: tuple[Example, ...] = (
+OF_PLACE_AND_HEAT: tuple[Example, ...] = (
     example("scale", "EXX", {"k": "um_per_m"}, fixed_theta(lambda s: [s.value("x") / 1000]), axis="X"),
     example("scale", "EBX", {"k": "urad_per_m"}, fixed_theta(lambda s: [s.value("x") / 1000]), axis="X"),
     example(
@@ -142,6 +73,18 @@ EXAMPLES: tuple[Example, ...] = (
         "cyclic_screw", "EXX", {f"{k}{i}": "um" for i in (1, 2, 3) for k in "sc"}, waves, {"pitch": 5.01},
         axis="X", harmonics=3,
     ),
+    example(
+        "coupling_misalignment", "EXX", {"s": "um", "c": "um"}, turns, {"period": 2.51}, axis="X",
+    ),
+    example(
+        "interpolation_error", "EZZ", {"s": "um", "c": "um"},
+        fixed_theta(lambda s: turns(s, {"period": 0.04}, "z")), axis="Z", lambda_mm=0.04,
+    ),
+    example("cyclic_pole", "EXX", {"s": "um", "c": "um"}, turns, {"period": 16.3}, axis="X"),
+    example("straightness", "EYX", {"c2": "um", "c3": "um"}, fixed_theta(bow), axis="X"),
+    example("angular_motion", "ECX", {"c2": "urad", "c3": "urad"}, fixed_theta(bow), axis="X"),
+    example("guide_curvature", "EBX", {"k": "urad_per_m"}, fixed_theta(lambda s: [s.value("x") / 1000]), axis="X"),
+    example("guide_twist", "EAX", {"k": "urad_per_m"}, fixed_theta(lambda s: [s.value("x") / 1000]), axis="X"),
     example("backlash", "EZZ", {"B": "um"}, fixed_theta(lambda s: [s.value("d_z") / 2]), axis="Z"),
     example(
         "backlash_position", "EBZ", {"b0": "urad", "b1": "urad", "b2": "urad"},
@@ -201,6 +144,18 @@ EXAMPLES: tuple[Example, ...] = (
         {"tau": 1200.0, "p": 0.8},
     ),
     example(
+        "spindle_speed_shift", "EZ0spindle", {"c": "um_per_krpm2"}, fixed_theta(lambda s: [krpm(s) ** 2]),
+    ),
+    example(
+        "bed_bending", "EYZ", {"k": "um_per_degc"},
+        fixed_theta(lambda s: [(s.value("T_bed") - s.value("T_air")) * scaled(s, "Z") ** 2]),
+        axis="Z", front="T_bed", back="T_air",
+    ),
+    example(
+        "coolant_expansion", "EX0workpiece", {"k": "um_per_degc"}, fixed_theta(lambda s: [rise(s, "T_air")]),
+        sensor="T_air",
+    ),
+    example(
         "expression", "ECX", {"a": "urad_per_mm", "b": "urad_per_degc"},
         lambda s, t: [s.value("x") * np.sin(s.value("z") / t["w"]), s.value("d_x") * lag(rise(s, "T_bed"), t["tau"])],
         {"w": 70.0, "tau": 333.0},
@@ -209,6 +164,8 @@ EXAMPLES: tuple[Example, ...] = (
               "tau": {"start": 300.0, "low": 10.0, "high": 5000.0, "unit": "s"}},
     ),
 )  # fmt: skip
+
+EXAMPLES = (*OF_PLACE_AND_HEAT, *OF_MOTION, *OF_TIME_AND_LOAD)
 
 
 def everything() -> Model:

@@ -88,9 +88,10 @@ def test_errors_become_one_clear_message(
 def test_effects_are_named_and_told(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the registry; a near miss names the nearest."""
     from rtec.effects import EFFECTS
+    from rtec.effects.time_data import NOT_EFFECTS
 
     assert status(["effects", "--json"]) == 0
-    assert set(json.loads(capsys.readouterr().out)) == set(EFFECTS)
+    assert set(json.loads(capsys.readouterr().out)) == {*EFFECTS, *NOT_EFFECTS}
     assert status(["effects", "axis_expansion"]) == 0
     assert "ΔT" in capsys.readouterr().out
     assert status(["effects", "axis_expansio"]) == 2

@@ -18,10 +18,11 @@ from rtec.effects import EFFECTS, State, derived, effect_class
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model, elementary, load_model, save_model
 from rtec.model.compiled import CompiledModel, compile_model
-from tests.unit.effect_examples import EXAMPLES, MACHINE, Example, everything, states
+from tests.unit.effect_example import MACHINE, Example, states
+from tests.unit.effect_examples import EXAMPLES, everything
 
 Floats = NDArray[np.float64]
-UNIT = re.compile(r"(um|urad)(_per_(m|mm|degc|m_degc|krpm_to_p))?")
+UNIT = re.compile(r"(um|urad)(_per_(m|mm|degc|m_degc|krpm_to_p|krpm2|h|100kg|kn)|_s_per_mm|_s2_per_m)?")
 each = pytest.mark.parametrize("example", EXAMPLES, ids=str)
 
 
@@ -69,10 +70,24 @@ def test_nonlinear_parameters_have_units_and_bounds(example: Example) -> None:
     parameters = example.effect.nonlinear(MACHINE)
     assert {p.name for p in parameters} == set(example.theta)
     for p in parameters:
-        assert p.unit in ("s", "mm", "1")
+        assert p.unit in ("s", "mm", "mm_per_s", "1")
         assert math.isfinite(p.low)
         assert p.low < p.start < p.high
         assert p.low < example.theta[p.name] < p.high
+
+
+@each
+def test_usual_sizes_and_what_a_search_tries(example: Example) -> None:
+    """Usual sizes are sizes; the search begins inside the bounds, and its values rise within them."""
+    for p in example.effect.coefficients(MACHINE):
+        assert math.isfinite(p.typical)
+        assert p.typical > 0.0
+    for p in example.effect.nonlinear(MACHINE):
+        assert list(p.grid) == sorted(set(p.grid))
+        assert all(p.low <= value <= p.high for value in p.grid)
+        if p.unit == "s" and p.name == "tau" and example.arguments["effect"] != "expression":
+            assert len(p.grid) >= 5
+            np.testing.assert_allclose(np.diff(np.log2(p.grid)), 1.0)
 
 
 @each
@@ -95,6 +110,14 @@ def test_basis_is_finite_at_the_ends_of_everything(example: Example) -> None:
     channels |= {"x": np.array([0.0, 200.0, 100.0, 0.0, 0.0, 200.0]), "z": np.array([0.0, 400.0, 200.0, 0.0, 0.0, 1.0])}
     channels |= {"d_x": np.array([0.0, 0.0, 1.0, -1.0, 1.0, 1.0]), "d_z": np.array([0.0, 1.0, 1.0, -1.0, 1.0, 1.0])}
     channels |= {"spindle_rpm": np.array([0.0, 0.0, -3000.0, 6000.0, 0.0, 0.0])}
+    for axis in "xz":
+        channels |= {f"v_{axis}": np.array([0.0, 0.0, 500.0, -500.0, 1e-9, 0.0])}
+        channels |= {f"a_{axis}": np.array([0.0, 0.0, 2e4, -2e4, 0.0, 0.0])}
+        channels |= {f"s_{axis}": np.array([derived.FAR_MM, derived.FAR_MM, 0.0, 1e-6, 400.0, 0.0])}
+    channels |= {
+        "load_kg": np.array([0.0, 0.0, 5e4, 1.0, 0.0, 0.0]),
+        "force_n": np.array([0.0, 0.0, 1e5, -1e5, 0.0, 0.0]),
+    }
     s = State(MACHINE, np.array([0.0, 0.0, 1.0, 1.0, 1e6, 1e6]), channels)
     bounds = example.effect.nonlinear(MACHINE)
     for theta in ({p.name: p.low for p in bounds}, {p.name: p.high for p in bounds}):
@@ -176,7 +199,7 @@ def test_channels_are_those_that_the_basis_reads(example: Example) -> None:
     names = effect.channels(MACHINE)
     needed = {n: s.value(n) for n in names}
     effect.basis(MACHINE, State(MACHINE, s.time_s, needed), example.theta)
-    for name in names:
+    for name in set(names) - {"time_s"}:  # no state is without its time
         # A direction that is not given follows from its position, so both go.
         gone = {name, name.removeprefix("d_")}
         fewer = {n: v for n, v in needed.items() if n not in gone}
@@ -301,8 +324,8 @@ def test_check_refuses_missing_and_unknown_numbers(example: Example) -> None:
     fitted = example.fitted
     for values, theta, said in (
         ({}, fitted.theta, f"coefficient '{next(iter(example.units))}' is missing; it has: {', '.join(example.units)}"),
-        ({**fitted.values, "q": 1.0}, fitted.theta, "unknown coefficient 'q'"),
-        (fitted.values, {**fitted.theta, "q": 1.0}, "unknown non-linear parameter 'q'"),
+        ({**fitted.values, "qq": 1.0}, fitted.theta, "unknown coefficient 'qq'"),
+        (fitted.values, {**fitted.theta, "qq": 1.0}, "unknown non-linear parameter 'qq'"),
         (dict.fromkeys(fitted.values, math.nan), fitted.theta, "a coefficient is not a finite number"),
     ):
         with pytest.raises(ModelError) as caught:

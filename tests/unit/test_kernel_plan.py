@@ -27,7 +27,7 @@ from rtec.model.trace import Graph, SymbolicChannels
 from tests.unit.effect_examples import EXAMPLES, MACHINE, everything, states
 
 Floats = NDArray[np.float64]
-MOVING = {"x", "z", "d_x", "d_z"}
+MOVING = {prefix + axis for prefix in ("", "d_", "v_", "a_", "s_") for axis in "xz"}
 
 
 def fitted(machine: Machine, effect: str, component: str, **arguments: Any) -> FittedEffect:
@@ -153,7 +153,7 @@ def test_every_parameter_stands_at_the_place_where_the_array_has_it() -> None:
 # What the kernel's text may be made of: nothing that a file's text could bring in.
 NAME = re.compile(
     r"def|return|if|else|njit|error_model|slow_part|fast_part|first|lag_update|dt_s|math|abs|min|max|sin|cos|exp|log|sqrt|"
-    r"tanh|pass|sin_cos|[mpuqd]|e[xyz]|([vcf]|sin|cos)\d+"
+    r"tanh|pass|sin_cos|[mpuqd]|vel|acc|since|e[xyz]|([vcf]|sin|cos)\d+"
 )
 SIGNS = set("()[]=+-*/,.:@") | {"**"}
 

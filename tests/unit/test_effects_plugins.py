@@ -1,0 +1,153 @@
+"""Effects of other packages: good ones join the registry, broken ones are told and take nothing with them.
+
+Oracle: what was written into the packages' own files; they are installed as `pip` leaves them, a module and a
+dist-info folder.
+"""
+
+import importlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rtec.cli.main import status
+from rtec.effects import EFFECTS, all_effects, effect_class
+from rtec.effects.registry import plug_in_faults
+from rtec.errors import ModelError
+from rtec.report.effects_page import OTHERS, catalogue_page, families
+
+GOOD = """
+from typing import Literal
+from rtec.effects import Parameter
+from rtec.effects.base import About, AxisEffect
+
+class {name}(AxisEffect):
+    about = About(title="A step", equation="e = h", typical="1 µm", seen_by=("laser_linear",), source="a test")
+    effect: Literal["{effect}"] = "{effect}"
+
+    def coefficients(self, machine):
+        return (Parameter("h", self.unit, typical=1.0),)
+
+    def basis(self, machine, channels, theta):
+        return [channels.value(self.the_axis(machine).channel) * 0.0 + 1.0]
+"""
+ABSTRACT = """
+from rtec.effects.base import About, AxisEffect
+
+class Half(AxisEffect):
+    about = About(title="", equation="", typical="", seen_by=(), source="")
+    effect: str = "half"
+"""
+UNTOLD = "\n".join(line for line in GOOD.splitlines() if "about = " not in line)
+Install = Callable[[str, dict[str, str], str], None]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Install a package: its name, entry points, and the text of its one module."""
+    before = set(sys.modules)
+
+    def write(package: str, points: dict[str, str], text: str) -> None:
+        info = tmp_path / f"{package}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
+        lines = "".join(f"{k} = {v}\n" for k, v in points.items())
+        (info / "entry_points.txt").write_text(f"[rtec.effects]\n{lines}", encoding="utf-8")
+        (tmp_path / f"{package}.py").write_text(text, encoding="utf-8")
+        monkeypatch.syspath_prepend(str(tmp_path))
+        importlib.invalidate_caches()
+        # What is installed is looked up once for a search path; each installation here is a new one.
+        monkeypatch.syspath_prepend(str(tmp_path / package))
+
+    yield write
+    for name in set(sys.modules) - before:
+        if name.startswith("pkg_"):
+            del sys.modules[name]
+
+
+def test_a_good_one_stands_beside_the_built_in(install: Install) -> None:
+    install("pkg_good", {"one_step": "pkg_good:One"}, GOOD.format(name="One", effect="one_step"))
+    assert set(all_effects()) == {*EFFECTS, "one_step"}
+    assert "one_step" not in EFFECTS
+    kind = effect_class("one_step", "t")
+    assert kind.model_validate({"effect": "one_step", "component": "EXX", "axis": "X"}).effect == "one_step"
+    assert list(families()[OTHERS]) == ["one_step"]
+    assert not plug_in_faults()
+    with pytest.raises(ModelError, match="did you mean 'one_step'"):
+        effect_class("one_stepp", "t")
+
+
+FAULTS = (
+    ("scale", "pkg_bad:One", GOOD.format(name="One", effect="scale"), "'scale' is a name of rtec's own"),
+    ("outliers", "pkg_bad:One", GOOD.format(name="One", effect="outliers"), "'outliers' is a name of rtec's own"),
+    ("gone", "pkg_nowhere:One", "", "cannot be loaded: ModuleNotFoundError: No module named 'pkg_nowhere'"),
+    ("gone", "pkg_bad:Two", GOOD.format(name="One", effect="gone"), "cannot be loaded: AttributeError"),
+    ("torn", "pkg_bad:One", "def (", "cannot be loaded: SyntaxError"),
+    ("torn", "pkg_bad:One", "raise RuntimeError('no licence')", "cannot be loaded: RuntimeError: no licence"),
+    ("number", "pkg_bad:One", "One = 1", "1 is not a class derived from rtec.effects.Effect"),
+    ("half", "pkg_bad:Half", ABSTRACT, "Half lacks basis, coefficients"),
+    ("untold", "pkg_bad:One", UNTOLD.format(name="One", effect="untold"), "One has no `about = About"),
+    ("other", "pkg_bad:One", GOOD.format(name="One", effect="one_step"), "`effect` of One is 'one_step'"),
+)
+
+
+@pytest.mark.parametrize(("name", "value", "text", "said"), FAULTS, ids=[f"{f[0]}-{f[3][:25]}" for f in FAULTS])
+def test_a_broken_one_is_told_and_the_rest_stays(
+    name: str, value: str, text: str, said: str, install: Install, capsys: pytest.CaptureFixture[str]
+) -> None:
+    install("pkg_bad", {name: value}, text)
+    install("pkg_good", {"one_step": "pkg_good:One"}, GOOD.format(name="One", effect="one_step"))
+    assert set(all_effects()) == {*EFFECTS, "one_step"}
+    fault = plug_in_faults()[name]
+    assert fault.startswith(f"package pkg_bad, entry point rtec.effects: {name} = {value}: ")
+    assert said in fault
+    (section,) = [s for s in catalogue_page().sections if s.heading == "Plug-ins that cannot be used"]
+    assert section.text == [f"{name}: {fault}"]
+    if name in EFFECTS:
+        assert effect_class(name, "t") is EFFECTS[name]
+    elif name != "outliers":
+        with pytest.raises(ModelError) as caught:
+            effect_class(name, "m.toml")
+        assert f"m.toml: effect {name!r} of a plug-in: package pkg_bad" in str(caught.value)
+        assert status(["effects", name]) == 2
+        assert said in capsys.readouterr().err.replace("\n", " ")
+
+
+def test_of_two_with_one_name_the_first_package_is_used(install: Install) -> None:
+    """In alphabetical order of the packages, so that it is the same on every machine."""
+    install("pkg_b", {"one_step": "pkg_b:Second"}, GOOD.format(name="Second", effect="one_step"))
+    install("pkg_a", {"one_step": "pkg_a:First"}, GOOD.format(name="First", effect="one_step"))
+    assert effect_class("one_step", "t").__name__ == "First"
+    assert "package pkg_b" in plug_in_faults()["one_step"]
+    assert "another package has an effect 'one_step'" in plug_in_faults()["one_step"]
+
+
+def test_built_in_names_look_for_no_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop and the reading of models ask for built-in names only; that costs no search of the disk."""
+
+    def searched(**_: object) -> None:
+        raise AssertionError("searched")
+
+    monkeypatch.setattr("rtec.effects.plugins.entry_points", searched)
+    monkeypatch.syspath_prepend("somewhere new")
+    for name in EFFECTS:
+        assert effect_class(name, "t") is EFFECTS[name]
+
+
+def test_what_is_no_effect_is_refused_with_a_reason() -> None:
+    with pytest.raises(ModelError, match="'centre_offset' is no error of the machine, a model cannot hold it"):
+        effect_class("centre_offset", "t")
+
+
+def test_a_plug_in_is_told_like_the_others(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    install("pkg_good", {"one_step": "pkg_good:One"}, GOOD.format(name="One", effect="one_step"))
+    assert status(["effects", "one_step"]) == 0
+    shown = capsys.readouterr().out
+    assert "one_step: A step." in shown
+    assert "drawn with h = 1 µm" in shown
+    assert status(["effects", "one_step", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)["one_step"]
+    assert facts["family"] == OTHERS
+    assert facts["parameters"] == [{"name": "h", "unit": "um", "typical": 1.0}]
