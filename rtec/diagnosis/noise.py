@@ -171,7 +171,7 @@ def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
     """Find the noises anew from what a fit leaves, starting where they are, (m,)."""
     noises = []
     for s, wide, now in zip(whitener.readings.series, whitener.wides, whitener.noises, strict=True):
-        noises.append(_search(_Residual(s, wide, left[s.part]), now, steps))
+        noises.append(_of_residual(s, wide, left[s.part], now, steps))
     return whitener.with_noises(noises)
 
 
@@ -235,19 +235,31 @@ class _Mean:
         return f.log_det + log_det + self.freedom * math.log(variance), variance
 
 
-class _Residual:
-    """−2 log likelihood of a series without a mean, white variance profiled."""
+def _bounds(series: Series) -> Floats:
+    """Lowest, highest, centre and spread of the prior of the logarithms of drift, memory and offset, (3, 4)."""
+    times = series.time_s
+    span, apart = max(float(times[-1] - times[0]), 1.0), np.diff(times)
+    shortest = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
+    return np.array(
+        [
+            [math.log(DRIFT_BOUNDS[0]), math.log(DRIFT_BOUNDS[1]), USUAL_DRIFT, SPREAD],
+            [math.log(min(3.0 * shortest, 0.02 * span)), math.log(3.0 * span), 0.0, 0.0],
+            [-9.0, 9.0, USUAL_OFFSET, SPREAD],
+        ]
+    )
 
-    def __init__(self, series: Series, wide: Floats, left: Floats) -> None:
-        self.series, self.wide, self.left = series, wide, np.ascontiguousarray(left[:, None])
-        self.freedom = max(len(left) - series.nuisance.shape[1] * int(series.run[-1] + 1), 3)
 
-    def __call__(self, noise: Noise) -> tuple[float, float]:
-        """The value, and the white variance."""
-        f = make_filter(self.series, self.wide, noise)
-        white = f.whiten(self.left)[:, 0]
-        variance = max(float(white @ white), 1e-12) / self.freedom
-        return f.log_det + self.freedom * math.log(variance), variance
+def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: int) -> Noise:
+    """Noise of a series that has no mean left, searched for from a noise that is about right."""
+    from rtec.diagnosis.kalman_search import likelihood, walk
+
+    start = [math.log(now.drift), math.log(now.tau_s)] + ([math.log(now.offset)] if now.offset > 0.0 else [])
+    freedom = float(max(len(left) - series.nuisance.shape[1] * int(series.run[-1] + 1), 3))
+    data = (series.time_s, series.run, series.nuisance, wide, np.ascontiguousarray(left))
+    found = np.exp(walk(*data, freedom, np.array(start), _bounds(series), steps))
+    offset = float(found[2]) if len(found) > 2 else 0.0
+    _, square = likelihood(*data, float(found[0]), float(found[1]), offset)
+    return Noise(math.sqrt(max(square, 1e-12) / freedom), float(found[0]), float(found[1]), offset)
 
 
 Cost = Callable[[Noise], tuple[float, float]]
@@ -274,17 +286,11 @@ def _search(cost: Any, start: Noise, steps: int) -> Noise:
     """Nelder-Mead in the logarithms of drift, time constant and offset."""
     from scipy.optimize import minimize
 
-    series: Series = cost.series
-    times = series.time_s
-    span = max(float(times[-1] - times[0]), 1.0)
-    apart = np.diff(times)
-    shortest = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
-    low, high = math.log(min(3.0 * shortest, 0.02 * span)), math.log(3.0 * span)
+    (low_d, high_d, *_), (low, high, *_), _ = _bounds(cost.series).tolist()
 
     def noise(x: Floats) -> Noise:
-        drift = min(max(float(x[0]), math.log(DRIFT_BOUNDS[0])), math.log(DRIFT_BOUNDS[1]))
-        tau = float(np.clip(x[1], low, high))
-        offset = math.exp(float(np.clip(x[2], -9.0, 9.0))) if len(x) > 2 else 0.0
+        drift, tau = min(max(float(x[0]), low_d), high_d), min(max(float(x[1]), low), high)
+        offset = math.exp(min(max(float(x[2]), -9.0), 9.0)) if len(x) > 2 else 0.0
         return Noise(1.0, math.exp(drift), math.exp(tau), offset)
 
     def value(x: Floats) -> float:

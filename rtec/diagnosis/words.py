@@ -78,7 +78,7 @@ def notes(spikes: int, readings: int, names: Sequence[str]) -> tuple[str, ...]:
     if spikes:
         said = "reading is" if spikes == 1 else "readings are"
         out.append(f"{spikes} single {said} far from all neighbours and left out ({spikes / (readings + spikes):.1%})")
-    out.append("temperatures are smoothed over ±8 min for the search; a model gets them as they are read")
+    out.append("temperatures are smoothed for the search where they creep; a model gets them as they are read")
     if len(names) > 1:
         out.append(f"one answer for {len(names)} measurements: {', '.join(names)}")
     return tuple(out)

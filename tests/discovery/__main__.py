@@ -34,11 +34,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     with bar(f"{len(todo)} sets") as tell:
         outcomes = run(todo, wish.method, wish.jobs, tell)
     minutes = (default_timer() - start) / 60.0
+    if wish.json:
+        wish.json.write_text(json.dumps(facts(outcomes, wish.method, (first, last)), indent=1), encoding="utf-8")
     console = Console(width=140)
     stopped = f"stopped after {len(outcomes)} of {len(todo)} sets, " if len(outcomes) < len(todo) else ""
     tables.show(console, outcomes, title=f"{wish.method}: {stopped}seeds {first} to {last - 1}, {minutes:.1f} min")
-    if wish.json:
-        wish.json.write_text(json.dumps(facts(outcomes, wish.method, (first, last)), indent=1), encoding="utf-8")
     return 130 if stopped else 0
 
 

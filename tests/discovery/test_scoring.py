@@ -181,3 +181,12 @@ def test_the_command_writes_all_it_found(
     assert facts["seeds"] == [1000, 1002]
     assert len(facts["sets"]) == 2
     assert "seeds 1000 to 1001" in capsys.readouterr().out
+
+
+def test_two_processes_give_what_one_gives() -> None:
+    """Oracle: the same cases in this process."""
+    sets = [Case("clean", i, "drift", "white") for i in range(3)]
+    apart = work.run(sets, "naive", 2, lambda _done, _total: None)
+    here = work.run(sets, "naive", 1, lambda _done, _total: None)
+    assert [o.case for o in apart] == sets
+    assert [(o.answer, o.held_out, o.failure) for o in apart] == [(o.answer, o.held_out, o.failure) for o in here]

@@ -3,9 +3,9 @@
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from functools import partial
+from itertools import islice
 from multiprocessing import get_context
 
 from rtec.metrology.characterise.threads import one_blas_thread
@@ -16,6 +16,9 @@ from tests.discovery.score import Outcome, judge
 Tell = Callable[[int, int], None]
 METHODS = {"evidence": (methods.evidence, methods.improving), "naive": (methods.naive, None)}
 ONE = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+AHEAD = 2
+"""So many cases for each process are handed out at a time."""
 
 
 def run(cases: Sequence[Case], method: str, jobs: int, tell: Tell) -> list[Outcome]:
@@ -38,11 +41,16 @@ def run(cases: Sequence[Case], method: str, jobs: int, tell: Tell) -> list[Outco
             pass
         return [done[i] for i in sorted(done)]
     with _pool(jobs) as pool:
-        futures = {pool.submit(partial(one, method), case): i for i, case in enumerate(cases)}
+        waiting = iter(enumerate(cases))
+        running: dict[Future[Outcome], int] = {}
         try:
-            _collect(futures, done, tell)
+            while _refill(pool, method, waiting, running, AHEAD * jobs):
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    done[running.pop(future)] = future.result()
+                    tell(len(done), len(cases))
         except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
+            # What runs already is few, ends by itself within seconds, and is taken along.
+            done |= {i: future.result() for future, i in running.items()}
     return [done[i] for i in sorted(done)]
 
 
@@ -53,10 +61,17 @@ def one(method: str, case: Case) -> Outcome:
         return judge(case, diagnose, improve)
 
 
-def _collect(futures: dict[Future[Outcome], int], done: dict[int, Outcome], tell: Tell) -> None:
-    for future in as_completed(futures):
-        done[futures[future]] = future.result()
-        tell(len(done), len(futures))
+def _refill(
+    pool: ProcessPoolExecutor,
+    method: str,
+    waiting: Iterator[tuple[int, Case]],
+    running: dict[Future[Outcome], int],
+    most: int,
+) -> bool:
+    """Keep so many cases under way; say whether any is."""
+    for i, case in islice(waiting, most - len(running)):
+        running[pool.submit(one, method, case)] = i
+    return bool(running)
 
 
 @contextmanager
