@@ -13,6 +13,7 @@ import numpy as np
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.faults import Faults
+from rtec.metrology.files_angle import on_circle, still_right
 from rtec.metrology.files_checks import Rows, check_order, remarks
 from rtec.metrology.files_columns import channel_columns, check_columns
 from rtec.metrology.files_read import Raw, header_of, parquet_names, read_csv, read_parquet
@@ -68,16 +69,18 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     raw, notes, digest = _read(table, toml, instrument, machine, accepted)
     digest.update(toml.read_bytes())
     columns = channel_columns(machine)
+    run = raw.columns["run"].astype(np.int64)
+    channels = {columns[c]: v for c, v in raw.columns.items() if c in columns}
     return Measurement(
         name=table.stem,
         instrument=instrument,
         machine=machine,
-        run=raw.columns["run"].astype(np.int64),
+        run=run,
         time_s=raw.columns["time_s"],
-        channels={columns[c]: v for c, v in raw.columns.items() if c in columns},
+        channels=on_circle(instrument, machine, channels, run, str(table)),
         readings={c: raw.columns[c] for c in instrument.columns()},
         sha256=digest.hexdigest(),
-        notes=tuple(dict.fromkeys([*head.notes, *notes])),
+        notes=tuple(dict.fromkeys([*head.notes, *still_right(instrument, notes)])),
     )
 
 

@@ -1,7 +1,7 @@
 """Seeded measurements by any instrument on a machine whose true effects are chosen.
 
-What the instrument reads is `arms · true component errors + nuisances`, then noise. The true effects see the true
-temperatures; the measurement holds what the sensors made of them.
+What the instrument reads is `arms · true component errors + nuisances`, then noise; a ball bar reads its exact length.
+The true effects see the true temperatures; the measurement holds what the sensors made of them.
 """
 
 from collections.abc import Mapping
@@ -17,6 +17,7 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign_cycle import make_cycle
 from rtec.sim.campaign_noise import with_noise
+from rtec.sim.campaign_paths import make_path, readings_um
 from rtec.sim.campaign_protocol import Timeline, make_timeline, phases_of
 from rtec.sim.campaign_settings import Settings
 from rtec.sim.campaign_thermal import sensor_readings_degc, temperatures_degc
@@ -87,7 +88,7 @@ def simulate_with_truth(
     settings, machine = settings or Settings(), truth.machine
     # One stream each: more noise of one kind leaves the others as they were.
     weather, sensing, hidden, noise = (np.random.default_rng([seed, 40, i]) for i in range(4))
-    cycle = make_cycle(machine, instrument, settings.targets)
+    cycle = make_path(machine, instrument, settings) or make_cycle(machine, instrument, settings.targets)
     whole = make_timeline(machine, settings, phases_of(settings, instrument), cycle)
     true_degc = temperatures_degc(machine, settings.thermal, whole, weather)
     rows = np.flatnonzero(whole.run > 0)
@@ -96,9 +97,7 @@ def simulate_with_truth(
     everywhere = _components(truth, _state(truth, whole, true_degc, np.arange(len(whole))))
     components = {name: values[rows] for name, values in everywhere.items()}
     here = _state(truth, whole, true_degc, rows)
-    clean = np.zeros((len(instrument.columns()), len(rows)))
-    for component, values in components.items():
-        clean += instrument.arms_of(machine, whole.pose_mm[rows], component) * values
+    clean = readings_um(instrument, machine, whole.pose_mm[rows], components)
     added, drawn = _nuisances(instrument.nuisance(here, run), len(clean), run, settings, hidden)
     clean = np.where(_read(instrument, machine.axis_names, whole, rows), clean + added, np.nan)
     shown = {
@@ -115,7 +114,7 @@ def simulate_with_truth(
             machine=machine,
             run=run,
             time_s=time_s,
-            channels=_channels(here, sensed),
+            channels=_channels(here, sensed) | {name: values[rows] for name, values in whole.more.items()},
             readings=shown,
             notes=(f"simulated, seed {seed}", *cycle.notes),
         ),
@@ -130,6 +129,7 @@ def simulate_with_truth(
 
 def _state(truth: Model, whole: Timeline, true_degc: Mapping[str, Floats], rows: NDArray[np.int64]) -> State:
     channels: dict[str, Floats] = {"spindle_rpm": whole.rpm[rows]}
+    channels |= {name: values[rows] for name, values in whole.more.items()}
     for i, axis in enumerate(truth.machine.axes):
         channels[axis.channel] = whole.pose_mm[rows, i]
         channels[axis.direction_channel] = whole.direction[rows, i]

@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ class Cycle:
         seconds: length of the cycle.
         path_mm: that each axis goes in it, (axes,).
         notes: what was chosen, in words.
+        more: other channels by name, (n,): velocities, accelerations, angle, feed.
+        part: number of the run within the cycle, from 0, (n,); None: the cycle is one run.
     """
 
     pose_mm: Floats
@@ -41,6 +44,8 @@ class Cycle:
     seconds: float
     path_mm: Floats
     notes: tuple[str, ...]
+    more: Mapping[str, Floats] = field(default_factory=dict)
+    part: NDArray[np.int64] | None = None
 
 
 def make_cycle(machine: Machine, instrument: Instrument, targets: Targets) -> Cycle:
@@ -69,7 +74,7 @@ def make_cycle(machine: Machine, instrument: Instrument, targets: Targets) -> Cy
     after_s = np.cumsum(moved.max(axis=1) / (targets.feed_mm_min / 60.0) + dwell_s)
     return Cycle(
         pose,
-        _directions(pose, travelling, way),
+        directions(pose, travelling, way),
         after_s,
         travelling,
         float(after_s[-1]),
@@ -155,7 +160,7 @@ def _lines(
     return out
 
 
-def _directions(pose: Floats, travelling: NDArray[np.int64], way: Floats) -> Floats:
+def directions(pose: Floats, travelling: NDArray[np.int64], way: Floats) -> Floats:
     """Last direction of every axis, as in a cycle that was run before; the travelling one overruns its end targets."""
     out, last = np.zeros_like(pose), np.zeros(pose.shape[1])
     for _ in range(2):

@@ -6,7 +6,7 @@ every ten minutes, then off over night; more speeds follow.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ def phases_of(settings: Settings, instrument: Instrument) -> tuple[Phase, ...]:
     """Phases of the day."""
     if settings.phase:
         return settings.phase
-    usual = {"spindle_drift": "drift", "work_piece": "parts"}.get(instrument.name, "warm_up")
+    usual = USUAL.get(instrument.name, "warm_up")
     return PRESETS[settings.protocol or usual](settings.cycles)
 
 
@@ -73,6 +73,8 @@ def _parts(cycles: int) -> tuple[Phase, ...]:
     return tuple(out)
 
 
+USUAL = {"spindle_drift": "drift", "work_piece": "parts", "ball_bar": "cold", "grid_encoder": "cold"}
+"""Day of an instrument, where it is not the warm-up."""
 PRESETS = {"warm_up": _warm_up, "cold": _cold, "drift": _drift, "parts": _parts}
 
 
@@ -90,6 +92,7 @@ class Timeline:
         read: is there a reading?
         phase: index of the phase, (n,).
         phases: names.
+        more: other channels by name, (n,); see `Cycle.more`.
     """
 
     time_s: Floats
@@ -103,6 +106,7 @@ class Timeline:
     read: NDArray[np.bool_]
     phase: Ints
     phases: tuple[str, ...]
+    more: Mapping[str, Floats] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -145,9 +149,10 @@ class _Book:
         cycle = self._cycle
         load = cycle.path_mm / cycle.seconds / LOAD_MM_S
         for _ in range(phase.cycles):
-            self._run += 1
             self._add(index, phase, np.array([0.0]), load, run=0, read=False)
-            self._add(index, phase, cycle.after_s, load, run=self._run, read=True, cycle=cycle)
+            part = np.zeros(len(cycle.after_s), dtype=np.int64) if cycle.part is None else cycle.part
+            self._add(index, phase, cycle.after_s, load, run=self._run + 1 + part, read=True, cycle=cycle)
+            self._run += 1 + int(part.max())
             self._time_s += cycle.seconds
 
     def wait(self, index: int, phase: Phase) -> None:
@@ -175,7 +180,7 @@ class _Book:
         after_s: Floats,
         load: Floats,
         *,
-        run: int,
+        run: "int | Ints",
         read: bool,
         cycle: Cycle | None = None,
     ) -> None:
@@ -194,10 +199,20 @@ class _Book:
                 "run": np.full(n, run),
                 "read": np.full(n, read),
                 "phase": np.full(n, index),
+                **{
+                    f"more {name}": values if cycle else _resting(name, values, n) for name, values in here.more.items()
+                },
             }
         )
 
     def close(self, names: tuple[str, ...]) -> Timeline:
         joined = {key: np.concatenate([p[key] for p in self._pieces]) for key in self._pieces[0]}
         order = np.argsort(joined["time_s"], kind="stable")
-        return Timeline(**{k: v[order] for k, v in joined.items()}, phases=names)
+        ordered = {k: v[order] for k, v in joined.items()}
+        more = {k.removeprefix("more "): ordered.pop(k) for k in list(ordered) if k.startswith("more ")}
+        return Timeline(**ordered, phases=names, more=more)
+
+
+def _resting(name: str, values: Floats, n: int) -> Floats:
+    """A channel while the machine stands where the cycle left it, (n,)."""
+    return np.zeros(n) if name.startswith(("v_", "a_")) else np.full(n, values[-1])

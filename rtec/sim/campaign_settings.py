@@ -47,6 +47,27 @@ class Targets(Strict):
         return self
 
 
+class Path(Strict):
+    """What is run by instruments that read while the machine travels: ball bar and grid encoder.
+
+    Attributes:
+        step_deg: between readings on a circle.
+        kinds: paths on a grid, one after another: round the square in both senses; straight lines through the middle
+            in both directions; L, towards the corner from both sides and then along the other axis.
+        travel_mm: side of the square, length of the lines.
+        feeds_mm_min: on a grid, each path at each of them; a ball bar has its feed in its set-up.
+        step_mm: between readings on a grid.
+    """
+
+    step_deg: Positive = 0.25
+    kinds: Annotated[tuple[Literal["square", "straight", "l_shaped"], ...], Field(min_length=1)] = (
+        "square", "straight", "l_shaped",
+    )  # fmt: skip
+    travel_mm: Positive = 160.0
+    feeds_mm_min: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1000.0,)
+    step_mm: Positive = 0.5
+
+
 class Phase(Strict):
     """A part of the day: either measuring, or letting the machine be.
 
@@ -157,6 +178,7 @@ class Settings(Strict):
     """
 
     targets: Targets = Targets()
+    path: Path = Path()
     protocol: Preset | None = None
     phase: tuple[Phase, ...] = ()
     cycles: Annotated[int, Field(ge=1)] = 5

@@ -155,6 +155,18 @@ def diameter(f: Frames) -> list[float]:
     return [2.0 * (radius - wanted) * 1e3]
 
 
+def two_balls(machine: Machine, centre: tuple[float, float, float], height: float, third: str) -> Read:
+    """One ball at the tool, the other fixed in the work piece's frame: their distance."""
+    table = frames(machine, np.zeros(len(machine.axes)), {}).place() + np.array(centre) + height * AXES[third]
+
+    def read(f: Frames) -> list[float]:
+        ideal = Frames(f.ideal_tool, f.ideal_work, f.ideal_tool, f.ideal_work)
+        lengths = [float(np.linalg.norm(g.place() - table)) for g in (f, ideal)]
+        return [(lengths[0] - lengths[1]) * 1e3]
+
+    return read
+
+
 BEAM = (0.0, 150.0, 80.0)
 SPOT = (-20.0, 30.0, -45.0)
 TIP = (0.0, 0.0, 0.0)
@@ -210,6 +222,17 @@ def _others() -> list[Example]:
         out.append(
             Example("level", make, lambda f: [-v for v in level("C", "both", "X")(f)], tilted, None, "-vertical-X")
         )
+    for make, plane, centre, third in (
+        (turning_centre, "ZX", (100.0, 0.0, 200.0), "Y"),
+        (vertical_mill, "XY", (200.0, 190.0, 210.0), "Z"),
+        (bridge, "YZ", (30.0, 190.0, 210.0), "X"),
+    ):
+        ball_bar = {"plane": plane, "centre_mm": centre, "radius_mm": 80.0, "height_mm": 170.0, "direction": "cw"}
+        read = two_balls(make(), centre, 170.0, third)
+        out.append(Example("ball_bar", make, read, {**ball_bar, "feed_mm_min": 1000.0, "zero": "run"}, None, plane))
+        first, second = {"ZX": ("X", "Z"), "XY": ("X", "Y"), "YZ": ("Y", "Z")}[plane]
+        grid = {"plane": first + second, "origin_mm": centre, "offset_mm": SPOT}
+        out.append(Example("grid_encoder", make, probes((first, SPOT, 1.0), (second, SPOT, 1.0)), grid, None, plane))
     out.append(Example("work_piece", turning_centre, diameter, {"feature": "diameter"}, "X", "-diameter"))
     return out
 

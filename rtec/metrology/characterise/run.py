@@ -14,11 +14,11 @@ from rtec.metrology.characterise.estimate import Estimate, estimate
 from rtec.metrology.characterise.noise import Outlier
 from rtec.metrology.characterise.report import assemble
 from rtec.metrology.characterise.result import Characterisation
-from rtec.metrology.characterise.rivals import NEAR
 from rtec.metrology.characterise.screen import Screened, screen
 from rtec.metrology.characterise.search import starting_terms
 from rtec.metrology.characterise.source import Source
 from rtec.metrology.characterise.stream import Term, gather
+from rtec.metrology.characterise.sure import spared, surety
 from rtec.metrology.characterise.telling import check_seen
 from rtec.metrology.characterise.thin import thinned
 from rtec.metrology.characterise.threads import one_blas_thread
@@ -36,9 +36,6 @@ SEARCHED = 20_000
 WORSE = 1.01
 """Parameters from the search that raise the held-out error by more than this go back to those of the choice."""
 QUADRATIC = 2
-CHANCE = 0.05
-"""Chosen terms that chance would have brought forth among so many candidates with this probability, or more, are
-dropped, unless the held-out error misses them by `rivals.NEAR`."""
 
 
 def characterise(
@@ -129,12 +126,11 @@ def _sure(
     candidates: int,
     tell: Stage,
 ) -> Estimate:
-    """Fit, and drop chosen terms that are neither sure nor missed, the least sure first."""
+    """Fit, and drop chosen terms that are neither sure nor spared, the least sure first."""
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
-        limit = far_for_chance(candidates, len(fit.linear.gram))
-        unsure = [(t, i) for i, t in enumerate(surest(fit)[kept:]) if t < limit and not asked(chosen[i])]
-        idle = [(t, i) for t, i in unsure if missed(fit, kept + i) < NEAR]
+        unsure = [(s, i) for i, s in enumerate(surety(fit, candidates)[kept:]) if s < 1.0 and not asked(chosen[i])]
+        idle = [(s, i) for s, i in unsure if not spared(fit, kept + i)]
         if not idle:
             return fit
         chosen = [t for i, t in enumerate(chosen) if i != min(idle)[1]]
@@ -142,27 +138,6 @@ def _sure(
         "fit: no effect lowers the error on left-out runs for sure: the readings are noise, or show what no effect "
         "describes; name effects with --effects to fit them nonetheless"
     )
-
-
-def far_for_chance(candidates: int, blocks: int) -> float:
-    """Standard errors from zero that the best of so many useless candidates hardly reaches (Bonferroni, Student)."""
-    from scipy.special import stdtrit
-
-    return -float(stdtrit(max(blocks - 1, 1), CHANCE / 2.0 / max(candidates, 1)))
-
-
-def surest(fit: Estimate) -> list[float]:
-    """For each term the largest of its coefficients over their standard errors, non-linear parameters held."""
-    normal, values = fit.linear, fit.values
-    spread = np.sqrt(np.maximum(np.diag(normal.covariance(values)), 1e-300))
-    ratio = (np.abs(values) / spread)[: normal.width]
-    return [float(ratio[normal.owner == i].max()) for i in range(len(fit.terms))]
-
-
-def missed(fit: Estimate, term: int) -> float:
-    """By what share the held-out error grows without a term."""
-    without = fit.linear.pick(np.flatnonzero(fit.linear.owner != term)).held_out()[0]
-    return fit.rms(without) / max(fit.held_out, 1e-300) - 1.0
 
 
 def _fitted(sources: Sequence[Source], terms: Sequence[Term], tell: Stage) -> Estimate:

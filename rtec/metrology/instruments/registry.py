@@ -5,7 +5,9 @@ from typing import Any
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
+from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.grid_encoder import GridEncoder
 from rtec.metrology.instruments.laser import LaserAngular, LaserLinear
 from rtec.metrology.instruments.level import Level
 from rtec.metrology.instruments.spindle_drift import SpindleDrift
@@ -24,6 +26,8 @@ INSTRUMENTS: dict[str, type[Instrument]] = {
     "spindle_drift": SpindleDrift,
     "tool_tip": ToolTip,
     "work_piece": WorkPiece,
+    "ball_bar": BallBar,
+    "grid_encoder": GridEncoder,
 }
 
 

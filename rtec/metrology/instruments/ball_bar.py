@@ -1,0 +1,217 @@
+"""Double ball bar: the distance between a ball at the tool and a ball on the table while a circle is run.
+
+Geometry, all in mm in machine coordinates, of the tool relative to the workpiece:
+
+    B = centre + height · n       ball on the table, `n` the third machine direction
+    r = p - B                     from it to the ball at the tool, p the place that is commanded
+    reading = |r + e| - |r|       exactly; |r| = L0 = √(radius² + height²) on the circle
+            = u · e + (e² - (u · e)²) / 2L0 …   with u = r / |r|
+
+The first term is the linear functional: its arms are `u · J(pose)`, and the characteristic functions of [BB Table 1]
+are what comes out of it. The rest is 0.3 nm for an error of 10 µm across a bar of 150 mm. Turning either ball's carrier
+about the other ball changes no distance, so it does not matter on which side of the chain a rotation sits.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rtec.effects import State
+from rtec.machine import Axis, Machine
+from rtec.metrology.instruments.affine import ORIGIN, Scope, Vector, point, zero
+from rtec.metrology.instruments.base import Floats, Instrument, Nuisance, component_index
+from rtec.metrology.measurement import Ints, Setup
+
+Positive = Annotated[float, Field(gt=0)]
+Plane = Literal["XY", "YZ", "ZX", "XZ"]
+JUST_BEFORE_RAD = 1e-6
+"""An axis that stands exactly at its turning point still has the direction in which it came."""
+
+
+class BallBarSetup(Setup):
+    """`[setup]` of a ball bar.
+
+    Attributes:
+        plane: of the circle; angles count from the first letter's direction towards the second's.
+        centre_mm: machine coordinates of the circle's centre, where the axes are commanded.
+        radius_mm: of the programmed circle.
+        height_mm: of the table-side ball's centre over the circle's plane, along the third machine direction; the
+            length of the bar is then √(radius² + height²).
+        direction: "ccw" runs from the first letter towards the second.
+        feed_mm_min: along the circle.
+        start_deg: angle at which the measured arc begins.
+        arc_deg: length of the measured arc.
+        overshoot_deg: run before and after the arc at full feed; these readings are left out of analyses.
+        offset_mm: from the tool tip to the ball at the tool.
+        zero: is the bar's length unknown? "none": it was calibrated on its reference.
+        centre: is the table-side ball off the centre by an unknown amount? Once, in every run, or not.
+    """
+
+    plane: Plane
+    centre_mm: Vector
+    radius_mm: Positive
+    height_mm: float = 0.0
+    direction: Literal["ccw", "cw"]
+    feed_mm_min: Positive
+    start_deg: float = 0.0
+    arc_deg: Annotated[float, Field(gt=0, le=360)] = 360.0
+    overshoot_deg: Annotated[float, Field(ge=0, le=360)] = 0.0
+    offset_mm: Vector = ORIGIN
+    zero: Scope = "none"
+    centre: Scope = "setup"
+
+    @property
+    def letters(self) -> tuple[str, str, str]:
+        """Machine directions: first and second of the plane, and the third, along which the height counts."""
+        first, second = self.plane
+        return first, second, next(d for d in "XYZ" if d not in self.plane)
+
+    @property
+    def rows(self) -> tuple[int, int, int]:
+        """The same as places in a vector."""
+        first, second, third = ("XYZ".index(d) for d in self.letters)
+        return first, second, third
+
+    @property
+    def sense(self) -> int:
+        """+1 for "ccw", -1 for "cw"."""
+        return 1 if self.direction == "ccw" else -1
+
+    @property
+    def length_mm(self) -> float:
+        """L0, nominal length of the bar."""
+        return float(np.hypot(self.radius_mm, self.height_mm))
+
+
+@dataclass(frozen=True)
+class BallBar(Instrument):
+    """Length of the bar minus its nominal length, µm."""
+
+    name = "ball_bar"
+    title = "Double ball bar"
+    setup_model = BallBarSetup
+    axis_use = "none"
+    setup: BallBarSetup
+
+    def columns(self) -> tuple[str, ...]:
+        """One reading."""
+        return ("reading_um",)
+
+    def bar_mm(self, machine: Machine, pose_mm: Floats) -> Floats:
+        """From the ball on the table to the ball at the tool, nominally, (n, 3)."""
+        out = np.zeros((len(pose_mm), 3))
+        for i, axis in enumerate(machine.axes):
+            out[:, "XYZ".index(axis.direction)] += pose_mm[:, i]
+        out -= np.asarray(self.setup.centre_mm)
+        third = self.setup.rows[2]
+        if not any(a.direction == "XYZ"[third] for a in machine.axes):
+            out[:, third] = 0.0  # nothing moves there: the circle's plane is where it is
+        out[:, third] -= self.setup.height_mm
+        return out
+
+    def exact_um(self, machine: Machine, pose_mm: Floats, tip_um: Floats) -> Floats:
+        """Reading for any error of the ball at the tool relative to the workpiece, nothing neglected, (1, n).
+
+        Args:
+            machine: whose axes move.
+            pose_mm: commanded, (n, axes).
+            tip_um: error of that ball, (n, 3), in machine coordinates.
+        """
+        bar, error = self.bar_mm(machine, pose_mm), np.asarray(tip_um) * 1e-3
+        before = np.linalg.norm(bar, axis=1)
+        after = np.linalg.norm(bar + error, axis=1)
+        # (|r+e|² - |r|²) / (|r+e| + |r|) keeps the digits that the difference of two lengths would lose.
+        change = (2.0 * bar * error + error**2).sum(axis=1) / (after + before)
+        return np.asarray(change * 1e3, dtype=np.float64)[None]
+
+    def arms(self, machine: Machine, pose_mm: Floats) -> Floats:
+        """`u · J(pose)`, (1, n, components)."""
+        along = self._along(machine, pose_mm)
+        out = np.einsum("nd,dck,nk->nc", along, self._points(machine), _affine(pose_mm), optimize=True)
+        return np.asarray(out, dtype=np.float64)[None]
+
+    def arms_of(self, machine: Machine, pose_mm: Floats, component: str) -> Floats:
+        """One component's part of `arms`, (1, n)."""
+        terms = self._points(machine)[:, component_index(machine, component, self.name)]
+        out = ((_affine(pose_mm) @ terms.T) * self._along(machine, pose_mm)).sum(axis=1)
+        return np.asarray(out, dtype=np.float64)[None]
+
+    def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
+        """Zero of the length, and how far the table-side ball is off the centre in the two directions of the plane."""
+        del run
+        out = list(zero(len(state), 1, self.setup.zero, "um"))
+        if self.setup.centre != "none":
+            along = self._along(state.machine, state.positions_mm())
+            for letter, row in zip(self.setup.letters[:2], self.setup.rows[:2], strict=True):
+                out.append(Nuisance(f"centre {letter}", "um", -along[None, :, row], self.setup.centre))
+        return tuple(out)
+
+    def faults(self, machine: Machine) -> list[str]:
+        """A direction of the plane in which no axis moves."""
+        moved = {a.direction for a in machine.axes}
+        return [
+            f"[setup] plane {self.setup.plane!r}: machine {machine.name!r} has no axis along {d}"
+            for d in self.setup.letters[:2]
+            if d not in moved
+        ]
+
+    def _along(self, machine: Machine, pose_mm: Floats) -> Floats:
+        bar = self.bar_mm(machine, pose_mm)
+        return np.asarray(bar / np.linalg.norm(bar, axis=1, keepdims=True), dtype=np.float64)
+
+    def _points(self, machine: Machine) -> Floats:
+        directions: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
+        return np.stack([point(machine, d, self.setup.offset_mm) for d in directions])
+
+
+def axis_along(machine: Machine, direction: str) -> Axis | None:
+    """The axis that moves in a machine direction: of several the one that is compensated; None where there is none."""
+    found = [a for a in machine.axes if a.direction == direction]
+    return next((a for a in found if a.compensate), found[0] if found else None)
+
+
+def circle_channels(machine: Machine, setup: BallBarSetup, angle_rad: Floats) -> dict[str, Floats]:
+    """Everything that a circle says about the axes, by channel name, (n,) each.
+
+    Positions, mm; last direction of motion; velocity, mm/s, and acceleration, mm/s², at the programmed feed. An axis
+    beside the one that makes a direction stands at zero.
+    """
+    first, second = np.cos(angle_rad), np.sin(angle_rad)
+    before = angle_rad - setup.sense * JUST_BEFORE_RAD
+    speed = setup.feed_mm_min / 60.0
+    shape = {
+        setup.letters[0]: (first, -np.sin(before), -second),
+        setup.letters[1]: (second, np.cos(before), first),
+    }
+    out: dict[str, Floats] = {"angle_deg": np.rad2deg(angle_rad)}
+    for letter, centre in zip("XYZ", setup.centre_mm, strict=True):
+        axis = axis_along(machine, letter)
+        if axis is None:
+            continue
+        out[axis.channel] = np.full(len(angle_rad), centre)
+        if letter in shape:
+            place, way, tangent = shape[letter]
+            out[axis.channel] = centre + setup.radius_mm * place
+            out[axis.direction_channel] = np.where(setup.sense * way > 0.0, 1.0, -1.0)
+            out[axis.velocity_channel] = setup.sense * speed * tangent
+            out[axis.acceleration_channel] = -(speed**2) / setup.radius_mm * place
+    return out
+
+
+def travelled_deg(setup: BallBarSetup, angle_deg: Floats, run: Ints) -> Floats:
+    """How far along the circle each reading is from the start of the arc, degrees, (n,), run by run.
+
+    Below zero before the arc, beyond `arc_deg` after it; angles may start again at 360 or go on.
+    """
+    out = np.empty(len(angle_deg))
+    for number in np.unique(run):
+        rows = run == number
+        way = setup.sense * (np.rad2deg(np.unwrap(np.deg2rad(angle_deg[rows]))) - setup.start_deg)
+        out[rows] = way - 360.0 * np.round((way[0] + setup.overshoot_deg) / 360.0)
+    return out
+
+
+def _affine(pose_mm: Floats) -> Floats:
+    return np.concatenate([np.ones((len(pose_mm), 1)), pose_mm], axis=1)

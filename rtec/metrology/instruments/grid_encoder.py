@@ -1,0 +1,94 @@
+"""Grid encoder (2D digital scale, cross grid): two coordinates of the tool tip over a grid plate on the table [XT].
+
+The plate lies in a machine plane only approximately: it is off by an unknown amount in both directions and turned by an
+unknown angle in its plane. Both are nuisances. Squareness is what is left: a turn of the plate turns both axes alike.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rtec.effects import State
+from rtec.machine import Machine
+from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Vector, point, zero
+from rtec.metrology.instruments.base import Floats, Nuisance
+from rtec.metrology.measurement import Ints, Setup
+
+
+class GridEncoderSetup(Setup):
+    """`[setup]` of a grid encoder.
+
+    Attributes:
+        plane: that the plate lies in.
+        origin_mm: machine coordinates of the plate's middle.
+        offset_mm: from the tool tip to where the head reads.
+        zero: of both readings; once, or in every run.
+        alignment: the plate's turn in its plane; once, or in every run.
+        accuracy_um: the plate's own error, plus or minus, over its range; it enters every stated uncertainty.
+    """
+
+    plane: Literal["XY", "YZ", "XZ"]
+    origin_mm: Vector
+    offset_mm: Vector = ORIGIN
+    zero: Scope = "setup"
+    alignment: Scope = "setup"
+    accuracy_um: Annotated[float, Field(ge=0)] = 0.0
+
+    @property
+    def letters(self) -> tuple[Letter, Letter]:
+        """The two machine directions that are read."""
+        letters: dict[str, tuple[Letter, Letter]] = {"XY": ("X", "Y"), "YZ": ("Y", "Z"), "XZ": ("X", "Z")}
+        return letters[self.plane]
+
+    @property
+    def normal(self) -> str:
+        """The third machine direction."""
+        return next(d for d in "XYZ" if d not in self.plane)
+
+
+@dataclass(frozen=True)
+class GridEncoder(AffineInstrument):
+    """Deviation of the tool tip from where it is commanded, in the two directions of a plane, µm."""
+
+    name = "grid_encoder"
+    title = "Grid encoder, 2D digital scale"
+    setup_model = GridEncoderSetup
+    axis_use = "none"
+    setup: GridEncoderSetup
+
+    def columns(self) -> tuple[str, ...]:
+        """One a direction of the plane."""
+        return tuple(f"reading_{d.lower()}_um" for d in self.setup.letters)
+
+    def looks(self, machine: Machine) -> Floats:
+        """The head's place in both directions."""
+        return np.stack([point(machine, d, self.setup.offset_mm) for d in self.setup.letters])
+
+    def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
+        """Zeros, and the plate's turn: turned by φ about the plane's normal it reads `-φ n × (p - origin)`."""
+        del run
+        names = tuple(f"zero {d}" for d in self.setup.letters)
+        out = list(zero(len(state), 2, self.setup.zero, "um", names))
+        if self.setup.alignment != "none":
+            arm_m = (self._place_mm(state) - np.asarray(self.setup.origin_mm)) * 1e-3
+            normal = np.eye(3)["XYZ".index(self.setup.normal)]
+            rows = ["XYZ".index(d) for d in self.setup.letters]
+            turned = -np.cross(normal, arm_m).T[rows]
+            if turned.any():
+                out.append(Nuisance("alignment", "urad", turned, self.setup.alignment))
+        return tuple(out)
+
+    def faults(self, machine: Machine) -> list[str]:
+        """No axis moves in the plane at all."""
+        moved = {a.direction for a in machine.axes}
+        if moved.isdisjoint(self.setup.letters):
+            return [f"[setup] plane {self.setup.plane!r}: no axis of machine {machine.name!r} moves in it"]
+        return []
+
+    def _place_mm(self, state: State) -> Floats:
+        out = np.zeros((len(state), 3))
+        for i, axis in enumerate(state.machine.axes):
+            out[:, "XYZ".index(axis.direction)] += state.positions_mm()[:, i]
+        return out

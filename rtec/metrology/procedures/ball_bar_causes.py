@@ -1,0 +1,147 @@
+"""What a ball bar can be read as: causes of [BB], each one parameter, and the columns that they make in any test.
+
+A cause is a component error with a shape; the machine's chain and the bar's geometry turn it into a reading. Shapes and
+lever arms count from the centre of the first test's circle, so that scale, squareness and bend are those at that place
+and the centre offset is free of them. On a machine that carries X on Y, with the ball at the tool in the plane of Y's
+guide, the columns are those of [BB Table 1]; on others the arms are the machine's own.
+
+Clearance δ lags evenly to both sides, `e = -½ δ d`, so the centre is the middle of both flanks. [BB 20] counts from the
+flank of motion to minus, where its table has 0: its centre offset is this one minus ½ δ. Its δ is minus the reversal
+value B of ISO 230-2.
+
+Symbols: `p`, `q` positions along the plane's first and second letter from that centre, mm; `d` direction of motion;
+`ζ` angle, `s` sense.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.metrology.instruments.ball_bar import axis_along
+from rtec.metrology.procedures.ball_bar_circle import Circle
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class At:
+    """Where the readings of a test are: the test, and positions `p`, `q`, mm, (n,) each."""
+
+    circle: Circle
+    p: Floats
+    q: Floats
+
+
+Shape = Callable[[At], Floats]
+"""One unit of a cause in its component error, µm or µrad, (n,)."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One parameter.
+
+    Attributes:
+        name: short and fixed, for programs.
+        title: for people.
+        unit: of the parameter.
+        group: what is shown together as one cause.
+        component: component error that it is; empty for the centre of the set-up.
+        shape: one unit of it in that component, µm or µrad.
+        centre: 0 or 1: a centre offset along the plane's first or second letter.
+        square: what goes with the square of the parameter, where that is as large as other second orders.
+    """
+
+    name: str
+    title: str
+    unit: str
+    group: str
+    component: str = ""
+    shape: Shape | None = None
+    centre: int | None = None
+    square: Shape | None = None
+
+
+def causes(circle: Circle, *, bent: bool) -> tuple[Cause, ...]:
+    """The 10 parameters of [BB]'s linear model, or (`bent`) the 15 of the non-linear one, named for a plane.
+
+    The perpendicularity of the first axis holds its own pitch and the roll of the axis that carries it, the
+    squareness the yaw; [BB] shows that no ball bar tells those apart.
+    """
+    machine, (a, b, n) = circle.machine, circle.setup.letters
+    turns = dict(zip("XYZ", "ABC", strict=True))
+    axis = {d: getattr(axis_along(machine, d), "name", "") for d in (a, b)}
+    plain = (
+        Cause(f"centre_{a}".lower(), f"centre offset {a}", "um", "centre offset", centre=0),
+        Cause(f"centre_{b}".lower(), f"centre offset {b}", "um", "centre offset", centre=1),
+        Cause(f"clearance_{a}".lower(), f"clearance (backlash) {a}", "um", f"clearance {a}", f"E{a}{axis[a]}",
+              lambda at: -0.5 * at.circle.way(0)),
+        Cause(f"clearance_{b}".lower(), f"clearance (backlash) {b}", "um", f"clearance {b}", f"E{b}{axis[b]}",
+              lambda at: -0.5 * at.circle.way(1)),
+        Cause(f"scale_{a}".lower(), f"position scale {a}", "um_per_m", f"scale {a}", f"E{a}{axis[a]}",
+              lambda at: at.p * 1e-3),
+        Cause(f"scale_{b}".lower(), f"position scale {b}", "um_per_m", f"scale {b}", f"E{b}{axis[b]}",
+              lambda at: at.q * 1e-3),
+        Cause(f"perpendicularity_{a}".lower(), f"perpendicularity of {a} to {n}", "urad", f"perpendicularity {a}",
+              f"E{turns[b]}0{axis[a]}", lambda at: np.ones(len(at.p))),
+        Cause(f"perpendicularity_{b}".lower(), f"perpendicularity of {b} to {n}", "urad", f"perpendicularity {b}",
+              f"E{turns[a]}0{axis[b]}", lambda at: np.ones(len(at.p))),
+        Cause("squareness", f"squareness {a}-{b}", "urad", "squareness",
+              f"E{turns[n]}0{axis[a]}", lambda at: np.ones(len(at.p))),
+        Cause("phase", f"servo phase mismatch {a}-{b}", "urad", "servo phase", f"E{a}{axis[a]}",
+              lambda at: -1e-3 * at.circle.setup.sense * at.circle.setup.radius_mm * np.sin(at.circle.angle_rad),
+              square=lambda at: -0.5e-9 * at.circle.setup.radius_mm * np.cos(at.circle.angle_rad)),
+    )  # fmt: skip
+    if not bent:
+        return plain
+    return (
+        *plain,
+        Cause(f"yaw_{a}".lower(), f"bend of {a} in the plane (yaw)", "per_km", f"bend {a} in plane",
+              f"E{b}{axis[a]}", lambda at: -0.5 * at.p**2 * 1e-3),
+        Cause(f"yaw_{b}".lower(), f"bend of {b} in the plane (yaw)", "per_km", f"bend {b} in plane",
+              f"E{a}{axis[b]}", lambda at: -0.5 * at.q**2 * 1e-3),
+        Cause(f"pitch_{a}".lower(), f"bend of {a} along {n} (pitch)", "per_km", f"bend {a} out of plane",
+              f"E{n}{axis[a]}", lambda at: 0.5 * at.p**2 * 1e-3),
+        Cause(f"pitch_{b}".lower(), f"bend of {b} along {n} (pitch)", "per_km", f"bend {b} out of plane",
+              f"E{n}{axis[b]}", lambda at: -0.5 * at.q**2 * 1e-3),
+        Cause("twist", f"twist of the guide of {b} (roll)", "urad_per_m", f"twist {b}",
+              f"E{turns[b]}{axis[b]}", lambda at: -at.q * 1e-3),
+    )  # fmt: skip
+
+
+def tip_um(cause: Cause, circle: Circle, origin: Circle, *, square: bool = False) -> Floats:
+    """How one unit of a cause moves the ball at the tool against the ball on the table, µm, (n, 3).
+
+    Args:
+        cause: which.
+        circle: the test.
+        origin: the test whose centre shapes and lever arms count from.
+        square: what goes with the square of the parameter instead.
+    """
+    pose, setup, shape = circle.pose_mm, circle.setup, cause.square if square else cause.shape
+    out = np.zeros((len(pose), 3))
+    if cause.centre is not None and not square:
+        out[:, setup.rows[cause.centre]] = -1.0
+    if shape is None:
+        return out
+    first, second = setup.rows[:2]
+    p = setup.centre_mm[first] - origin.setup.centre_mm[first] + setup.radius_mm * np.cos(circle.angle_rad)
+    q = setup.centre_mm[second] - origin.setup.centre_mm[second] + setup.radius_mm * np.sin(circle.angle_rad)
+    chain = circle.machine.chain
+    terms = chain.terms[:, chain.components.index(cause.component)]
+    # A turn's arms count from the origin, too; a shift's are the same everywhere.
+    turn = cause.component[1] in "ABC"
+    arms = (pose - _centre_pose(origin)) @ terms[:, 1:].T if turn else np.tile(terms[:, 0], (len(pose), 1))
+    return np.asarray(arms * shape(At(circle, p, q))[:, None], dtype=np.float64)
+
+
+def _centre_pose(circle: Circle) -> Floats:
+    """Axis positions at the centre of a test, (axes,)."""
+    machine = circle.machine
+    out = np.zeros(len(machine.axes))
+    for letter, place in zip("XYZ", circle.setup.centre_mm, strict=True):
+        axis = axis_along(machine, letter)
+        if axis is not None:
+            out[machine.axes.index(axis)] = place
+    return out

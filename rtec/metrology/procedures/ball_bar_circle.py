@@ -1,0 +1,132 @@
+"""One ball-bar test as the procedures see it: angles, readings, and what belongs to its geometry."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import MeasurementError
+from rtec.machine import Machine
+from rtec.metrology.instruments.ball_bar import (
+    JUST_BEFORE_RAD,
+    BallBar,
+    BallBarSetup,
+    circle_channels,
+    travelled_deg,
+)
+from rtec.metrology.measurement import Ints, Measurement
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+END_DEG = 0.01  # commanded positions are rounded to 1 µm
+LEAST = 24
+"""Readings on an arc; fewer do not show its shape."""
+
+
+@dataclass(frozen=True)
+class Circle:
+    """The measured arc of one test: no overshoot, no missing readings.
+
+    Attributes:
+        name: of the measurement.
+        machine, instrument: it was made on, with.
+        angle_rad: on the circle, going on past 2π, (n,).
+        travel_deg: from the start of the arc, (n,).
+        reading_um: (n,).
+        run: (n,).
+        left_out: readings that are missing or outside the arc.
+    """
+
+    name: str
+    machine: Machine
+    instrument: BallBar
+    angle_rad: Floats
+    travel_deg: Floats
+    reading_um: Floats
+    run: Ints
+    left_out: int = 0
+
+    def __len__(self) -> int:
+        return len(self.angle_rad)
+
+    @property
+    def setup(self) -> BallBarSetup:
+        """Its set-up."""
+        return self.instrument.setup
+
+    @property
+    def full(self) -> bool:
+        """Does it go all the way round?"""
+        return self.setup.arc_deg > 359.0
+
+    @cached_property
+    def pose_mm(self) -> Floats:
+        """Commanded axis positions, (n, axes)."""
+        channels = circle_channels(self.machine, self.setup, self.angle_rad)
+        zero = np.zeros(len(self))
+        return np.stack([channels.get(a.channel, zero) for a in self.machine.axes], axis=1)
+
+    def way(self, place: int) -> Floats:
+        """Direction of motion along the plane's first (0) or second (1) letter, -1 or +1, (n,)."""
+        before = self.angle_rad - self.setup.sense * JUST_BEFORE_RAD
+        tangent = -np.sin(before) if place == 0 else np.cos(before)
+        return np.where(self.setup.sense * tangent > 0.0, 1.0, -1.0)
+
+    def near_quadrant(self, window_deg: float) -> Bools:
+        """Which readings are nearer than `window_deg` to 0, 90, 180 or 270 degrees, (n,)."""
+        off = np.rad2deg(self.angle_rad) % 90.0
+        return np.asarray(np.minimum(off, 90.0 - off) < window_deg)
+
+    def rows(self, keep: Bools) -> "Circle":
+        """Only these readings."""
+        return Circle(
+            self.name, self.machine, self.instrument, self.angle_rad[keep], self.travel_deg[keep],
+            self.reading_um[keep], self.run[keep], self.left_out,
+        )  # fmt: skip
+
+
+def circle_of(measurement: Measurement) -> Circle:
+    """The measured arc of a measurement.
+
+    Raises:
+        MeasurementError: another instrument, or too few readings on the arc.
+    """
+    name, instrument = measurement.name, measurement.instrument
+    if not isinstance(instrument, BallBar):
+        raise MeasurementError(f"{name}: instrument is {instrument.name}; this needs ball_bar")
+    angle_deg, reading = measurement.channels["angle_deg"], measurement.readings["reading_um"]
+    setup = instrument.setup
+    travel = travelled_deg(setup, angle_deg, measurement.run)
+    keep = np.isfinite(reading) & (travel >= -END_DEG) & (travel <= setup.arc_deg + END_DEG)
+    if keep.sum() < LEAST:
+        raise MeasurementError(
+            f"{name}: {int(keep.sum())} readings on the arc of {setup.arc_deg:g}° from {setup.start_deg:g}°, need "
+            f"{LEAST}; are start_deg, arc_deg and direction right?"
+        )
+    angle = np.deg2rad(setup.start_deg + setup.sense * travel)
+    return Circle(
+        name, measurement.machine, instrument, angle[keep], travel[keep], reading[keep], measurement.run[keep],
+        int((~keep).sum()),
+    )  # fmt: skip
+
+
+def circles_of(measurements: Sequence[Measurement]) -> tuple[Circle, ...]:
+    """Several tests of one plane on one machine.
+
+    Raises:
+        MeasurementError: none, different machines or planes, or as `circle_of`.
+    """
+    out = tuple(circle_of(m) for m in measurements)
+    if not out:
+        raise MeasurementError("no ball-bar test given")
+    for other in out[1:]:
+        if other.machine.hash != out[0].machine.hash:
+            raise MeasurementError(f"{other.name} and {out[0].name} were made on different machines")
+        if other.setup.plane != out[0].setup.plane:
+            raise MeasurementError(
+                f"{out[0].name} is in plane {out[0].setup.plane}, {other.name} in {other.setup.plane}; "
+                "diagnose each plane by itself"
+            )
+    return out

@@ -1,0 +1,118 @@
+"""The stacked design: what every parameter adds to each reading of several ball-bar tests, first order and exactly."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.metrology.procedures.ball_bar_causes import Cause, causes, tip_um
+from rtec.metrology.procedures.ball_bar_circle import Circle
+
+Floats = NDArray[np.float64]
+Centre = Literal["shared", "each"]
+SETTING_UP = "setting up"
+"""Group of what belongs to the instrument's set-up and not to the machine."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """All tests, one under the other.
+
+    Attributes:
+        labels: the parameters, (k).
+        columns: first order: reading, µm, per unit of each, (n, k).
+        tips: how one unit moves one ball against the other, µm, (n, k, 3).
+        squares: what goes with its square, µm, (n, k, 3).
+        bar_mm: from one ball to the other, (n, 3).
+    """
+
+    labels: tuple[Cause, ...]
+    columns: Floats
+    tips: Floats
+    squares: Floats
+    bar_mm: Floats
+
+    def second_order_um(self, kept: Sequence[int], values: Floats) -> Floats:
+        """What the exact length adds to the first order, µm, (n,), for some of the parameters."""
+        moved = np.einsum("nkd,k->nd", self.tips[:, kept], values)
+        moved = (moved + np.einsum("nkd,k->nd", self.squares[:, kept], values**2)) * 1e-3
+        before = np.linalg.norm(self.bar_mm, axis=1)
+        after = np.linalg.norm(self.bar_mm + moved, axis=1)
+        exact = (2.0 * self.bar_mm * moved + moved**2).sum(axis=1) / (after + before) * 1e3
+        along = self.bar_mm / before[:, None]
+        first = np.einsum("nd,nkd,k->n", along, self.tips[:, kept], values)
+        return np.asarray(exact - first, dtype=np.float64)
+
+
+def stacked_design(of: Sequence[Cause], circles: Sequence[Circle]) -> Floats:
+    """Columns of causes in all tests, one test under the other, (readings, causes), µm per unit."""
+    along = [_bar(c) for c in circles]
+    parts = [
+        np.stack([(tip_um(cause, c, circles[0]) * u).sum(axis=1) for cause in of], axis=1)
+        for c, u in zip(circles, [b / np.linalg.norm(b, axis=1, keepdims=True) for b in along], strict=True)
+    ]
+    return np.concatenate(parts)
+
+
+def design_of(circles: Sequence[Circle], *, bent: bool, centre: Centre = "shared") -> Design:
+    """[BB]'s parameters in several tests, and the zero of a bar that was not calibrated.
+
+    Args:
+        circles: tests of one plane; shapes and arms count from the first one's centre.
+        bent: the non-linear model.
+        centre: "shared": the table-side ball stays where it is from test to test, as [BB] has it; "each": it does
+            not, and then nothing separates perpendicularity from its place.
+    """
+    of = causes(circles[0], bent=bent)
+    labels, tips, squares = [], [], []
+    rows = np.repeat(np.arange(len(circles)), [len(c) for c in circles])
+    for cause in of:
+        tip = np.concatenate([tip_um(cause, c, circles[0]) for c in circles])
+        square = np.concatenate([tip_um(cause, c, circles[0], square=True) for c in circles])
+        for label, here in _split(cause, circles, rows, centre):
+            labels.append(label)
+            tips.append(np.where(here[:, None], tip, 0.0))
+            squares.append(square)
+    bar = np.concatenate([_bar(c) for c in circles])
+    whole = np.stack(tips, axis=1)
+    columns = np.einsum("nd,nkd->nk", bar / np.linalg.norm(bar, axis=1, keepdims=True), whole)
+    zeros = list(_zeros(circles, rows))
+    if zeros:
+        labels += [label for label, _ in zeros]
+        columns = np.concatenate([columns, np.stack([c for _, c in zeros], axis=1)], axis=1)
+    still = np.zeros((len(bar), len(zeros), 3))
+    return Design(
+        tuple(labels), columns, np.concatenate([whole, still], axis=1),
+        np.concatenate([np.stack(squares, axis=1), still], axis=1), bar,
+    )  # fmt: skip
+
+
+def _bar(circle: Circle) -> Floats:
+    return circle.instrument.bar_mm(circle.machine, circle.pose_mm)
+
+
+def _split(
+    cause: Cause, circles: Sequence[Circle], rows: NDArray[np.int64], centre: Centre
+) -> Iterator[tuple[Cause, NDArray[np.bool_]]]:
+    """The cause in all tests together, or a centre offset in each."""
+    if cause.centre is None or centre == "shared" or len(circles) == 1:
+        yield cause, np.ones(len(rows), dtype=np.bool_)
+        return
+    for i, circle in enumerate(circles):
+        yield replace(cause, name=f"{cause.name}_{i + 1}", title=f"{cause.title}, {circle.name}"), rows == i
+
+
+def _zeros(circles: Sequence[Circle], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
+    """Length of a bar that was not calibrated, once in a test or in every run."""
+    run = np.concatenate([c.run for c in circles])
+    for i, circle in enumerate(circles):
+        if circle.setup.zero == "setup":
+            title = f"length of the bar, {circle.name}"
+            yield Cause(f"zero_{i + 1}", title, "um", SETTING_UP), np.where(rows == i, 1.0, 0.0)
+        elif circle.setup.zero == "run":
+            for number in np.unique(circle.run):
+                title = f"length of the bar, {circle.name}, run {number}"
+                here = np.where((rows == i) & (run == number), 1.0, 0.0)
+                yield Cause(f"zero_{i + 1}_{number}", title, "um", SETTING_UP), here

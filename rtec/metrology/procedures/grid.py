@@ -1,0 +1,197 @@
+"""One set-up of a grid encoder: squareness, linear deviation, straightness and pitch as in [XT Table 4].
+
+Signs are those of `e = ε × p`. [XT 1] prints `-EB z` in e_x beside `-EB x` in e_z, which no rotation gives; here
+`e_x = +EB z`. For a plane with letters a, b and the rotation R about its normal, an axis along b leans by
+`σ_b · de_a/db`, one along a by `σ_a · de_b/da`, with `r × b = σ_b a` and `r × a = σ_a b`. The difference is the
+squareness `ER0b`; the plate's own turn is in both and falls out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import MeasurementError
+from rtec.machine import Machine
+from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
+from rtec.metrology.measurement import Measurement
+from rtec.metrology.procedures.grid_edges import SAME_MM, TRIM_MM, Curve, Edge, edges_of, mean_curve
+from rtec.metrology.procedures.grid_names import COVERAGE, Item, Lean, lean_of, same_feed, slowest
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GridSetup:
+    """A set-up with its straight pieces.
+
+    Attributes:
+        name: of the measurement.
+        machine: that it was made on.
+        setup: of the instrument.
+        lean: names and signs.
+        edges: all of them.
+        corner_mm: where the report's edges meet.
+        items: the report.
+    """
+
+    name: str
+    machine: Machine
+    setup: GridEncoderSetup
+    lean: Lean
+    edges: tuple[Edge, ...]
+    corner_mm: tuple[float, float]
+    items: tuple[Item, ...]
+
+
+def analyse(
+    measurement: Measurement, corner_mm: tuple[float, float] | None = None, trim_mm: float = TRIM_MM
+) -> GridSetup:
+    """Report on one set-up.
+
+    Args:
+        measurement: of instrument grid_encoder.
+        corner_mm: edges that meet there are reported; by default where the first edge begins.
+        trim_mm: left out at both ends of every straight piece.
+
+    Raises:
+        MeasurementError: another instrument, no straight pieces, or none at that corner.
+    """
+    edges = edges_of(measurement, trim_mm)
+    instrument = measurement.instrument
+    if not isinstance(instrument, GridEncoder):
+        raise MeasurementError(f"{measurement.name}: this needs grid_encoder")
+    lean = lean_of(measurement.machine, instrument.setup)
+    corner = corner_mm or _first_corner(edges)
+    out = GridSetup(measurement.name, measurement.machine, instrument.setup, lean, edges, corner, ())
+    if not any(at_corner(out, along) for along in (0, 1)):
+        raise MeasurementError(f"{measurement.name}: no edges meet at {corner[0]:g}, {corner[1]:g} mm")
+    return replace(out, items=tuple(_items(out)))
+
+
+def squareness_of(setup: GridSetup, feed_mm_min: float | None = None) -> tuple[float, float] | None:
+    """`ER0b` at the corner, µrad, and its standard error; None where an edge is missing."""
+    slopes = []
+    for along in (0, 1):
+        chosen = at_corner(setup, along, feed_mm_min)
+        if not chosen:
+            return None
+        slopes.append(_slope(chosen, setup.lean.signs[along]))
+    (first, first_se), (second, second_se) = slopes
+    return second - first, float(np.hypot(first_se, second_se))
+
+
+def at_corner(setup: GridSetup, along: int, feed_mm_min: float | None = None) -> list[Edge]:
+    """Edges along one direction through the corner, both ways, at the lowest feed (or a given one)."""
+    feed = slowest(setup.edges) if feed_mm_min is None else feed_mm_min
+    here = [e for e in setup.edges if e.along == along and same_feed(e.feed_mm_min, feed)]
+    longest = max((e.length_mm for e in here), default=0.0)
+    place = setup.corner_mm[1 - along]
+    return [e for e in here if abs(e.beside_mm - place) < SAME_MM and e.length_mm > longest - SAME_MM]
+
+
+def plate_um(setup: GridSetup) -> float:
+    """Standard uncertainty of a length on the plate, µm: its accuracy as a rectangle."""
+    return setup.setup.accuracy_um / float(np.sqrt(3.0))
+
+
+def angle_of(setup: GridSetup, along: int, feed_mm_min: float | None = None) -> tuple[float, float] | None:
+    """How much the axis of one direction turns about the normal over its travel, µrad, and its standard error.
+
+    From its linear deviation at both sides of the square: turned by ε, it goes further by `σ ε` times the distance.
+    """
+    feed = slowest(setup.edges) if feed_mm_min is None else feed_mm_min
+    here = [e for e in setup.edges if e.along == along and same_feed(e.feed_mm_min, feed)]
+    if not here:
+        return None
+    longest = max(e.length_mm for e in here)
+    here = [e for e in here if e.length_mm > longest - SAME_MM]
+    low, high = min(e.beside_mm for e in here), max(e.beside_mm for e in here)
+    if high - low < 10.0 * SAME_MM:
+        return None
+    sides = [mean_curve([e.own for e in here if abs(e.beside_mm - side) < SAME_MM]) for side in (low, high)]
+    apart, se = (sides[1] - sides[0]).line_um
+    factor = setup.lean.signs[1 - along] * 1e3 / (high - low)
+    return apart * factor, se * abs(factor)
+
+
+def range_of(setup: GridSetup, along: int, edges: Sequence[Edge]) -> str:
+    """Measured range in words."""
+    return f"{setup.lean.letters[along].lower()} {min(e.low_mm for e in edges):g} … {max(e.high_mm for e in edges):g}"
+
+
+def _items(setup: GridSetup) -> list[Item]:
+    lean, plate = setup.lean, plate_um(setup)
+    a, b = lean.letters
+    out = []
+    square = squareness_of(setup)
+    if square is not None:
+        length_m = min(e.length_mm for k in (0, 1) for e in at_corner(setup, k)) * 1e-3
+        u = COVERAGE * float(np.hypot(square[1], plate * np.sqrt(2.0) / length_m))
+        where = f"at {a.lower()} {setup.corner_mm[0]:g}, {b.lower()} {setup.corner_mm[1]:g}"
+        means = f"squareness of {lean.axes[1]} to {lean.axes[0]}"
+        out.append(Item(f"E{lean.turn}0{lean.axes[1]}", means, where, square[0], "µm/m", u))
+    for along, letter in enumerate((a, b)):
+        edges = at_corner(setup, along)
+        if edges:
+            out += _edge_items(setup, along, letter, edges)
+    for along in (0, 1):
+        turned = angle_of(setup, along)
+        if turned is not None and arm_on(setup, along) != 0.0:
+            edges = [e for e in setup.edges if e.along == along]
+            length_m = edges[0].length_mm * 1e-3
+            u = COVERAGE * float(np.hypot(turned[1], plate * np.sqrt(2.0) / length_m))
+            name, where = f"E{lean.turn}{lean.axes[along]}", range_of(setup, along, edges)
+            means = f"{lean.axes[along]} turns about {lean.normal} over this travel"
+            out.append(Item(name, means, where, turned[0], "µm/m", u))
+    return out
+
+
+def _edge_items(setup: GridSetup, along: int, letter: str, edges: Sequence[Edge]) -> list[Item]:
+    lean, plate, axis = setup.lean, plate_um(setup), setup.lean.axes[along]
+    other = lean.letters[1 - along]
+    where = range_of(setup, along, edges)
+    line, line_se = mean_curve([e.own for e in edges]).line_um
+    out = [
+        Item(
+            f"E{letter}{axis}", f"{axis} goes too far (plus) or not far enough over this travel", where, line, "µm",
+            COVERAGE * float(np.hypot(line_se, plate)),
+        )
+    ]  # fmt: skip
+    bow, bow_se = mean_curve([e.across for e in edges]).bow_um
+    means = f"straightness of {axis}, positive where the middle lies towards +{other}"
+    out.append(Item(f"E{other}{axis}", means, where, bow, "µm", COVERAGE * float(np.hypot(bow_se, plate))))
+    return out
+
+
+def arm_on(setup: GridSetup, along: int) -> float:
+    """How much a turn of this axis about the normal moves the place along it, per metre of the other axis' travel.
+
+    From the machine's chain; 0: the other axis does not lengthen the arm, so a rigid turn of this one shows nowhere.
+    """
+    lean, chain = setup.lean, setup.machine.chain
+    name = f"E{lean.turn}{lean.axes[along]}"
+    if name not in chain.components or lean.axes[1 - along] not in setup.machine.axis_names:
+        return 0.0
+    row = "XYZ".index(lean.letters[along])
+    column = 1 + setup.machine.axis_names.index(lean.axes[1 - along])
+    return float(chain.terms[row, chain.components.index(name), column]) * 1e3
+
+
+def _slope(edges: Sequence[Edge], sign: float) -> tuple[float, float]:
+    """Direction of some edges, µrad, as a turn about the normal."""
+    line, se = mean_curve([e.across for e in edges]).line_um
+    length_m = edges[0].length_mm * 1e-3
+    return sign * line / length_m, se / length_m
+
+
+def _first_corner(edges: Sequence[Edge]) -> tuple[float, float]:
+    first = edges[0]
+    own = first.low_mm if first.way > 0 else first.high_mm
+    return (own, first.beside_mm) if first.along == 0 else (first.beside_mm, own)
+
+
+def curve_of(edges: Sequence[Edge], *, across: bool) -> Curve:
+    """Mean curve of some edges along or across them."""
+    return mean_curve([e.across if across else e.own for e in edges])

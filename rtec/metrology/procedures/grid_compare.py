@@ -1,0 +1,220 @@
+"""Comparing paths on a grid plate: set-ups (roll [XT 3], cross-talk [XT 4]), directions [XT 5], feeds.
+
+What differs between two paths of one set-up is free of the plate: zero, turn and its own errors are the same in both.
+Between set-ups the plate was laid down anew, so only squareness is compared, which its turn does not enter.
+
+An item's `chance` is that of noise alone; `certain` asks all questions of a list together.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rtec.metrology.instruments.ball_bar import axis_along
+from rtec.metrology.procedures.grid import (
+    GridSetup,
+    angle_of,
+    arm_on,
+    at_corner,
+    curve_of,
+    plate_um,
+    range_of,
+    squareness_of,
+)
+from rtec.metrology.procedures.grid_edges import SAME_MM, Edge
+from rtec.metrology.procedures.grid_names import COVERAGE, Item, same_feed
+
+SURE = 0.02
+
+
+def certain(items: Sequence[Item]) -> tuple[Item, ...]:
+    """Items that noise alone would not give: a whole list is wrong about once in fifty times."""
+    asked = [i for i in items if np.isfinite(i.chance)]
+    return tuple(i for i in asked if i.chance < SURE / len(asked))
+
+
+def places(one: GridSetup, other: GridSetup) -> tuple[Item, ...]:
+    """What a move of the plate from one place to another shows, first minus second.
+
+    Moved along the normal: the turn of that axis about its own direction (roll). Moved in the plane: the turn of the
+    moved axis where the chain gives it an arm on the other one (rigid body), else how the other axis' turn depends on
+    where the moved one stands (cross-talk). Straightness of the moved axis between the two places enters, too.
+    """
+    squares = [squareness_of(s) for s in (one, other)]
+    if one.setup.plane != other.setup.plane or squares[0] is None or squares[1] is None:
+        return ()
+    apart = [x - y for x, y in zip(one.setup.origin_mm, other.setup.origin_mm, strict=True)]
+    moved = [d for d, x in zip("XYZ", apart, strict=True) if abs(x) > SAME_MM]
+    if len(moved) != 1:
+        return ()
+    name, means, unit = _named(one, moved[0])
+    value, se = (squares[0][0] - squares[1][0]) / unit, float(np.hypot(squares[0][1], squares[1][1]))
+    length_m = min(e.length_mm for s in (one, other) for k in (0, 1) for e in at_corner(s, k)) * 1e-3
+    plate = [plate_um(s) * np.sqrt(2.0) / length_m for s in (one, other)]
+    place = "XYZ".index(moved[0])
+    where = f"{moved[0].lower()} {one.setup.origin_mm[place]:g} and {other.setup.origin_mm[place]:g}"
+    u = COVERAGE * float(np.sqrt(se**2 + plate[0] ** 2 + plate[1] ** 2))
+    return (Item(name, means, where, value, "µm/m", u, _chance(value, 0.5 * u)),)
+
+
+def directions(setup: GridSetup) -> tuple[Item, ...]:
+    """What differs between the two directions of motion: turn [XT 5] from Ls, straightness and reversal from lines."""
+    out = []
+    for along in (0, 1):
+        both = _two_ways(setup, along)
+        if both is not None:
+            out += _way_items(setup, along, *both)
+        out += _turned_by_coming(setup, along)
+    return tuple(out)
+
+
+def feeds(setup: GridSetup, slow_mm_min: float | None = None, fast_mm_min: float | None = None) -> tuple[Item, ...]:
+    """What differs between two feeds, fast minus slow; by default the fastest and the slowest that were run."""
+    known = sorted({round(e.feed_mm_min, 6) for e in setup.edges if np.isfinite(e.feed_mm_min)})
+    slow, fast = slow_mm_min or (known[0] if known else 0.0), fast_mm_min or (known[-1] if known else 0.0)
+    if same_feed(slow, fast):
+        return ()
+    out = []
+    for along in (0, 1):
+        pair = [at_corner(setup, along, f) for f in (fast, slow)]
+        if not all(pair):
+            continue
+        out += _feed_items(setup, along, pair[0], pair[1], f"{fast:g} against {slow:g} mm/min")
+        turned = [angle_of(setup, along, f) for f in (fast, slow)]
+        if turned[0] is not None and turned[1] is not None and arm_on(setup, along) != 0.0:
+            value, se = turned[0][0] - turned[1][0], float(np.hypot(turned[0][1], turned[1][1]))
+            name = f"E{setup.lean.turn}{setup.lean.axes[along]}(fast) - (slow)"
+            means = f"the feed turns {setup.lean.axes[along]} about {setup.lean.normal} over its travel"
+            where = range_of(setup, along, pair[0])
+            out.append(Item(name, means, where, value, "µm/m", COVERAGE * se, _chance(value, se)))
+    return tuple(out)
+
+
+def _named(setup: GridSetup, moved: str) -> tuple[str, str, float]:
+    """What a difference of squareness is: name, sentence, and the squareness that one unit of it makes."""
+    lean = setup.lean
+    if moved == lean.normal:
+        axis = getattr(axis_along(setup.machine, moved), "name", moved)
+        rigid = _square_of_turn(setup, axis)
+        if abs(rigid) > 0.5:
+            return f"E{lean.turn}{axis}", f"roll of {axis} between the two places", rigid
+    else:
+        along = lean.letters.index(moved)
+        axis, other = lean.axes[along], lean.axes[1 - along]
+        if arm_on(setup, along) != 0.0:
+            means = f"{axis} turns about {lean.normal} between the two places"
+            return f"E{lean.turn}{axis}", means, 1.0 if along == 0 else -1.0
+        if arm_on(setup, 1 - along) != 0.0:
+            means = (
+                f"cross-talk: where {axis} stands turns {other} about {lean.normal} (no rigid body does that, unless "
+                f"{axis}'s own line bends between the two places)"
+            )
+            return f"E{lean.turn}{other}({other.lower()}, {axis.lower()})", means, -1.0 if along == 0 else 1.0
+    return (
+        f"E{lean.turn}0{lean.axes[1]}({moved.lower()})",
+        f"squareness of {lean.axes[1]} to {lean.axes[0]} changes with {moved}; no rigid body of this chain does that",
+        1.0,
+    )
+
+
+def _square_of_turn(setup: GridSetup, axis: str) -> float:
+    """Squareness in the plane for one unit of an axis' turn about the normal, from the machine's chain."""
+    lean, chain = setup.lean, setup.machine.chain
+    name = f"E{lean.turn}{axis}"
+    if name not in chain.components:
+        return 0.0
+    rows = ["XYZ".index(d) for d in lean.letters]
+    columns = [1 + setup.machine.axis_names.index(a) for a in lean.axes]
+    arms = chain.terms[:, chain.components.index(name)] * 1e3
+    second = lean.signs[1] * float(arms[rows[0], columns[1]])
+    return second - lean.signs[0] * float(arms[rows[1], columns[0]])
+
+
+def _two_ways(setup: GridSetup, along: int) -> tuple[list[Edge], list[Edge]] | None:
+    """Pieces of the same place, feed and length run both ways: first the positive ones."""
+    here = [e for e in setup.edges if e.along == along]
+    for edge in here:
+        alike = [e for e in here if _same_line(e, edge)]
+        plus, minus = ([e for e in alike if e.way == w] for w in (1, -1))
+        # Straight lines first: those of a square have the other axis' corners at their ends.
+        if plus and minus and not any(e.came for e in alike):
+            return plus, minus
+    for edge in here:
+        alike = [e for e in here if _same_line(e, edge)]
+        plus, minus = ([e for e in alike if e.way == w] for w in (1, -1))
+        if plus and minus:
+            return plus, minus
+    return None
+
+
+def _same_line(one: Edge, other: Edge) -> bool:
+    return (
+        abs(one.beside_mm - other.beside_mm) < SAME_MM
+        and abs(one.low_mm - other.low_mm) < SAME_MM
+        and abs(one.high_mm - other.high_mm) < SAME_MM
+        and same_feed(one.feed_mm_min, other.feed_mm_min)
+    )
+
+
+def _way_items(setup: GridSetup, along: int, plus: list[Edge], minus: list[Edge]) -> list[Item]:
+    axis, letter, other = setup.lean.axes[along], setup.lean.letters[along], setup.lean.letters[1 - along]
+    where, plate, out = range_of(setup, along, plus), plate_um(setup), []
+    for way, edges in (("+", plus), ("-", minus)):
+        bow, se = curve_of(edges, across=True).bow_um
+        means = f"straightness of {axis} going {way}, positive where the middle lies towards +{other}"
+        u = COVERAGE * float(np.hypot(se, plate))
+        out.append(Item(f"E{other}{axis}({axis.lower()}, {way})", means, where, bow, "µm", u))
+    apart = curve_of(plus, across=True) - curve_of(minus, across=True)
+    bow, se = apart.bow_um
+    means = f"straightness of {axis} going + minus going -"
+    chance = apart.chance(2, 3, 4, 5)
+    out.append(Item(f"E{other}{axis}(+) - (-)", means, where, bow, "µm", COVERAGE * se, chance))
+    level, se = (curve_of(plus, across=False) - curve_of(minus, across=False)).level_um
+    means = f"reversal (backlash) of {axis}, mean over this travel"
+    out.append(Item(f"E{letter}{axis}(+) - (-)", means, where, level, "µm", COVERAGE * se, _chance(level, se)))
+    return out
+
+
+def _turned_by_coming(setup: GridSetup, along: int) -> list[Item]:
+    """[XT 5]: an L from both sides. The line after the corner leans by how the axis before it came to its place.
+
+    The plate lies still, so the two lines are compared with each other; [XT] aligns both by the lines before the
+    corner, which takes the turn out again where those turn along (a table-side axis does that).
+    """
+    after = [e for e in setup.edges if e.along == along and e.came != 0]
+    for edge in after:
+        alike = [e for e in after if _same_line(e, edge) and e.way == edge.way]
+        right, left = ([e for e in alike if e.came == w] for w in (1, -1))
+        if right and left:
+            line, se = (curve_of(right, across=True) - curve_of(left, across=True)).line_um
+            factor = setup.lean.signs[along] * 1e3 / edge.length_mm
+            before, value = setup.lean.axes[1 - along], line * factor
+            name = f"E{setup.lean.turn}{before}(+) - (-)"
+            means = f"{before} turns about {setup.lean.normal} with the direction in which it came"
+            where = f"{setup.lean.letters[1 - along].lower()} {edge.beside_mm:g}"
+            return [Item(name, means, where, value, "µm/m", COVERAGE * se * abs(factor), _chance(line, se))]
+    return []
+
+
+def _feed_items(setup: GridSetup, along: int, fast: list[Edge], slow: list[Edge], what: str) -> list[Item]:
+    axis, letter, other = setup.lean.axes[along], setup.lean.letters[along], setup.lean.letters[1 - along]
+    where, out = f"{range_of(setup, along, fast)}; {what}", []
+    line, se = (curve_of(fast, across=False) - curve_of(slow, across=False)).line_um
+    means = f"the feed changes how far {axis} goes"
+    out.append(Item(f"E{letter}{axis}(fast) - (slow)", means, where, line, "µm", COVERAGE * se, _chance(line, se)))
+    apart = curve_of(fast, across=True) - curve_of(slow, across=True)
+    bow, se = apart.bow_um
+    means = f"the feed bends the path of {axis} in {other}"
+    name, chance = f"E{other}{axis}(fast) - (slow)", apart.chance(2, 3, 4, 5)
+    out.append(Item(name, means, where, bow, "µm", COVERAGE * se, chance))
+    level, se = apart.level_um
+    means = f"the feed lifts the path of {axis} in {other}, mean over this travel"
+    out.append(Item(f"{name}, mean", means, where, level, "µm", COVERAGE * se, _chance(level, se)))
+    return out
+
+
+def _chance(value: float, se: float) -> float:
+    """How often noise alone would give as much, either way."""
+    from scipy.special import erfc
+
+    return float(erfc(abs(value) / max(se, 1e-15) / np.sqrt(2.0)))

@@ -1,0 +1,217 @@
+"""Straight pieces of a path on a grid plate, each with the smooth curves of its two readings.
+
+Along its own length `u` from -1 to +1 each reading is a sum of Legendre polynomials. All that is reported then is a
+plain number: twice the first coefficient is the deviation of the best-fit line over the piece, the higher ones are
+the straightness, and the standard errors follow from one matrix.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import MeasurementError
+from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
+from rtec.metrology.measurement import Measurement
+from rtec.metrology.procedures.fitting import correlation_time
+
+Floats = NDArray[np.float64]
+DEGREE = 5
+TRIM_MM = 2.0
+"""Left out at both ends: a corner is braking and swinging, not geometry."""
+STEP_MM = 1e-6
+LEAST = 12
+SAME_MM = 0.5
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A smooth curve over a piece, µm: coefficients of Legendre polynomials, (6,), and their covariance, µm²."""
+
+    coefficients: Floats
+    covariance: Floats
+
+    def __sub__(self, other: "Curve") -> "Curve":
+        return Curve(self.coefficients - other.coefficients, self.covariance + other.covariance)
+
+    @property
+    def line_um(self) -> tuple[float, float]:
+        """Deviation of the best-fit line over the piece, end minus start, and its standard error."""
+        return 2.0 * float(self.coefficients[1]), 2.0 * float(np.sqrt(self.covariance[1, 1]))
+
+    @property
+    def level_um(self) -> tuple[float, float]:
+        """Mean, and its standard error."""
+        return float(self.coefficients[0]), float(np.sqrt(self.covariance[0, 0]))
+
+    def at(self, u: Floats) -> Floats:
+        """Value at places -1 … +1."""
+        return np.asarray(_legendre(u) @ self.coefficients, dtype=np.float64)
+
+    @property
+    def bow_um(self) -> tuple[float, float]:
+        """Straightness: range about the best-fit line, and its standard error.
+
+        Positive where the middle lies further in the positive direction than the ends.
+        """
+        u = np.linspace(-1.0, 1.0, 201)
+        basis = _legendre(u)[:, 2:]
+        curve = basis @ self.coefficients[2:]
+        high, low = int(np.argmax(curve)), int(np.argmin(curve))
+        middle = np.abs(u) < 0.5
+        sign = 1.0 if curve[middle].mean() >= curve[~middle].mean() else -1.0
+        away = basis[high] - basis[low]
+        return sign * float(curve[high] - curve[low]), float(np.sqrt(away @ self.covariance[2:, 2:] @ away))
+
+    def chance(self, *orders: int) -> float:
+        """How often noise alone would make these coefficients as large (chi-squared)."""
+        from scipy.special import chdtrc
+
+        c = self.coefficients[list(orders)]
+        size = float(c @ np.linalg.solve(self.covariance[np.ix_(orders, orders)], c))
+        return float(chdtrc(len(orders), size))
+
+
+@dataclass(frozen=True)
+class Edge:
+    """One straight piece, always read from its low to its high end.
+
+    Attributes:
+        along: 0: along the plane's first letter, 1: the second.
+        way: direction of motion, -1 or +1.
+        low_mm, high_mm: where it begins and ends.
+        beside_mm: where the other axis stands.
+        came: direction of the other axis' last motion in the same run, 0 where there was none.
+        feed_mm_min: NaN where it is not recorded.
+        run: number.
+        place_mm, readings_um: raw, (n,) and (2, n): the plane's first and second reading.
+        curves: of the first and second reading.
+    """
+
+    along: int
+    way: int
+    low_mm: float
+    high_mm: float
+    beside_mm: float
+    came: int
+    feed_mm_min: float
+    run: int
+    place_mm: Floats
+    readings_um: Floats
+    curves: tuple[Curve, Curve]
+
+    @property
+    def length_mm(self) -> float:
+        """Travel."""
+        return self.high_mm - self.low_mm
+
+    @property
+    def own(self) -> Curve:
+        """Positioning: the reading along it."""
+        return self.curves[self.along]
+
+    @property
+    def across(self) -> Curve:
+        """The reading across it."""
+        return self.curves[1 - self.along]
+
+
+def edges_of(measurement: Measurement, trim_mm: float = TRIM_MM) -> tuple[Edge, ...]:
+    """Every straight piece along one of the plane's directions, in order of time.
+
+    Raises:
+        MeasurementError: another instrument, positions missing, or no such piece.
+    """
+    name, instrument = measurement.name, measurement.instrument
+    if not isinstance(instrument, GridEncoder):
+        raise MeasurementError(f"{name}: instrument is {instrument.name}; this needs grid_encoder")
+    place = places_mm(measurement, instrument.setup)
+    out: list[Edge] = []
+    for number in np.unique(measurement.run):
+        rows = np.flatnonzero(measurement.run == number)
+        came = [0, 0]
+        for along, way, first, last in _pieces(place[:, rows]):
+            edge = _edge(measurement, place, rows[first : last + 1], along, way, came[1 - along], trim_mm)
+            came[along] = way
+            if edge is not None:
+                out.append(edge)
+    if not out:
+        raise MeasurementError(
+            f"{name}: no straight piece along {' or '.join(instrument.setup.letters)} with {LEAST} readings"
+        )
+    return tuple(out)
+
+
+def places_mm(measurement: Measurement, setup: GridEncoderSetup) -> Floats:
+    """Commanded place in the plane, (2, n).
+
+    Raises:
+        MeasurementError: no axis along one of its directions is recorded.
+    """
+    out = []
+    for letter in setup.letters:
+        moved = [a.channel for a in measurement.machine.axes if a.direction == letter]
+        found = [measurement.channels[c] for c in moved if c in measurement.channels]
+        if not found:
+            columns = " or ".join(f"{c}_mm" for c in moved) or f"an axis along {letter}"
+            raise MeasurementError(f"{measurement.name}: {columns} is missing; a grid needs where it was commanded")
+        out.append(np.sum(found, axis=0))
+    return np.stack(out)
+
+
+def mean_curve(curves: Sequence[Curve]) -> Curve:
+    """Mean of several curves."""
+    n = len(curves)
+    whole = np.sum([c.coefficients for c in curves], axis=0) / n
+    return Curve(whole, np.sum([c.covariance for c in curves], axis=0) / n**2)
+
+
+def _pieces(place: Floats) -> Iterator[tuple[int, int, int, int]]:
+    """Direction, way, first and last row of each stretch in which one coordinate alone changes, and one way."""
+    step = np.diff(place, axis=1)
+    moved = np.abs(step) > STEP_MM
+    which = np.where(moved[0] & ~moved[1], 0, np.where(moved[1] & ~moved[0], 1, -1))
+    way = np.where(which >= 0, np.sign(np.where(which == 0, step[0], step[1])), 0.0)
+    label = np.where(which >= 0, 2 * which + (way > 0), -1)
+    starts = np.flatnonzero(np.diff(label, prepend=-2) != 0)
+    for first, last in zip(starts, [*starts[1:], len(label)], strict=True):
+        if label[first] >= 0:
+            yield int(which[first]), int(way[first]), int(first), int(last)
+
+
+def _edge(
+    measurement: Measurement, place: Floats, rows: NDArray[np.int64], along: int, way: int, came: int, trim_mm: float
+) -> Edge | None:
+    own = place[along, rows]
+    low, high = float(own.min()), float(own.max())
+    readings = np.stack([measurement.readings[c][rows] for c in measurement.instrument.columns()])
+    inside = (own > low + trim_mm - STEP_MM) & (own < high - trim_mm + STEP_MM)
+    keep = inside & np.isfinite(readings).all(axis=0)
+    if keep.sum() < LEAST or high - low < 4.0 * trim_mm:
+        return None
+    u = (2.0 * own[keep] - low - high) / (high - low)
+    feed = measurement.channels.get("feed_mm_min")
+    order = np.argsort(u)
+    curves = tuple(_curve(u[order], r[order]) for r in readings[:, keep])
+    beside = float(np.median(place[1 - along, rows]))
+    return Edge(
+        along, way, low, high, beside, came, float("nan") if feed is None else float(np.median(feed[rows])),
+        int(measurement.run[rows[0]]), own[keep], readings[:, keep], (curves[0], curves[1]),
+    )  # fmt: skip
+
+
+def _curve(u: Floats, reading: Floats) -> Curve:
+    """Least squares, readings in the order of `u`."""
+    basis = _legendre(u)
+    found = np.asarray(np.linalg.lstsq(basis, reading, rcond=None)[0], dtype=np.float64)
+    left = reading - basis @ found
+    free = max(len(u) - basis.shape[1], 1)
+    power = float(left @ left) / free * correlation_time(left)
+    # A display that shows no noise at all still has some.
+    inverse = np.asarray(np.linalg.inv(basis.T @ basis), dtype=np.float64)
+    return Curve(found, max(power, 1e-12) * inverse)
+
+
+def _legendre(u: Floats) -> Floats:
+    return np.asarray(np.polynomial.legendre.legvander(u, DEGREE), dtype=np.float64)

@@ -1,0 +1,190 @@
+"""Report of ball-bar tests: what is wrong, how much of the circle each cause is, and how sure that is."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec import __version__
+from rtec.metrology.procedures.ball_bar import Diagnosis
+from rtec.metrology.procedures.ball_bar_design import SETTING_UP
+from rtec.metrology.procedures.ball_bar_fit import Value
+from rtec.metrology.procedures.ball_bar_iso import Harmonic
+from rtec.report import ball_bar_figures as draw
+from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.procedures import number
+
+Floats = NDArray[np.float64]
+UNITS = {"um": "µm", "um_per_m": "µm/m", "urad": "µrad", "per_km": "1/km", "urad_per_m": "µrad/m"}
+FORMULAS = (
+    "ISO 230-4, about the least-squares circle: G largest minus smallest deviation of one path; G(b) of both paths; H "
+    "largest difference of the two at one angle; D least-squares radius of both minus nominal; F radial deviation.",
+    "Causes after [BB Table 1], columns from the machine's own chain, fitted to the exact length of the bar. Intervals "
+    "are 95 %, widened by how long readings in a row err together.",
+    "Clearance: the axis lags half of it behind on either flank; it is minus the reversal value B of ISO 230-2.",
+)
+CURVES = 5
+
+
+def ball_bar_page(d: Diagnosis, figures: bool = True) -> Page:
+    """The page; without figures it is what the terminal shows."""
+    plane = d.circles[0].setup.plane
+    sections = [
+        Section("Circle", _notes(d), _rounds(d), _polar(d) if figures else None),
+        *([Section("Both senses", [], _pairs(d))] if d.pairs else []),
+        Section("Causes, largest first", [_explained(d)], _shares(d), _linear(d) if figures else None),
+        Section("Parameters", [f"Model: {d.fitted.model}, because {d.reason}.", *_apart(d)], _values(d)),
+    ]
+    if any(s.measured for s in d.spectra):
+        sections.append(Section("Harmonics", [], _spectra(d), _spectrum_figure(d) if figures else None))
+    top = [s for s in d.shares if s.group != "left over"][:1]
+    lead = f"Plane {plane}: " + "; ".join(f"{r.name} G = {r.g_um:.2f} µm" for r in d.rounds) + "."
+    if top:
+        lead += f" Largest cause: {top[0].group}, {top[0].g_um:.2f} µm by itself."
+    return Page(
+        title=f"Ball bar, plane {plane}",
+        lead=lead,
+        numbers=[(f"{r.g_um:.2f}\u00a0µm", f"G, {r.name}") for r in d.rounds][:4],
+        sections=sections,
+        foot=[*FORMULAS, f"rtec {__version__}, rtec ballbar."],
+    )
+
+
+def ball_bar_facts(d: Diagnosis) -> dict[str, object]:
+    """The result as plain data, for JSON."""
+    return {
+        "plane": d.circles[0].setup.plane,
+        "tests": [
+            {
+                "name": c.name, "n": len(c), "left_out": c.left_out, "direction": c.setup.direction,
+                "radius_mm": c.setup.radius_mm, "height_mm": c.setup.height_mm, "feed_mm_min": c.setup.feed_mm_min,
+            }
+            for c in d.circles
+        ],
+        "iso_230_4": d.rounds,
+        "both_senses": d.pairs,
+        "model": d.fitted.model,
+        "reason": d.reason,
+        "rank": d.fitted.rank,
+        "parameters": {
+            v.name: {
+                "value": v.value, "se": v.se, "low": v.low, "high": v.high, "unit": v.unit, "title": v.title,
+                "not_separated_from": list(v.with_),
+            }
+            for v in d.fitted.values
+        },
+        "shares": d.shares,
+        "explained": d.explained,
+        "left_um": d.fitted.sigma_um,
+        "window_deg": d.window_deg,
+        "near_quadrants": d.near_quadrants,
+        "harmonics": d.spectra,
+    }  # fmt: skip
+
+
+def _notes(d: Diagnosis) -> list[str]:
+    out = [f"{c.name}: {c.left_out} readings are missing or outside the arc" for c in d.circles if c.left_out]
+    high = [c.name for c in d.circles if abs(c.setup.height_mm) > 1e-9]
+    if high:
+        out.append(f"{', '.join(high)}: readings are along the bar, which leans (height is not zero)")
+    return out
+
+
+def _rounds(d: Diagnosis) -> Table:
+    rows = [
+        [
+            r.name, "ccw" if c.setup.sense > 0 else "cw", f"{c.setup.radius_mm:g}", f"{c.setup.height_mm:g}",
+            f"{c.setup.feed_mm_min:g}", number(r.g_um), number(r.f_max_um), number(r.f_min_um), r.about,
+        ]
+        for r, c in zip(d.rounds, d.circles, strict=True)
+    ]  # fmt: skip
+    head = ["test", "sense", "r, mm", "h, mm", "mm/min", "G, µm", "F max, µm", "F min, µm", "F about"]
+    return Table(head, rows, words=(0, 1, 8))
+
+
+def _pairs(d: Diagnosis) -> Table:
+    rows = [
+        [" and ".join(p.names), number(p.g_b_um), number(p.h_um), f"{p.h_at_deg:.0f}", number(p.d_um)] for p in d.pairs
+    ]
+    return Table(["tests", "G(b), µm", "H, µm", "H at, °", "D, µm"], rows)
+
+
+def _explained(d: Diagnosis) -> str:
+    return (
+        f"The fit explains {100.0 * d.explained:.1f} % of the variance; readings within {d.window_deg:g}° of the "
+        f"quadrants ({100.0 * d.near_quadrants:.0f} % of all) were not used in it and count here."
+    )
+
+
+def _shares(d: Diagnosis) -> Table:
+    rows = [[s.group, number(s.g_um), f"{100.0 * s.share:.1f}"] for s in d.shares]
+    return Table(["cause", "G by itself, µm", "share, %"], rows)
+
+
+def _apart(d: Diagnosis) -> list[str]:
+    rank = d.fitted.rank
+    out = [f"These tests never see: {', '.join(rank.never)}."] if rank.never else []
+    out += [f"These tests do not separate {' and '.join(s)}." for s in rank.confounded]
+    return out
+
+
+def _values(d: Diagnosis) -> Table:
+    return Table(
+        ["parameter", "value", "95 % from", "to", "unit", "note"], [_row(v) for v in d.fitted.values], words=(0, 4, 5)
+    )
+
+
+def _row(v: Value) -> list[str]:
+    digits = 2 if v.unit in ("um", "urad", "um_per_m") else 4
+    note = f"together with {', '.join(v.with_)}" if v.with_ else ""
+    if not np.isfinite(v.value):
+        note = f"in that of {v.with_[0]}" if v.with_ else "never seen"
+    elif v.unit == "per_km" and v.value != 0.0:
+        note = f"radius {1.0 / v.value:.4g} km" + (f"; {note}" if note else "")
+    return [v.title, number(v.value, digits), number(v.low, digits), number(v.high, digits), UNITS[v.unit], note]
+
+
+def _spectra(d: Diagnosis) -> Table:
+    known = [s for s in d.spectra if s.measured]
+    head = ["waves", *(f"{s.name} {kind}, µm" for s in known for kind in ("measured", "fitted"))]
+    rows = [
+        [
+            f"×{k}" if k else "mean",
+            *(number(h[k].amplitude_um, 3) for s in known for h in (s.measured, s.fitted)),
+        ]
+        for k in range(len(known[0].measured))
+    ]
+    return Table(head, rows)
+
+
+def _traces(d: Diagnosis) -> list[draw.Trace]:
+    """Measured and fitted without the place of the ball and the length of the bar: no fault of the machine."""
+    out = []
+    for i, c in enumerate(d.circles):
+        place = d.fitted.parts_um.get(SETTING_UP)
+        off = place[i] if place is not None else np.zeros(len(c))
+        fitted = d.fitted.fitted_um(i) - off
+        out.append(draw.Trace(c.name, c.setup.sense, c.angle_rad, c.reading_um - off, fitted))
+    return out
+
+
+def _polar(d: Diagnosis) -> Figure:
+    a, b, _ = d.circles[0].setup.letters
+    png = draw.polar(f"Plane {a}{b}: deviation from the circle, magnified", (a, b), _traces(d))
+    return Figure("polar.png", png, "deviation drawn outwards from the circle, measured and fitted, by test")
+
+
+def _linear(d: Diagnosis) -> Figure:
+    groups = [s.group for s in d.shares if s.group != "left over" and s.g_um > 0.01][:CURVES]
+    png = draw.linear(_traces(d), [(g, d.fitted.parts_um[g]) for g in groups], d.window_deg)
+    return Figure("linear.png", png, "deviation against angle: measured, fitted, and the largest causes")
+
+
+def _spectrum_figure(d: Diagnosis) -> Figure:
+    tests = [(s.name, _amplitudes(s.measured), _amplitudes(s.fitted)) for s in d.spectra if s.measured]
+    return Figure("harmonics.png", draw.spectra(tests), "amplitude by number of waves in a turn, measured and fitted")
+
+
+def _amplitudes(found: Sequence[Harmonic]) -> Floats:
+    """From order 1, µm."""
+    return np.array([h.amplitude_um for h in found[1:]], dtype=np.float64)

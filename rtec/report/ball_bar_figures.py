@@ -1,0 +1,168 @@
+"""Figures of ball-bar tests; style and colours as in `figures`. Only arrays come in, PNG goes out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, _figure, _png, _styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
+LOOKS = ((ON, "-"), (OFF, "--"), (LINES[3], "-."), (LINES[4], ":"))
+SCALES_UM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
+MIDDLE = 1.0
+ROOM = 0.3
+"""Share of the circle's radius that the largest deviation takes up."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One test: name, sense (+1, -1), angles, rad, and readings measured and fitted, µm, (n,) each."""
+
+    name: str
+    sense: int
+    angle_rad: Floats
+    measured_um: Floats
+    fitted_um: Floats
+
+
+@_styled
+def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> bytes:
+    """Deviations drawn outwards from the circle, magnified; a bar tells how much one of them is.
+
+    Args:
+        title: of the figure.
+        letters: directions of the plane, to the right and upwards.
+        traces: the tests; all have the same magnification.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * 0.92), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    ax = figure.subplots()
+    largest = max(float(np.abs(t.measured_um).max()) for t in traces)
+    gain = ROOM / max(largest, 1e-6)
+    round_rad = np.linspace(0.0, 2.0 * np.pi, 361)
+    ax.plot(np.cos(round_rad), np.sin(round_rad), color=GREY, linewidth=1.2)
+    scale = _scale(largest)
+    for ring in (-scale, scale):
+        r = MIDDLE + gain * ring
+        ax.plot(r * np.cos(round_rad), r * np.sin(round_rad), color="#CCCCCC", linewidth=0.8, linestyle=":")
+    for trace, (colour, line) in zip(traces, _looks(len(traces)), strict=True):
+        _draw(ax, trace.angle_rad, MIDDLE + gain * trace.measured_um, colour, "-", 1.4, 0.55)
+        label = f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}"
+        _draw(ax, trace.angle_rad, MIDDLE + gain * trace.fitted_um, colour, line, 2.6, 1.0, label)
+        _arrow(ax, trace, gain, colour)
+    reach = MIDDLE + 1.45 * ROOM
+    for letter, end in zip(letters, ((reach, 0.0), (0.0, reach)), strict=True):
+        start = (0.45 * end[0], 0.45 * end[1])
+        ax.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": GREY, "linewidth": 1.5})
+        ax.text(end[0] + 0.02, end[1] + 0.02, f"+{letter}", color=GREY, fontsize=15)
+    ax.set_xlim(-reach, reach + 0.15)
+    ax.set_ylim(-reach, reach + 0.12)
+    _bar(ax, gain * scale, f"{scale:g} µm")
+    ax.text(0, -0.16, "thin: measured\nthick: fitted", ha="center", va="top", fontsize=13, color=GREY)
+    ax.set_aspect("equal")
+    ax.set_axis_off()
+    ax.set_title(title)
+    ax.legend(loc="upper left", frameon=False, fontsize=12)
+    return _png(figure)
+
+
+@_styled
+def linear(traces: Sequence[Trace], causes: Sequence[tuple[str, Sequence[Floats]]], window_deg: float) -> bytes:
+    """Deviation against angle, one panel a test: measured, fitted and the largest causes; below, what is left.
+
+    Args:
+        traces: the tests.
+        causes: name, and its curve in every test, µm.
+        window_deg: left out about each quadrant, shaded.
+    """
+    figure, axes = _figure(len(traces), 5.2)
+    for i, (ax, trace) in enumerate(zip(axes, traces, strict=True)):
+        deg = np.rad2deg(trace.angle_rad)
+        shift = 360.0 * np.floor(deg.min() / 360.0 + 1e-9)
+        deg = deg - shift
+        order = np.argsort(deg, kind="stable")
+        for quadrant in np.arange(90.0 * np.floor(deg.min() / 90.0), deg.max() + 90.0, 90.0):
+            ax.axvspan(quadrant - window_deg, quadrant + window_deg, color="#ECECEC", zorder=0, linewidth=0)
+        ax.plot(deg[order], trace.measured_um[order], color="black", linewidth=1.2, alpha=0.6, label="measured")
+        ax.plot(deg[order], trace.fitted_um[order], color=OFF, linewidth=3.0, label="fitted")
+        for k, (name, curves) in enumerate(causes):
+            ax.plot(deg[order], curves[i][order], linewidth=1.8, color=LINES[2 + k % 6], linestyle=LINE_OF[k % 4],
+                    label=name)  # fmt: skip
+        ax.axhline(0.0, color="black", linewidth=0.8)
+        ax.set_xlim(max(deg.min(), -30.0), deg.max())
+        ax.set_xticks(np.arange(90.0 * np.ceil(deg.min() / 90.0 - 1e-6), deg.max() + 1.0, 90.0))
+        ax.set_title(f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}")
+        ax.set_ylabel("bar longer, µm")
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=12)
+    axes[-1].set_xlabel("angle on the circle, degrees; grey: near a quadrant, not used in the fit")
+    return _png(figure)
+
+
+LINE_OF = ("-", "--", "-.", ":")
+
+
+@_styled
+def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> bytes:
+    """Harmonics of each test, measured and fitted.
+
+    Args:
+        tests: name, amplitudes measured and fitted, µm, (orders,), from order 1.
+    """
+    figure, axes = _figure(len(tests), 3.4)
+    for ax, (name, measured, fitted) in zip(axes, tests, strict=True):
+        order = np.arange(1, len(measured) + 1)
+        ax.bar(order - 0.2, measured, 0.4, color=ON, label="measured")
+        ax.bar(order + 0.2, fitted, 0.4, color=OFF, hatch="//", edgecolor="white", label="fitted")
+        ax.set_xticks(order)
+        ax.set_title(name)
+        ax.set_ylabel("amplitude, µm")
+        ax.grid(visible=False, axis="x")
+        ax.legend(frameon=False, ncols=2, loc="upper right")
+    axes[-1].set_xlabel("waves in one turn")
+    return _png(figure)
+
+
+def _looks(count: int) -> list[tuple[str, str]]:
+    return [LOOKS[i % len(LOOKS)] for i in range(count)]
+
+
+def _draw(
+    ax: "Axes", angle: Floats, radius: Floats, colour: str, line: str, width: float, alpha: float, label: str = ""
+) -> None:
+    jumps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi / 2) + 1
+    for k, part in enumerate(np.split(np.arange(len(angle)), jumps)):
+        ax.plot(radius[part] * np.cos(angle[part]), radius[part] * np.sin(angle[part]), color=colour, linestyle=line,
+                linewidth=width, alpha=alpha, label=label if k == 0 else "")  # fmt: skip
+
+
+def _arrow(ax: "Axes", trace: Trace, gain: float, colour: str) -> None:
+    """Where the test begins, and which way it goes."""
+    i, j = 0, min(len(trace.angle_rad) // 18, len(trace.angle_rad) - 1)
+    place: list[Any] = [
+        (1.0 + gain * float(trace.fitted_um[k])) * np.array([np.cos(trace.angle_rad[k]), np.sin(trace.angle_rad[k])])
+        for k in (i, j)
+    ]
+    away = 1.0 + 0.35 * ROOM * (1.0 if trace.sense > 0 else 1.5)
+    ax.annotate("", place[1] * away, place[0] * away,
+                arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.4, "mutation_scale": 22})  # fmt: skip
+
+
+def _bar(ax: "Axes", length: float, text: str) -> None:
+    ax.plot([-0.5 * length, 0.5 * length], [0.12, 0.12], color="black", linewidth=3)
+    for end in (-0.5, 0.5):
+        ax.plot([end * length] * 2, [0.1, 0.14], color="black", linewidth=3)
+    ax.text(0, 0.16, text, ha="center", va="bottom", fontsize=14, fontweight="bold")
+
+
+def _scale(largest: float) -> float:
+    """A round number of about half the largest deviation."""
+    return min(SCALES_UM, key=lambda s: abs(np.log(s / max(0.5 * largest, 1e-6))))

@@ -1,0 +1,208 @@
+"""Report of grid-encoder set-ups, each by itself and compared."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtec import __version__
+from rtec.errors import MeasurementError
+from rtec.metrology.measurement import Measurement
+from rtec.metrology.procedures.grid import GridSetup, analyse
+from rtec.metrology.procedures.grid_compare import certain, directions, feeds, places
+from rtec.metrology.procedures.grid_edges import TRIM_MM, Edge
+from rtec.metrology.procedures.grid_names import Item, same_feed, slowest
+from rtec.report import grid_figures as draw
+from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.procedures import number
+
+FEET = (
+    "Signs are those of e = ε × p: e_x = +EB z, e_z = -EB x. Squareness is the difference of the two edges' best-fit "
+    "directions, which the plate's own turn does not enter. Straightness is the range about the best-fit line.",
+    "U: expanded uncertainty, coverage factor 2, from the readings, widened by how long they err together, and the "
+    "plate's accuracy where it does not fall out of the difference.",
+    "“yes”: all the questions of this report asked together, noise alone would say so about once in fifty reports.",
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A heading, what was compared, and the items."""
+
+    heading: str
+    items: tuple[Item, ...]
+
+
+@dataclass(frozen=True)
+class GridReport:
+    """Everything about some set-ups.
+
+    Attributes:
+        setups: each by itself.
+        comparisons: between directions, feeds, and set-ups.
+        found: items that noise alone would hardly give.
+        magnification: of the figures; None: a round one for each.
+    """
+
+    setups: tuple[GridSetup, ...]
+    comparisons: tuple[Comparison, ...]
+    found: tuple[Item, ...]
+    magnification: float | None
+
+
+def grid_report(
+    measurements: Sequence[Measurement],
+    corner_mm: tuple[float, float] | None = None,
+    trim_mm: float = TRIM_MM,
+    magnification: float | None = None,
+) -> GridReport:
+    """Analyse set-ups and compare them.
+
+    Raises:
+        MeasurementError: as `analyse`, or set-ups on different machines.
+    """
+    setups = tuple(analyse(m, corner_mm, trim_mm) for m in measurements)
+    for other in setups[1:]:
+        if other.machine.hash != setups[0].machine.hash:
+            raise MeasurementError(f"{other.name} and {setups[0].name} were made on different machines")
+    compared = []
+    for setup in setups:
+        compared.append(Comparison(f"{setup.name}: direction", directions(setup)))
+        compared.append(Comparison(f"{setup.name}: feed", feeds(setup)))
+    for i, one in enumerate(setups):
+        compared += [Comparison(f"{one.name} minus {two.name}", places(one, two)) for two in setups[i + 1 :]]
+    kept = tuple(c for c in compared if c.items)
+    found = certain([item for c in kept for item in c.items])
+    return GridReport(setups, kept, found, magnification)
+
+
+def grid_page(r: GridReport, figures: bool = True) -> Page:
+    """The page; without figures it is what the terminal shows."""
+    sections = [
+        Section(s.name, [_where(s)], _table(s.items), _contour(s, i, r.magnification) if figures else None)
+        for i, s in enumerate(r.setups)
+    ]
+    sections += [Section(c.heading, [], _compared(c, r.found)) for c in r.comparisons]
+    if figures:
+        sections += _overlays(r)
+    plural = "s" if len(r.setups) > 1 else ""
+    lead = f"{len(r.setups)} set-up{plural}. "
+    names = dict.fromkeys(f"{i.name} = {i.value:.2f} {i.unit}" for i in r.found)
+    lead += f"Beyond a rigid, slow, one-way machine: {', '.join(names)}." if names else (
+        "No difference between directions, feeds or places beyond noise." if r.comparisons else ""
+    )  # fmt: skip
+    return Page("Grid encoder", lead.strip(), [], sections, [*FEET, f"rtec {__version__}, rtec grid."])
+
+
+def grid_facts(r: GridReport) -> dict[str, object]:
+    """The result as plain data, for JSON."""
+    return {
+        "setups": [
+            {"name": s.name, "plane": s.setup.plane, "origin_mm": s.setup.origin_mm, "corner_mm": s.corner_mm,
+             "pieces": len(s.edges), "items": s.items}
+            for s in r.setups
+        ],
+        "comparisons": [
+            {"heading": c.heading, "items": c.items, "certain": [i.name for i in c.items if i in r.found]}
+            for c in r.comparisons
+        ],
+    }  # fmt: skip
+
+
+def _where(s: GridSetup) -> str:
+    origin = ", ".join(f"{d.lower()} {x:g}" for d, x in zip("XYZ", s.setup.origin_mm, strict=True))
+    return f"plane {s.setup.plane}, plate's middle at {origin}; {len(s.edges)} straight pieces"
+
+
+def _table(items: Sequence[Item]) -> Table:
+    rows = [[i.name, i.means, i.where, number(i.value), number(i.u), i.unit] for i in items]
+    return Table(["error", "what it is", "where, mm", "value", "± U", "unit"], rows, words=(0, 1, 2, 5))
+
+
+def _compared(c: Comparison, found: Sequence[Item]) -> Table:
+    rows = [
+        [i.name, i.means, i.where, number(i.value), number(i.u), i.unit,
+         ("yes" if i in found else "no") if np.isfinite(i.chance) else ""]
+        for i in c.items
+    ]  # fmt: skip
+    head = ["error", "what it is", "where, mm", "value", "± U", "unit", "beyond noise"]
+    return Table(head, rows, words=(0, 1, 2, 5, 6))
+
+
+def _pieces(edges: Sequence[Edge], family: int, level: dict[int, float]) -> list[draw.Piece]:
+    """Edges without their plane's mean: where a plate lies is no fault of the machine."""
+    out = []
+    for e in edges:
+        order = np.argsort(e.place_mm)
+        across = e.readings_um[1 - e.along][order] - level[1 - e.along]
+        out.append(draw.Piece(e.along, e.way, e.place_mm[order], e.beside_mm, across, family))
+    return out
+
+
+def _level(edges: Sequence[Edge]) -> dict[int, float]:
+    return {
+        k: float(np.mean(np.concatenate([e.readings_um[k] for e in edges if e.along == 1 - k] or [np.zeros(1)])))
+        for k in (0, 1)
+    }
+
+
+def _contour(s: GridSetup, number_: int, magnification: float | None) -> Figure:
+    """All pieces of the first runs at the lowest feed, the two senses in two colours."""
+    slow = [e for e in s.edges if same_feed(e.feed_mm_min, slowest(s.edges))]
+    whole = [e for e in slow if e.length_mm > max(x.length_mm for x in slow) - 1.0]
+    outside = _outline(whole)
+    chosen = outside or slow
+    runs = sorted({e.run for e in chosen})[:2]
+    level = _level([e for e in chosen if e.run in runs])
+    pieces = [p for k, run in enumerate(runs) for p in _pieces([e for e in chosen if e.run == run], k, level)]
+    gain = magnification or draw.usual_magnification(pieces)
+    png = draw.contour(f"{s.name}, {s.setup.plane}", s.lean.letters, pieces, [f"run {r}" for r in runs], gain)
+    return Figure(f"contour-{number_ + 1}.png", png, "path with its deviation drawn normal to it, magnified")
+
+
+def _outline(edges: Sequence[Edge]) -> list[Edge]:
+    """Runs that go round a square."""
+    return [e for e in edges if len({(x.along, round(x.beside_mm, 1)) for x in edges if x.run == e.run}) == 4]
+
+
+def _overlays(r: GridReport) -> list[Section]:
+    """Two set-ups of one plane and size laid over each other, each about its own middle; two feeds in one set-up."""
+    out: list[Section] = []
+    for i, one in enumerate(r.setups):
+        for two in r.setups[i + 1 :]:
+            if one.setup.plane == two.setup.plane:
+                figure = _overlay(one, two, r.magnification, f"places-{len(out) + 1}.png")
+                out += [Section(f"{one.name} and {two.name}", [], None, figure)] if figure else []
+    for s in r.setups:
+        known = sorted({round(e.feed_mm_min, 6) for e in s.edges if np.isfinite(e.feed_mm_min)})
+        if len(known) > 1:
+            families = {f"{f:g} mm/min": [e for e in _outline(s.edges) if same_feed(e.feed_mm_min, f)] for f in known}
+            figure = _laid_over(families, s, r.magnification, f"feeds-{len(out) + 1}.png")
+            out += [Section(f"{s.name}: feeds", [], None, figure)] if figure else []
+    return out
+
+
+def _overlay(one: GridSetup, two: GridSetup, magnification: float | None, name: str) -> Figure | None:
+    families = {
+        s.name: [_moved(e, s) for e in _outline(s.edges) if same_feed(e.feed_mm_min, slowest(s.edges))]
+        for s in (one, two)
+    }
+    return _laid_over(families, one, magnification, name)
+
+
+def _moved(e: Edge, s: GridSetup) -> Edge:
+    """Counted from the plate's middle."""
+    from dataclasses import replace
+
+    middle = [s.setup.origin_mm["XYZ".index(d)] for d in s.lean.letters]
+    return replace(e, place_mm=e.place_mm - middle[e.along], beside_mm=e.beside_mm - middle[1 - e.along])
+
+
+def _laid_over(families: dict[str, list[Edge]], s: GridSetup, magnification: float | None, name: str) -> Figure | None:
+    chosen = {k: [e for e in v if e.run == min(x.run for x in v)] for k, v in families.items() if v}
+    if len(chosen) < 2:
+        return None
+    pieces = [p for k, v in enumerate(chosen.values()) for p in _pieces(v, k, _level(v))]
+    gain = magnification or draw.usual_magnification(pieces)
+    png = draw.contour(f"Plane {s.setup.plane}", s.lean.letters, pieces, list(chosen), gain)
+    return Figure(name, png, "two paths laid over each other, deviations drawn normal to them, magnified")
