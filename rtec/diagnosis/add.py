@@ -50,7 +50,7 @@ class Added:
         labels: what was added.
         before: the model as it was, refitted to the same measurements.
         after: with the new effects.
-        floor: what noise alone leaves.
+        floor: what noise alone leaves; never more than is left.
         unit: "um", "urad", or "noise" (multiples of it).
         better: whether the error on runs left out fell.
         smoothed: held-out error with temperatures smoothed both ways in time, which the loop cannot do.
@@ -144,7 +144,8 @@ def _add(
     pair = [_errors(j, after, readings, scale) for j in (before, after)]
     left = floor.cleaned(readings, readings.values - predicted(model.effects, readings))
     given = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-    noise = floor.pooled(readings, floor.floors(after.whitener), scale)
+    # A noise that has swallowed what is still missing would leave more than there is.
+    noise = min(floor.pooled(readings, floor.floors(after.whitener), scale), pair[1].inside)
     labels = tuple(f.label for f in new)
     unit = floor.unit_of(readings)
     was = Errors(given, pair[0].inside, pair[0].held_out)

@@ -19,6 +19,8 @@ SAME = 0.99
 WITHIN = math.log(20.0)
 
 
+INDIRECT = 0.4
+"""What each step away from the direct component takes off the logarithm of the prior."""
 USUAL = math.log(10.0)
 """Sizes of a coefficient spread about the usual one by such a factor."""
 
@@ -27,11 +29,12 @@ def plausibility(effect: Effect, values: Floats, machine: Machine) -> float:
     """Log of a weak prior on the size of an effect: the largest of its coefficients against their usual size.
 
     It orders what readings cannot tell apart: of two names for one shape, the one that would have to be a hundred
-    times its usual size is the less likely. Never more than a few units, so that readings overrule it.
+    times its usual size is the less likely, and so is the one that reaches the readings less directly (an angle of
+    another axis, times its arm). Never more than a few units, so that readings overrule it.
     """
     usual = np.array([p.typical for p in effect.coefficients(machine)])
     ratio = float(np.max(np.abs(values) / usual, initial=1e-300))
-    return -min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0)
+    return -min(0.5 * (math.log(max(ratio, 1.0)) / USUAL) ** 2, 6.0) - INDIRECT * directness(effect, machine)
 
 
 def cosine(a: Floats, b: Floats) -> float:

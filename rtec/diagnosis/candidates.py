@@ -20,6 +20,7 @@ Floats = NDArray[np.float64]
 
 GRID = 6
 """Values of a non-linear parameter that are tried where the effect names none."""
+INSTANTS = 160
 MOST_PERIODS = 480
 MOST = 48
 """Combinations of non-linear parameters that are tried, at most."""
@@ -184,13 +185,10 @@ def _periods(low_mm: float, high_mm: float, span_mm: float) -> tuple[float, ...]
 
 
 def _instants(readings: Readings) -> tuple[float, ...]:
-    """Instants at which something may have happened: between runs, else evenly."""
-    times = np.concatenate([s.time_s for s in readings.series])
-    starts = []
-    for s in readings.series:
-        first = np.flatnonzero(np.diff(s.run)) + 1
-        starts += (0.5 * (s.time_s[first - 1] + s.time_s[first])).tolist()
-    if len(starts) < 4:
-        starts = np.linspace(times.min(), times.max(), 34)[1:-1].tolist()
-    found = np.unique(np.round(starts, 3))
-    return tuple(found[:: max(1, len(found) // 32)].tolist())
+    """Instants at which something may have happened: between readings, evenly over them."""
+    times = np.unique(np.concatenate([s.time_s for s in readings.series]))
+    between = 0.5 * (times[1:] + times[:-1])
+    if not len(between):
+        return (0.0,)
+    keep = np.unique(np.linspace(0, len(between) - 1, min(INSTANTS, len(between)) + 2).astype(np.int64))[1:-1]
+    return tuple(between[keep].tolist())

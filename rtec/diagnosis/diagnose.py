@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis import floor, picture, shapes, words
 from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine, directness, diverse, plausibility
 from rtec.diagnosis.base import base_of, slope, spikes
-from rtec.diagnosis.candidates import Candidate, Untried, library
+from rtec.diagnosis.candidates import Untried, library
 from rtec.diagnosis.noise import Whitener, find_noise, without_drift
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import Fit, fit_columns, held_out, inverse, solve
@@ -36,7 +36,13 @@ DISTINCT, ONE = 80, 0.9999
 """So many of the best are looked through for shapes that are one and the same, and what counts as that."""
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
-ADEQUATE = 0.7
+SURE, OVERWHELMING = math.log(20.0), math.log(50.0)
+"""Posterior odds, as logarithms, that a name needs; and that need no draws of chance."""
+SHAPES = 4
+"""Shapes without a name that are fitted anew, of each of the two looks."""
+ADEQUATE, LEAST = 0.95, 0.7
+"""An effect that explains this share of what the best shape explains describes it, though the shape be likelier; and
+one below the least describes nothing."""
 MOST = 14
 """And never more than so many."""
 ALPHA, DRAWS = 0.05, 400
@@ -119,6 +125,22 @@ class Tried:
         return self.gain > 0.0 and self.drop > 0.0
 
 
+@dataclass(frozen=True)
+class Shaped:
+    """A shape without a name, fitted along with the current model and a noise found anew."""
+
+    shape: shapes.Shape
+    fit: Fit
+    log_evidence: float
+    drop: float
+    gain: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether runs that were left out get better."""
+        return self.gain > 0.0 and self.drop > 0.0
+
+
 class _Search:
     def __init__(
         self,
@@ -139,6 +161,7 @@ class _Search:
         self.rng = np.random.default_rng([seed, 400])
         self._shape: shapes.Shape | None = None
         self._tried: list[Tried] = []
+        self._top_shape: Shaped | None = None
 
     def diagnosis(self) -> Diagnosis:
         """Go through the steps."""
@@ -151,12 +174,18 @@ class _Search:
         self._tried = tried
         best = tried[0] if tried else None
         accepted = best is not None and self._accepts(best, p)
-        named, adequacy, unknown = self._adequate(projected, found, best if accepted else None)
+        named, adequacy, unknown = self._adequate(projected, best if accepted else None)
         findings = self._findings(found, tried, p, accepted and named)
         return self._answer(projected, found, findings, adequacy, unknown)
 
     def _accepts(self, best: Tried, p: float) -> bool:
-        return p < self.alpha and best.log_evidence > self._prior_odds and best.holds
+        """Chance is unlikely, or the evidence with the noise found anew is overwhelming; and left-out runs agree.
+
+        The draws of chance know only the noise that was found without the effect; where that noise swallowed it, they
+        make chance look better than it is.
+        """
+        beyond = best.log_evidence - self._prior_odds
+        return best.holds and beyond > SURE and (p < self.alpha or beyond > OVERWHELMING)
 
     @property
     def _prior_odds(self) -> float:
@@ -185,7 +214,7 @@ class _Search:
     def _refit(self, found: Screen, calm: Screen) -> list[Tried]:
         """Fit the best of both weighings anew, noise and all; best first."""
         base = self.prepared.base
-        without = self._fit(base)
+        self._without = without = self._fit(base)
         looks = [(found, i) for i in self._top(found)]
         seen = {i for _, i in looks}
         looks += [(calm, i) for i in self._top(calm) if i not in seen and i in found.best]
@@ -200,7 +229,7 @@ class _Search:
             evidence = fit.log_likelihood - without.log_likelihood - 0.5 * variant.count * n
             evidence -= look.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(candidate.effect, fit.values[base.shape[1] :], self.model.machine)
-            drop, gain = self._left_out(fit.whitener, candidate, columns)
+            drop, gain = self._left_out(fit.whitener, columns)
             out.append(Tried(number, variant.theta, columns, fit, evidence, drop, gain))
         # What does worse on runs left out is no winner, whatever its evidence.
         return sorted(out, key=lambda t: (not t.holds, -t.log_evidence))
@@ -231,43 +260,75 @@ class _Search:
                 out.append(i)
         return out
 
-    def _left_out(self, whitener: Whitener, candidate: Candidate, columns: Floats) -> tuple[float, float]:
+    def _left_out(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""
         base = self.prepared.base
         without = held_out(whitener, base)
         with_it = held_out(whitener, np.concatenate([base, columns], axis=1))
-        del candidate
         gain = float(np.mean(without.white - with_it.white))
         return 1.0 - with_it.square / max(without.square, 1e-300), gain
 
-    def _adequate(
-        self, projected: Projected, found: Screen, best: Tried | None
-    ) -> tuple[bool, float | None, Unknown | None]:
+    def _adequate(self, projected: Projected, best: Tried | None) -> tuple[bool, float | None, Unknown | None]:
         """Is the best effect as good as a shape without a name; and if none is, what is there?"""
         self.stage("shapes without a name", 0, 1)
-        weighed = [*shapes.smooth_shapes(self.readings, projected), *shapes.periodic_shapes(self.readings, projected)]
-        if not weighed:
-            return best is not None, None, None
-        top = max(weighed, key=lambda w: w.log_evidence)
-        adequacy = None
-        if best is not None:
-            adequacy = found.explained(best.number) / max(top.explained, 1e-9)
-            if adequacy >= ADEQUATE or top.log_evidence < found.score[best.number]:
-                return True, min(adequacy, 1.0), None
-        p = shapes.family_p(projected, weighed, self.draws, self.rng)
-        if p >= self.alpha or top.log_evidence < math.log(len(weighed)):
-            return best is not None, adequacy, None
-        drop, gain = self._left_out(self.prepared.whitener, self.candidates[0], top.shape.raw)
-        if gain <= 0.0:
-            return best is not None, adequacy, None
-        return False, adequacy, self._unknown(top, p, drop)
+        tops = self._shapes(projected, best)
+        top = max(tops, key=lambda t: t.log_evidence, default=None)
+        self._top_shape = top
+        if best is None:
+            sure = top is not None and top.log_evidence > OVERWHELMING
+            return False, None, self._unknown(top) if sure and top is not None else None
+        adequacy = self._adequacy(best, tops)
+        if top is None or top.log_evidence < best.log_evidence + WITHIN:
+            return adequacy >= LEAST, adequacy, None
+        # A shape without a name is likelier; where the effect is almost that shape, it is the better answer still.
+        named = adequacy >= ADEQUATE
+        return named, adequacy, None if named else self._unknown(top)
 
-    def _unknown(self, top: shapes.Weighed, p: float, drop: float) -> Unknown:
+    def _shapes(self, projected: Projected, best: Tried | None) -> list[Shaped]:
+        """The best shapes without a name, each fitted along with the model and a noise found anew."""
+        base, values = self.prepared.base, self.readings.values
+        known = Projected.of(best.fit.whitener, base, values) if best is not None else projected
+        calm = Projected.of(without_drift(self.prepared.whitener), base, values)
+        looks = [shapes.all_shapes(self.readings, p) for p in (known, calm)]
+        picked: dict[tuple[str, tuple[str, ...], str], shapes.Weighed] = {}
+        for weighed in looks:
+            fresh = 0
+            for w in sorted(weighed, key=lambda w: -w.log_evidence):
+                key = (w.shape.group, w.shape.variables, w.shape.kind)
+                if key not in picked:
+                    picked[key] = w
+                    fresh += 1
+                if fresh == SHAPES:
+                    break
+        count = max(len(looks[0]), 2)
+        out = [self._shaped(w, count) for w in picked.values()]
+        return [s for s in out if s.holds]
+
+    def _shaped(self, w: shapes.Weighed, count: int) -> Shaped:
+        fit = self._fit(np.concatenate([self.prepared.base, w.shape.raw], axis=1))
+        evidence = fit.log_likelihood - self._without.log_likelihood
+        evidence -= 0.5 * w.count * math.log(len(self.readings)) + math.log(count)
+        drop, gain = self._left_out(fit.whitener, w.shape.raw)
+        return Shaped(w.shape, fit, evidence, drop, gain)
+
+    def _adequacy(self, best: Tried, tops: Sequence[Shaped]) -> float:
+        """What the effect explains over what the best shape explains, under the noise of each shape."""
+        out = 1.0
+        for t in tops:
+            known = Projected.of(t.fit.whitener, self.prepared.base, self.readings.values)
+            mine = shapes.weigh(known, shapes.Shape("", (), "smooth", None, best.columns))
+            its = shapes.weigh(known, t.shape)
+            if its is not None and t.log_evidence > 0.0:
+                out = min(out, (mine.explained if mine else 0.0) / max(its.explained, 1e-9))
+        return out
+
+    def _unknown(self, top: Shaped) -> Unknown:
         self._shape = shape = top.shape
         period = None
         if shape.period is not None:
             period = Number(shape.period, None, words.unit_of_channel(shape.variables[0]))
-        return Unknown(shape.group, shape.variables, shape.kind, period, p, drop)
+        chance = math.exp(-min(top.log_evidence, 50.0))
+        return Unknown(shape.group, shape.variables, shape.kind, period, chance, top.drop)
 
     def _findings(self, found: Screen, tried: list[Tried], p: float, accepted: bool) -> tuple[Finding, ...]:
         if not tried:

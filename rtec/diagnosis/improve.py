@@ -14,7 +14,7 @@ Stage = Callable[[str, int, int], None]
 Reason = Literal["nothing_missing", "unknown_effect", "ambiguous", "stopped", "at_floor", "no_gain", "steps"]
 
 AT_FLOOR = 1.05
-"""Held-out error over the noise floor from which on nothing more is looked for."""
+"""Held-out error over the noise floor up to which a model is said to be at it."""
 LITTLE = 0.02
 """A relative fall of the held-out error below this is not worth an effect."""
 MOST = 8
@@ -92,8 +92,7 @@ def improve(
         found = diagnose(model, measurements, seed=seed, alpha=alpha, draws=draws, stage=stage)
         diagnoses.append(found)
         if not found.findings or not found.findings[0].accepted:
-            reason: Reason = "unknown_effect" if found.verdict == "unknown_effect" else "nothing_missing"
-            return Improved(model, tuple(steps), tuple(diagnoses), reason)
+            return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
         choice = found.findings[0]
         picked = ask(Choice(found, choice, len(steps) + 1)) if ask else choice
         if picked is None:
@@ -106,6 +105,15 @@ def improve(
         if step:
             step(added)
         model = added.model
-        if added.after.held_out <= AT_FLOOR * added.floor:
-            return Improved(model, tuple(steps), tuple(diagnoses), "at_floor")
     return Improved(model, tuple(steps), tuple(diagnoses), "steps")
+
+
+def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:
+    """Why it ended where nothing was named.
+
+    The floor alone is no reason to stop looking: a noise fitted while something is missing holds part of that.
+    """
+    if last.verdict == "unknown_effect":
+        return "unknown_effect"
+    at_floor = bool(steps) and steps[-1].after.held_out <= AT_FLOOR * steps[-1].floor
+    return "at_floor" if at_floor else "nothing_missing"

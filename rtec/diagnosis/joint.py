@@ -189,13 +189,21 @@ def _numbers(
     spread = np.concatenate([_prior(effects, readings)[1], np.full(len(slopes), np.inf)])
     covariance = inverse(np.concatenate([whitener(whole), np.diag(1.0 / spread)]))
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    errors = np.where(np.abs(whole).max(axis=0, initial=0.0) > 0.0, errors, np.nan)  # nan: not seen
     out, at = [], 0
-    for i, f in enumerate(filled):
-        names = list(f.values)
-        found = dict(zip(names, map(float, errors[at : at + len(names)]), strict=True))
-        at += len(names)
-        for k, (j, name) in enumerate(owner):
-            if j == i:
-                found[name] = float(errors[columns.shape[1] + k])
-        out.append(FittedEffect(f.effect, f.values, f.theta, {n: e for n, e in found.items() if e > 0.0}))
+    for i, (f, before) in enumerate(zip(filled, effects, strict=True)):
+        places = {name: at + k for k, name in enumerate(f.values)}
+        at += len(f.values)
+        places |= {name: columns.shape[1] + k for k, (j, name) in enumerate(owner) if j == i}
+        out.append(FittedEffect(f.effect, f.values, f.theta, _errors_of(before, errors, places)))
     return tuple(out)
+
+
+def _errors_of(before: FittedEffect, errors: Floats, places: Mapping[str, int]) -> dict[str, float]:
+    """Standard errors by name; a number that the readings do not see keeps the one that it had."""
+    out = {}
+    for name, place in places.items():
+        error = errors[place] if np.isfinite(errors[place]) else before.errors.get(name, 0.0)
+        if error > 0.0:
+            out[name] = float(error)
+    return out

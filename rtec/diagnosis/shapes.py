@@ -5,7 +5,7 @@ variables the error depends, whether smoothly or periodically, and with which pe
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -18,9 +18,12 @@ from rtec.diagnosis.readings import Readings
 from rtec.diagnosis.screen import ABSORBED, Projected
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
-LINE, PLANE = 6, 4
-"""Basis functions of a curve over one variable, and along each side of a surface over two."""
+LINE, FINE, PLANE = 6, 14, 4
+"""Basis functions of a curve over one variable, coarse and fine, and along each side of a surface over two."""
+DETAIL, BEND = 9, 2
+"""Basis functions of a fine curve along a position, and of how it changes with another variable."""
 PERIODS = 240
 CYCLES = (2.5, 0.2)
 """A period must be seen so often at least; and be longer than this many typical steps."""
@@ -126,45 +129,94 @@ def _evidence(projected: Projected, square: float, count: int, shape: Shape) -> 
     return float(value)
 
 
-def smooth_shapes(readings: Readings, projected: Projected) -> list[Weighed]:
-    """Curves over every variable, then surfaces over pairs of those that lead."""
+def all_shapes(readings: Readings, projected: Projected) -> list[Weighed]:
+    """Every shape: curves, surfaces, waves, and waves that grow with another variable."""
     known = variables(readings)
     out: list[Weighed] = []
     for group, mask in groups(readings).items():
-        lines = []
-        for name, value in known.items():
-            found = weigh(projected, Shape(group, (name,), "smooth", None, curve(value, LINE) * mask[:, None]))
-            if found is not None:
-                lines.append(found)
-        lines.sort(key=lambda w: -w.log_evidence)
+        lines = _lines(projected, group, mask, known)
+        leaders = list(dict.fromkeys(w.shape.variables[0] for w in lines))[:LEADERS]
         out += lines
-        leaders = [w.shape.variables[0] for w in lines[:LEADERS]]
-        directions = [n for n in known if n.startswith("d_") and n not in leaders]
-        for a, b in itertools.combinations([*leaders, *directions], 2):
-            raw = surface(known[a], known[b]) * mask[:, None]
-            found = weigh(projected, Shape(group, (a, b), "smooth", None, raw))
-            if found is not None:
-                out.append(found)
+        out += _surfaces(projected, group, mask, known, leaders)
+        moving = [a.channel for a in readings.machine.axes if a.channel in known]
+        out += _along(projected, group, mask, known, moving, leaders)
+        out += _waves(projected, group, mask, known, moving)
     return out
 
 
-def periodic_shapes(readings: Readings, projected: Projected, best: int = 3) -> list[Weighed]:
-    """Sine and cosine over positions and time: the best periods of each variable."""
-    machine = readings.machine
-    known = variables(readings)
-    wanted = [a.channel for a in machine.axes if a.channel in known]
+def _lines(projected: Projected, group: str, mask: Bools, known: Mapping[str, Floats]) -> list[Weighed]:
+    """A curve over every variable, best first."""
+    found = [
+        w
+        for name, value in known.items()
+        for count in (LINE, FINE)
+        if (w := weigh(projected, _smooth(group, (name,), curve(value, count), mask))) is not None
+    ]
+    return sorted(found, key=lambda w: -w.log_evidence)
+
+
+def _surfaces(
+    projected: Projected, group: str, mask: Bools, known: Mapping[str, Floats], leaders: Sequence[str]
+) -> list[Weighed]:
+    """Surfaces over pairs of those that lead, and of these with directions."""
+    directions = [n for n in known if n.startswith("d_") and n not in leaders]
+    made = (
+        weigh(projected, _smooth(group, (a, b), surface(known[a], known[b], PLANE, PLANE), mask))
+        for a, b in itertools.combinations([*leaders, *directions], 2)
+    )
+    return [w for w in made if w is not None]
+
+
+def _along(
+    projected: Projected,
+    group: str,
+    mask: Bools,
+    known: Mapping[str, Floats],
+    moving: Sequence[str],
+    leaders: Sequence[str],
+) -> list[Weighed]:
+    """Fine curves along a position that change with another variable."""
+    made = (
+        weigh(projected, _smooth(group, (a, b), surface(known[a], known[b], DETAIL, BEND), mask))
+        for a in moving
+        if np.ptp(known[a][mask]) > 0.0
+        for b in known
+        if b != a and (b in leaders or b in ("load_kg", "spindle_rpm") or b in moving)
+    )
+    return [w for w in made if w is not None]
+
+
+def _waves(
+    projected: Projected, group: str, mask: Bools, known: Mapping[str, Floats], moving: Sequence[str]
+) -> list[Weighed]:
+    """Waves along positions; the best of each also growing with another variable."""
     out: list[Weighed] = []
-    for group, mask in groups(readings).items():
-        for name in wanted:
-            value = known[name][mask]
-            found = [
-                w
-                for period in periods(value)
-                if (w := weigh(projected, _wave(group, name, known[name], mask, period))) is not None
-            ]
-            found.sort(key=lambda w: -w.log_evidence)
-            out += found[:best]
+    for name in moving:
+        found = [
+            w
+            for period in periods(known[name][mask])
+            if (w := weigh(projected, _wave(group, name, known[name], mask, period))) is not None
+        ]
+        found.sort(key=lambda w: -w.log_evidence)
+        out += found[:3]
+        for w in found[:1]:
+            for other, value in known.items():
+                if other != name:
+                    grown = w.shape.raw[:, :, None] * np.stack([np.ones(len(mask)), _unit(value)], axis=1)[:, None, :]
+                    shape = Shape(group, (name, other), "periodic", w.shape.period, grown.reshape(len(mask), -1))
+                    more = weigh(projected, shape)
+                    out += [more] if more is not None else []
     return out
+
+
+def _unit(value: Floats) -> Floats:
+    """Scaled to -1 … +1."""
+    span = float(np.ptp(value))
+    return np.asarray(2.0 * (value - value.min()) / span - 1.0 if span > 0 else np.zeros_like(value))
+
+
+def _smooth(group: str, names: tuple[str, ...], columns: Floats, mask: Bools) -> Shape:
+    return Shape(group, names, "smooth", None, columns * mask[:, None])
 
 
 def periods(value: Floats) -> Floats:
@@ -209,9 +261,9 @@ def _ramp(u: Floats, knot: float, end: float) -> Floats:
     return np.asarray((np.maximum(u - knot, 0.0) ** 3 - np.maximum(u - end, 0.0) ** 3) / span)
 
 
-def surface(a: Floats, b: Floats) -> Floats:
+def surface(a: Floats, b: Floats, fine_a: int, fine_b: int) -> Floats:
     """Smooth basis over two variables: curves of each and their products, (m, k)."""
-    one, two = curve(a, PLANE), curve(b, PLANE)
+    one, two = curve(a, fine_a), curve(b, fine_b)
     one, two = (c / np.maximum(np.abs(c).max(axis=0), 1e-12) for c in (one, two))
     cross = (one[:, :, None] * two[:, None, :]).reshape(len(a), -1)
     return np.concatenate([one, two, cross], axis=1)
