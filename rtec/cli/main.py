@@ -9,7 +9,22 @@ from typing import Annotated
 import typer
 
 from rtec import __version__
-from rtec.cli import demo, diagnose, effects, fit, import_, log, plan, procedures, replay, run, simulate
+from rtec.cli import (
+    ballbar,
+    compare,
+    demo,
+    diagnose,
+    effects,
+    fit,
+    grid,
+    import_,
+    log,
+    plan,
+    procedures,
+    replay,
+    run,
+    simulate,
+)
 from rtec.errors import RtecError
 
 app = typer.Typer(
@@ -32,11 +47,14 @@ app.command("import")(import_.import_)
 app.command()(simulate.simulate)
 app.command()(fit.fit)
 app.command()(effects.effects)
+app.command()(compare.compare)
 for _command in (diagnose.diagnose, diagnose.add, diagnose.improve, diagnose.history):
     app.command()(_command)
 app.command()(plan.plan)
 for _procedure in (procedures.iso230, procedures.straightness, procedures.parallelism, procedures.drift):
     app.command()(_procedure)
+for _instrument in (ballbar.ballbar, grid.grid):
+    app.command()(_instrument)
 app.add_typer(log.app, name="log")
 
 

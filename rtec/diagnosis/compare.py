@@ -1,0 +1,212 @@
+"""Compares a model with measurements: how wrong it is, against the noise floor, and where.
+
+The model is taken as it stands, nothing is refitted, and it gets the temperatures as they were read, as in the loop.
+All numbers of the instruments' own (the zero of a run, a misalignment) are taken out of readings and predictions
+alike, by least squares; so what is measured is what is predicted plus what is left, reading by reading.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.base import base_of, effect_columns, ordered
+from rtec.diagnosis.compare_floor import flattened, repeats_floor, tails_of
+from rtec.diagnosis.compare_noise import flexible_columns
+from rtec.diagnosis.compare_result import Compared, Comparison, FloorFrom, Outside, Part, Region, Size, Traces
+from rtec.diagnosis.compare_spikes import less, wrong_readings
+from rtec.diagnosis.floor import floors
+from rtec.diagnosis.locate import locate
+from rtec.diagnosis.locate_bins import MOVES, unit_of
+from rtec.diagnosis.noise import Whitener, find_noise
+from rtec.diagnosis.readings import Readings, Series, read
+from rtec.errors import MeasurementError
+from rtec.machine import Machine
+from rtec.metrology.characterise.threads import one_blas_thread
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+
+Floats = NDArray[np.float64]
+Stage = Callable[[str, int, int], None]
+
+ABOVE = 1.1
+"""Measured errors of less than so many times the floor have nothing to explain."""
+SURELY = 1.5
+"""So many times the floor are never left by noise alone."""
+NO_ARM, NOTHING = 1e-12, 1e-9
+
+
+def compare(
+    model: Model, measurements: Sequence[Measurement], *, seed: int = 1, stage: Stage | None = None
+) -> Comparison:
+    """Compare a model with measurements.
+
+    Args:
+        model: as it stands.
+        measurements: of its machine, by any instruments.
+        seed: of the draws of chance.
+        stage: told how far it is.
+
+    Raises:
+        MeasurementError: the measurements are of another machine, or lack a channel that the model needs.
+    """
+    tell = stage or (lambda *_: None)
+    _check(model, measurements)
+    with one_blas_thread():
+        tell("reading, predicting", 0, 1)
+        readings, columns, notes = _without_spikes(model, read(measurements, model.reference_degc, smooth=False))
+        traces = _traces(model, readings)
+        tell("finding the noise", 0, 1)
+        flexible = find_noise(readings, columns)
+        fitted = floors(flexible, seed)
+        whitener = _of_chance(readings, traces.left, flexible, find_noise(readings, base_of(model, readings).columns))
+        tails = tails_of(whitener, less(readings, columns, traces.left))
+        worst = locate(readings, traces.left, whitener, tails, seed, stage)
+    items = tuple(
+        _compared(model, traces, s, float(f), w) for s, f, w in zip(readings.series, fitted, worst, strict=True)
+    )
+    return Comparison(model.name, items, notes, seed, traces)
+
+
+def _check(model: Model, measurements: Sequence[Measurement]) -> None:
+    faults = [
+        f"{m.name}: measured on machine {m.machine.name!r}, the model is of {model.machine.name!r} as it was at the fit"
+        for m in measurements
+        if m.machine.hash != model.machine.hash
+    ]
+    if faults:
+        raise MeasurementError("\n".join(faults))
+
+
+def _without_spikes(model: Model, readings: Readings) -> tuple[Readings, Floats, tuple[str, ...]]:
+    """Leave out single readings far from all neighbours, and tell them; also give the flexible columns, (m, p).
+
+    Looked for in what no smooth dependence explains: the far end of a steep line is no wrong reading.
+    """
+    base = base_of(model, readings)
+    columns = flexible_columns(readings, base.columns)
+    left = flattened(readings, readings.values - base.predicted)
+    lonely = wrong_readings(readings, columns, left)
+    notes = []
+    for s in readings.series:
+        gone = np.flatnonzero(lonely[s.part])
+        if len(gone):
+            m = readings.measurements[s.source]
+            worst = gone[np.argmax(np.abs(left[s.part][gone]))]
+            said = "reading is" if len(gone) == 1 else "readings are"
+            notes.append(
+                f"{m.name} {s.column}: {len(gone)} single {said} far from all neighbours and left out, the largest "
+                f"{left[s.part][worst]:.3g} {'µm' if s.unit == 'um' else 'µrad'} in run {m.run[s.row[worst]]}"
+            )
+    if not lonely.any():
+        return readings, columns, ()
+    kept = readings.without(lonely)
+    return kept, columns[~lonely], tuple(notes)
+
+
+def _traces(model: Model, readings: Readings) -> Traces:
+    names = [f.label for f in model.effects]
+    labels = [n if names.count(n) == 1 else f"{n} #{names[: i + 1].count(n)}" for i, n in enumerate(names)]
+    parts = {}
+    for label, fitted in zip(labels, model.effects, strict=True):
+        columns, _, _ = effect_columns(fitted, readings)
+        parts[label] = flattened(readings, columns @ ordered(fitted, readings))
+    predicted = np.sum(list(parts.values()), axis=0) if parts else np.zeros(len(readings))
+    return Traces(readings, flattened(readings, readings.values), predicted, parts)
+
+
+def _of_chance(readings: Readings, left: Floats, flexible: Whitener, plain: Whitener) -> Whitener:
+    """The noise that chance is drawn from.
+
+    As a rule the one that may hold what the model misses, for it cries wolf less; but where far more is left than any
+    noise beside a smooth dependence, the one without that dependence: else a slow error would count as drift.
+    """
+    noises = []
+    for s, f, p, floor in zip(readings.series, flexible.noises, plain.noises, floors(flexible), strict=True):
+        noises.append(f if size_of(left[s.part]).rms > SURELY * floor else p)
+    return plain.with_noises(noises)
+
+
+def _compared(model: Model, traces: Traces, s: Series, fitted: float, worst: tuple[Region, ...]) -> Compared:
+    readings = traces.readings
+    m = readings.measurements[s.source]
+    measured, left = size_of(traces.measured[s.part]), size_of(traces.left[s.part])
+    repeated = repeats_floor(readings, s, traces.left[s.part])
+    # A fitted noise model errs to the large side where there is no drift; noise is never more than what is left.
+    floor = min(fitted, left.rms) if repeated is None else repeated
+    source: FloorFrom = "fitted noise model" if repeated is None else "repeats"
+    return Compared(
+        m.name, s.column, m.instrument.name, "urad" if s.unit == "urad" else "um", len(s), int(s.run[-1]) + 1,
+        measured, size_of(traces.predicted[s.part]), left, floor, source, repeated, fitted,
+        explained(measured.rms, left.rms, floor), _sees(readings, s), _parts(model, traces, s),
+        _outside(model, readings, s), worst,
+    )  # fmt: skip
+
+
+def size_of(values: Floats) -> Size:
+    """Root mean square and largest size."""
+    return Size(float(np.sqrt(np.mean(values**2))), float(np.abs(values).max()))
+
+
+def explained(measured: float, left: float, floor: float) -> float | None:
+    """Share of the explainable mean square that is explained: 1 at the floor, 0 where nothing, -1 at the least.
+
+    Args:
+        measured, left, floor: root mean squares in one unit.
+
+    Returns:
+        None where what is measured is hardly above the floor.
+    """
+    if not measured > ABOVE * floor:
+        return None
+    share = 1.0 - (left**2 - floor**2) / (measured**2 - floor**2)
+    return min(max(share, -1.0), 1.0)
+
+
+def _sees(readings: Readings, s: Series) -> tuple[str, ...]:
+    """Component errors that a series sees: its own, or those of axes that moved, or of fixed links where none did."""
+    instrument, machine = readings.measurements[s.source].instrument, readings.machine
+    if instrument.component is not None:
+        return (instrument.component,)
+    there = [c for c in machine.components if np.abs(readings.arms(c)[s.part]).max() > NO_ARM]
+    pose = readings.poses_mm[s.source][s.row]
+    moved = {a.name for i, a in enumerate(machine.axes) if np.ptp(pose[:, i]) > MOVES * _travel(a.travel_mm)}
+    by_motion = [c for c in there if c[2:] in moved]
+    return tuple(by_motion or _of_fixed_links(there, machine))
+
+
+def _of_fixed_links(there: Sequence[str], machine: Machine) -> list[str]:
+    """Errors of the spindle where the machine names one, else of all links that are no axes."""
+    fixed = [c for c in there if c[3:] not in machine.axis_names and c[2:] not in machine.axis_names]
+    spindle = [c for c in fixed if "spindle" in c[3:].lower()]
+    return spindle or fixed
+
+
+def _travel(ends: Sequence[float]) -> float:
+    return float(ends[1] - ends[0])
+
+
+def _parts(model: Model, traces: Traces, s: Series) -> tuple[Part, ...]:
+    out = []
+    for (label, values), fitted in zip(traces.parts.items(), model.effects, strict=True):
+        size = size_of(values[s.part])
+        if size.rms > NOTHING:
+            out.append(Part(label, fitted.effect.component, size.rms, size.most))
+    return tuple(sorted(out, key=lambda p: -p.rms))
+
+
+def _outside(model: Model, readings: Readings, s: Series) -> tuple[Outside, ...]:
+    """Where the readings leave the range of the fit; a channel that was not recorded is not in question."""
+    state, out = readings.states[s.source], []
+    for channel, (low, high) in model.valid_range.items():
+        if not state.has(channel):
+            continue
+        value = state.value(channel)[s.row]
+        # A file keeps some digits of the range, the readings have all of theirs.
+        slack = 1e-6 * max(abs(low), abs(high), 1.0)
+        n = int(((value < low - slack) | (value > high + slack)).sum())
+        if n and math.isfinite(low) and math.isfinite(high):
+            ends = float(np.nanmin(value)), float(np.nanmax(value))
+            out.append(Outside(channel, unit_of(channel), float(low), float(high), *ends, n))
+    return tuple(sorted(out, key=lambda o: -o.n))

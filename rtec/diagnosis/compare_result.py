@@ -1,0 +1,233 @@
+"""What a comparison says: for each reading column how wrong the model is, against the noise floor, and where."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.readings import Readings
+
+Floats = NDArray[np.float64]
+FloorFrom = Literal["repeats", "fitted noise model"]
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A stretch of one channel.
+
+    Attributes:
+        channel: name of the channel; `run` is the run number.
+        low, high: ends, both included; equal where the channel has one value there.
+        unit: of both.
+    """
+
+    channel: str
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where the model is worse than elsewhere.
+
+    Attributes:
+        bounds: one channel, or a pair of them.
+        rms: root mean square left there, µm or µrad.
+        mean: mean left there, with its sign.
+        elsewhere: root mean square of the readings in none of the regions.
+        n: readings there.
+        p: chance that noise alone shows such a contrast anywhere in the comparison.
+        words: in plain words.
+        same: other regions, in words, that hold nearly the same readings: the data cannot say which of them it is.
+    """
+
+    bounds: tuple[Bound, ...]
+    rms: float
+    mean: float
+    elsewhere: float
+    n: int
+    p: float
+    words: str
+    same: tuple[str, ...] = ()
+
+    def facts(self) -> dict[str, Any]:
+        """As plain data; keys as in the documented JSON."""
+        first, *others = self.bounds
+        return {
+            "channel": first.channel,
+            "low": first.low,
+            "high": first.high,
+            "unit": first.unit,
+            "and": [vars(b) for b in others],
+            "rms_um": self.rms,
+            "mean_um": self.mean,
+            "rms_elsewhere_um": self.elsewhere,
+            "n": self.n,
+            "p": self.p,
+            "words": self.words,
+            "same_readings_as": list(self.same),
+        }
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one effect of the model adds to a reading column, nuisances taken out.
+
+    Attributes:
+        label: effect, component, and what it depends on.
+        component: component error that it feeds.
+        rms, most: root mean square and largest size, µm or µrad.
+    """
+
+    label: str
+    component: str
+    rms: float
+    most: float
+
+
+@dataclass(frozen=True)
+class Outside:
+    """Readings that lie outside the range in which the model was fitted.
+
+    Attributes:
+        channel: name; `unit` its unit.
+        low, high: of the model.
+        lowest, highest: of the readings.
+        n: how many lie outside.
+    """
+
+    channel: str
+    unit: str
+    low: float
+    high: float
+    lowest: float
+    highest: float
+    n: int
+
+
+@dataclass(frozen=True)
+class Size:
+    """Root mean square and largest size, µm or µrad."""
+
+    rms: float
+    most: float
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One reading column of one measurement; nuisances of runs and set-up are taken out of all sizes.
+
+    Attributes:
+        name, column, instrument: which readings.
+        unit: "um" or "urad".
+        n, runs: readings, and runs they lie in.
+        measured, predicted, left: sizes; left is measured minus predicted.
+        floor: what noise alone leaves, root mean square.
+        floor_from: where the floor comes from.
+        floor_repeats, floor_fitted: both floors; None where there are too few repeats.
+        explained: share of the explainable mean square that the model explains; None where the measured error is at
+            the floor, -1 or below told as -1.
+        sees: component errors that the instrument sees here.
+        parts: what each effect adds, largest first; those that add nothing are left out.
+        outside: where the readings leave the model's range.
+        worst: regions, best evidence first.
+    """
+
+    name: str
+    column: str
+    instrument: str
+    unit: Literal["um", "urad"]
+    n: int
+    runs: int
+    measured: Size
+    predicted: Size
+    left: Size
+    floor: float
+    floor_from: FloorFrom
+    floor_repeats: float | None
+    floor_fitted: float
+    explained: float | None
+    sees: tuple[str, ...]
+    parts: tuple[Part, ...]
+    outside: tuple[Outside, ...]
+    worst: tuple[Region, ...]
+
+    def facts(self) -> dict[str, Any]:
+        """As plain data; keys as in the documented JSON. `_um` keys are µrad where `unit` says so."""
+        return {
+            "name": self.name,
+            "column": self.column,
+            "instrument": self.instrument,
+            "unit": self.unit,
+            "n": self.n,
+            "runs": self.runs,
+            "rms_measured_um": self.measured.rms,
+            "max_measured_um": self.measured.most,
+            "rms_predicted_um": self.predicted.rms,
+            "max_predicted_um": self.predicted.most,
+            "rms_residual_um": self.left.rms,
+            "max_residual_um": self.left.most,
+            "noise_floor_um": self.floor,
+            "noise_floor_from": self.floor_from,
+            "noise_floor_repeats_um": self.floor_repeats,
+            "noise_floor_fitted_um": self.floor_fitted,
+            "explained": self.explained,
+            "components": list(self.sees),
+            "contributions": [
+                {"effect": p.label, "component": p.component, "rms_um": p.rms, "max_um": p.most} for p in self.parts
+            ],
+            "outside_valid_range": [vars(o) for o in self.outside],
+            "worst": [r.facts() for r in self.worst],
+        }
+
+
+@dataclass(frozen=True)
+class Traces:
+    """What the figures need, reading by reading, nuisances taken out.
+
+    Attributes:
+        readings: that were compared.
+        measured, predicted: µm or µrad, (m,).
+        parts: what each effect adds, by label, (m,); they sum to `predicted`.
+    """
+
+    readings: Readings
+    measured: Floats
+    predicted: Floats
+    parts: Mapping[str, Floats]
+
+    @property
+    def left(self) -> Floats:
+        """Measured minus predicted, (m,)."""
+        return self.measured - self.predicted
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A model against measurements.
+
+    Attributes:
+        model: its name.
+        items: one for each reading column of each measurement.
+        notes: what was done to the data, in words.
+        seed: of the draws of chance.
+        traces: for the figures.
+    """
+
+    model: str
+    items: tuple[Compared, ...]
+    notes: tuple[str, ...]
+    seed: int
+    traces: Traces = field(repr=False, compare=False)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return {
+            "model": self.model,
+            "measurements": [c.facts() for c in self.items],
+            "notes": list(self.notes),
+            "seed": self.seed,
+        }
