@@ -52,6 +52,7 @@ def fit(
     from rtec.report.procedures import plain, write_page
 
     known = load_machine(machine)
+    _check_out(out, [machine, *files])
     wanted = read_wanted(effects, known) if effects else None
     with _stages() as stage:
         stage("reading", 0, 1)
@@ -69,6 +70,16 @@ def fit(
     typer.echo(f"Model: {out}")
     if page:
         typer.echo(f"Report: {page}")
+
+
+def _check_out(out: Path, inputs: list[Path]) -> None:
+    """Before a long fit rather than after it: a model takes the place of no input, and its folder is there."""
+    from rtec.errors import ModelError
+
+    read = {p.resolve() for path in inputs for p in (path, path.with_suffix(".toml"))}
+    if out.resolve() in read:
+        raise ModelError(f"{out}: is read by this fit (a table's TOML counts); name another file with -o")
+    out.parent.mkdir(parents=True, exist_ok=True)
 
 
 @contextmanager

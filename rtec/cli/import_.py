@@ -9,7 +9,7 @@ import typer
 if TYPE_CHECKING:
     from rtec.metrology.importing import Imported
     from rtec.metrology.measurement import Measurement
-    from rtec.metrology.readers import Table
+    from rtec.metrology.readers import Source, Table
 
 
 def import_(
@@ -36,7 +36,9 @@ def import_(
 ) -> None:
     """Turn a table of another program into a measurement: NAME.csv and NAME.toml.
 
-    Without --map it shows what is in FILE and a map to begin with. What was done is printed, and kept in NAME.toml.
+    Without -o it shows what is in FILE and a map to begin with; where FILE needs telling how to be read (encoding,
+    delimiter, decimal commas, lines to skip), a MAP that holds [source] alone will do. What was done is printed, and
+    kept in NAME.toml.
 
     Example: `rtec import scope.csv --map configs/maps/laser-decimal-comma.toml -o laser-x`
     """
@@ -45,13 +47,11 @@ def import_(
         return
     if file is None:
         raise typer.BadParameter("name a FILE, or ask for --list", param_hint="FILE")
-    if map_ is None:
-        if out is not None:
-            raise typer.BadParameter("-o needs a --map; without both, a map to begin with is shown", param_hint="--map")
-        _look(file, reader, as_json=as_json)
-        return
     if out is None:
-        raise typer.BadParameter("say where to: -o NAME", param_hint="-o")
+        _look(file, map_, reader, as_json=as_json)
+        return
+    if map_ is None:
+        raise typer.BadParameter("-o needs a --map; without -o, a map to begin with is shown", param_hint="--map")
     _import(file, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
 
 
@@ -100,18 +100,30 @@ def _show(done: "Imported", measurement: "Measurement | None", table: Path, *, a
         typer.echo("not checked against a machine; --machine MACHINE.toml does that")
 
 
-def _look(file: Path, reader: str | None, *, as_json: bool) -> None:
+def _look(file: Path, map_: Path | None, reader: str | None, *, as_json: bool) -> None:
+    from rtec.errors import MeasurementError
     from rtec.metrology.importing import starter_map
-    from rtec.metrology.readers import Source, read_tables
+    from rtec.metrology.readers import Source as Told
+    from rtec.metrology.readers import read_tables
+    from rtec.tomlfile import read_toml, validated
 
-    name, tables = read_tables(file, Source(reader=reader))
+    told = read_toml(map_, MeasurementError).get("source", {}) if map_ is not None else {}
+    how = validated(Told, {**told, "reader": reader} if reader else told, f"{map_}: [source]", MeasurementError)
+    name, tables = read_tables(file, how)
     if as_json:
         typer.echo(json.dumps({"reader": name, "tables": [_facts(t) for t in tables]}))
         return
     typer.echo(f"# {file} read as {name}: " + ", ".join(f"{t.name} ({len(t)} rows)" for t in tables))
     for note in dict.fromkeys(n for t in tables for n in t.notes):
         typer.echo(f"# {note}")
-    typer.echo(starter_map(name, tables))
+    typer.echo(starter_map(name, tables).replace("[source]\n", f"[source]\n{_as_told(how)}", 1))
+
+
+def _as_told(how: "Source") -> str:
+    """What the user's map says of the file, for the map that is shown."""
+    import tomli_w
+
+    return tomli_w.dumps(how.model_dump(mode="json", exclude_defaults=True, exclude={"reader", "table"}))
 
 
 def _facts(table: "Table") -> dict[str, object]:

@@ -22,6 +22,8 @@ _Machine = Annotated[
 ]
 _Table = Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with one line of names.", show_default=False)]
 
+_Notes = dict[str, list[str]]
+
 
 def iso230(
     files: Annotated[
@@ -50,11 +52,11 @@ def iso230(
     from rtec.metrology.procedures.iso230 import positioning
     from rtec.report.procedures_iso230 import iso230_page
 
-    results = []
+    results, notes = [], _Notes()
     for file in files:
-        visits, own_pitch_mm = _visits(file, machine, swap)
+        visits, own_pitch_mm = _visits(file, machine, swap, notes)
         results.append(positioning(visits, pitch_mm or own_pitch_mm))
-    _give(lambda figures: iso230_page(results, figures), {"tests": results}, report, as_json)
+    _give(lambda figures: iso230_page(results, figures), {"tests": results}, report, as_json, notes)
 
 
 def straightness(
@@ -77,13 +79,14 @@ def straightness(
     from rtec.metrology.procedures.tables_in import straightness_table
     from rtec.report.procedures_straightness import straightness_page
 
+    notes = _Notes()
     if _is_measurement(table):
         from rtec.metrology.procedures.measured import straightness_of
 
-        axis, result = straightness_of(_measurement(table, machine))
+        axis, result = straightness_of(_measurement(table, machine, notes))
     else:
         axis, result = straightness_table(table, method)
-    _give(lambda figures: straightness_page(table.name, axis, result, figures), result, report, as_json)
+    _give(lambda figures: straightness_page(table.name, axis, result, figures), result, report, as_json, notes)
 
 
 def parallelism(table: _Table, report: _Report = None, as_json: _Json = False) -> None:
@@ -125,16 +128,17 @@ def drift(
     from rtec.report.procedures_drift import drift_page
 
     columns = {n: c for n, c in (("radial1", radial1), ("radial2", radial2), ("axial", axial)) if c}
+    notes = _Notes()
     if _is_measurement(file):
         from rtec.metrology.procedures.measured import drift_of
 
-        result = drift_of(_measurement(file, machine), distance_mm)
+        result = drift_of(_measurement(file, machine, notes), distance_mm)
     else:
         result = drift_table(file, columns, distance_mm)
-    _give(lambda figures: drift_page(result, figures), result, report, as_json)
+    _give(lambda figures: drift_page(result, figures), result, report, as_json, notes)
 
 
-def _visits(file: Path, machine: Path | None, swap: bool) -> "tuple[Visits, float | None]":
+def _visits(file: Path, machine: Path | None, swap: bool, notes: _Notes) -> "tuple[Visits, float | None]":
     """Deviations of one file, and the pitch of its axis where the machine file knows it."""
     if file.suffix == ".dat":
         from rtec.metrology.procedures.iso230_dat import read_dat
@@ -142,34 +146,41 @@ def _visits(file: Path, machine: Path | None, swap: bool) -> "tuple[Visits, floa
         return read_dat(file, swap), None
     from rtec.metrology.procedures.iso230_stops import visits_of
 
-    measurement = _measurement(file, machine)
+    measurement = _measurement(file, machine, notes)
     visits = visits_of(measurement)
     return visits, measurement.machine.axis(str(measurement.instrument.axis)).pitch_mm
 
 
-def _measurement(file: Path, machine: Path | None) -> "Measurement":
+def _measurement(file: Path, machine: Path | None, notes: _Notes) -> "Measurement":
+    """Read one; what is said of it goes into the notes."""
     from rtec.errors import ConfigError
     from rtec.machine import load_machine
     from rtec.metrology.files import load_measurement
 
     if machine is None:
         raise ConfigError(f"{file}: is a measurement; name the machine that it was made on with --machine")
-    return load_measurement(file, load_machine(machine))
+    measurement = load_measurement(file, load_machine(machine))
+    notes[measurement.name] = list(measurement.notes)
+    return measurement
 
 
 def _is_measurement(file: Path) -> bool:
     return file.suffix in (".toml", ".parquet") or file.with_suffix(".toml").is_file()
 
 
-def _give(page_of: "Callable[[bool], Page]", facts: object, report: Path | None, as_json: bool) -> None:
-    """Write the report where wanted, then print tables or JSON."""
+def _give(
+    page_of: "Callable[[bool], Page]", facts: object, report: Path | None, as_json: bool, notes: _Notes | None = None
+) -> None:
+    """Write the report where wanted, then print tables or JSON; with them what was said of the measurements."""
     from rtec.cli.show import show_page
-    from rtec.report.procedures import plain, write_page
+    from rtec.report.procedures import plain, with_notes, write_page
 
-    path = write_page(page_of(True), facts, report) if report else None
+    said = notes or {}
+    everything = plain(facts) | {"notes": said}
+    path = write_page(with_notes(page_of(True), said), everything, report) if report else None
     if as_json:
-        typer.echo(json.dumps(plain(facts) | {"report": str(path) if path else None}, indent=2, ensure_ascii=False))
+        typer.echo(json.dumps(everything | {"report": str(path) if path else None}, indent=2, ensure_ascii=False))
         return
-    show_page(page_of(False))
+    show_page(with_notes(page_of(False), said))
     if path:
         typer.echo(f"Report: {path}")

@@ -7,49 +7,80 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from rtec.metrology.instruments.base import Instrument
+    from rtec.model import Model
     from rtec.sim.campaign import Simulated
+    from rtec.sim.campaign_settings import Settings
+
+
+_Machine = Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)]
+_Instrument = Annotated[str, typer.Option("--instrument", "-i", help="For example laser_linear.")]
+_Out = Annotated[Path, typer.Option("--out", "-o", metavar="NAME", help="Writes NAME.csv (or .parquet) and NAME.toml.")]
+_Axis = Annotated[str | None, typer.Option(help="Axis that the instrument follows.")]
+_Component = Annotated[
+    str | None,
+    typer.Option(help="Component error that it reads directly, as if reduced already; no lever arm enters then."),
+]
+_Setup = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A key of its set-up; repeatable.")
+]
+_Truth = Annotated[Path | None, typer.Option(metavar="MODEL", help="Model file whose effects are true.")]
+_Effect = Annotated[
+    list[str] | None, typer.Option(metavar="EFFECT", help="One more true effect: NAME,key=value,...; repeatable.")
+]
+_TruthOut = Annotated[Path | None, typer.Option(metavar="MODEL", help="Write what is true as a model file.")]
+_Seed = Annotated[int, typer.Option(min=0, help="Same seed, same files.")]
+_Settings = Annotated[
+    Path | None, typer.Option(metavar="TOML", help="Targets, phases, temperatures, noise; options win over it.")
+]
+_Protocol = Annotated[str | None, typer.Option(help="warm_up, cold, drift or parts; by instrument.")]
+_Cycles = Annotated[int | None, typer.Option(min=1, help="Measuring cycles in a phase.  [default: 5]")]
+_Span = Annotated[
+    tuple[float, float] | None, typer.Option("--range", metavar="LOW HIGH", help="First and last target, mm.")
+]
+_Step = Annotated[float | None, typer.Option(help="Between targets, mm.")]
+_KeepStep = Annotated[
+    bool, typer.Option("--keep-step", help="Even where it is a multiple of the pitch and hides the cyclic error.")
+]
+_Dwell = Annotated[float | None, typer.Option(help="At each target, s.  [default: 3]")]
+_OneWay = Annotated[bool, typer.Option("--one-way", help="Read in the positive direction only.")]
+_Noise = Annotated[float | None, typer.Option(help="White noise, µm or µrad.  [default: 0.3]")]
+_Drift = Annotated[float | None, typer.Option(help="Noise that goes on from reading to reading, µm or µrad.")]
+_DriftTau = Annotated[float | None, typer.Option(help="Its correlation time, s.  [default: 1800]")]
+_RunOffset = Annotated[float | None, typer.Option(help="What each run is off as a whole, µm or µrad.")]
+_Resolution = Annotated[float | None, typer.Option(help="Steps of the display, µm or µrad.")]
+_Outliers = Annotated[float | None, typer.Option(help="Share of wrong readings, 0 to 1.")]
+_Lost = Annotated[float | None, typer.Option(help="Share of missing readings, 0 to 1.")]
+_Json = Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")]
 
 
 def simulate(
-    machine: Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)],
-    instrument: Annotated[str, typer.Option("--instrument", "-i", help="For example laser_linear.")],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="NAME", help="Writes NAME.csv (or .parquet) and NAME.toml.")
-    ],
-    axis: Annotated[str | None, typer.Option(help="Axis that the instrument follows.")] = None,
-    component: Annotated[str | None, typer.Option(help="Component error that it reads directly.")] = None,
-    setup: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A key of its set-up; repeatable.")
-    ] = None,
-    truth: Annotated[Path | None, typer.Option(metavar="MODEL", help="Model file whose effects are true.")] = None,
-    effect: Annotated[
-        list[str] | None,
-        typer.Option(metavar="EFFECT", help="One more true effect: NAME,key=value,...; repeatable."),
-    ] = None,
-    truth_out: Annotated[Path | None, typer.Option(metavar="MODEL", help="Write what is true as a model file.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Same seed, same files.")] = 1,
-    settings: Annotated[
-        Path | None, typer.Option(metavar="TOML", help="Targets, phases, temperatures, noise; options win over it.")
-    ] = None,
-    protocol: Annotated[str | None, typer.Option(help="warm_up, cold, drift or parts; by instrument.")] = None,
-    cycles: Annotated[int | None, typer.Option(min=1, help="Measuring cycles in a phase.  [default: 5]")] = None,
-    span: Annotated[
-        tuple[float, float] | None, typer.Option("--range", metavar="LOW HIGH", help="First and last target, mm.")
-    ] = None,
-    step: Annotated[float | None, typer.Option(help="Between targets, mm.")] = None,
-    keep_step: Annotated[
-        bool, typer.Option("--keep-step", help="Even where it is a multiple of the pitch and hides the cyclic error.")
-    ] = False,
-    dwell: Annotated[float | None, typer.Option(help="At each target, s.  [default: 3]")] = None,
-    one_way: Annotated[bool, typer.Option("--one-way", help="Read in the positive direction only.")] = False,
-    noise: Annotated[float | None, typer.Option(help="White noise, µm or µrad.  [default: 0.3]")] = None,
-    drift: Annotated[float | None, typer.Option(help="Noise that goes on from reading to reading.")] = None,
-    drift_tau: Annotated[float | None, typer.Option(help="Its correlation time, s.  [default: 1800]")] = None,
-    run_offset: Annotated[float | None, typer.Option(help="What each run is off as a whole.")] = None,
-    resolution: Annotated[float | None, typer.Option(help="Steps of the display.")] = None,
-    outliers: Annotated[float | None, typer.Option(help="Share of wrong readings, 0 to 1.")] = None,
-    lost: Annotated[float | None, typer.Option(help="Share of missing readings, 0 to 1.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")] = False,
+    machine: _Machine,
+    instrument: _Instrument,
+    out: _Out,
+    axis: _Axis = None,
+    component: _Component = None,
+    setup: _Setup = None,
+    truth: _Truth = None,
+    effect: _Effect = None,
+    truth_out: _TruthOut = None,
+    seed: _Seed = 1,
+    settings: _Settings = None,
+    protocol: _Protocol = None,
+    cycles: _Cycles = None,
+    span: _Span = None,
+    step: _Step = None,
+    keep_step: _KeepStep = False,
+    dwell: _Dwell = None,
+    one_way: _OneWay = False,
+    noise: _Noise = None,
+    drift: _Drift = None,
+    drift_tau: _DriftTau = None,
+    run_offset: _RunOffset = None,
+    resolution: _Resolution = None,
+    outliers: _Outliers = None,
+    lost: _Lost = None,
+    as_json: _Json = False,
 ) -> None:
     """Make a measurement on a machine whose true effects are chosen; the same seed gives the same files.
 
@@ -60,35 +91,30 @@ def simulate(
     --effect scale,component=EXX,axis=X,k=12 -o out/laser-x --seed 3`
     """
     from rtec.machine import load_machine
-    from rtec.metrology.files import save_measurement
-    from rtec.model import save_model
-    from rtec.sim.campaign import simulate_with_truth
     from rtec.sim.campaign_order import Order, settings_of, table_path
     from rtec.sim.campaign_truth import truth_of
 
     described = load_machine(machine)
     made = Order(instrument, axis, component, setup or ()).make(described)
     true = truth_of(described, truth, effect or ())
+    ways = False if one_way else None
+    targets = {"range_mm": span, "step_mm": step, "keep_step": keep_step or None, "dwell_s": dwell}
+    wrong = {"run_offset_um": run_offset, "resolution_um": resolution, "outliers": outliers, "lost": lost}
     options: dict[str, dict[str, Any]] = {
-        "targets": {
-            "range_mm": span,
-            "step_mm": step,
-            "keep_step": keep_step or None,
-            "dwell_s": dwell,
-            "both_directions": False if one_way else None,
-        },
-        "noise": {
-            "white_um": noise,
-            "drift_um": drift,
-            "drift_tau_s": drift_tau,
-            "run_offset_um": run_offset,
-            "resolution_um": resolution,
-            "outliers": outliers,
-            "lost": lost,
-        },
+        "targets": {**targets, "both_directions": ways},
+        "noise": {"white_um": noise, "drift_um": drift, "drift_tau_s": drift_tau, **wrong},
     }
     chosen = settings_of(settings, options, {"protocol": protocol, "cycles": cycles})
-    path = table_path(out)
+    _make(true, made, chosen, seed, table_path(out), truth_out, as_json)
+
+
+def _make(
+    true: "Model", made: "Instrument", chosen: "Settings", seed: int, path: Path, truth_out: Path | None, as_json: bool
+) -> None:
+    from rtec.metrology.files import save_measurement
+    from rtec.model import save_model
+    from rtec.sim.campaign import simulate_with_truth
+
     result = simulate_with_truth(true, made, chosen, seed, path.stem)
     save_measurement(result.measurement, path)
     if truth_out is not None:
@@ -101,6 +127,8 @@ def _show(result: "Simulated", path: Path, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(facts, indent=2))
         return
+    from rtec.metrology.characterise.setups import unused_offset
+
     typer.echo(
         f"{facts['rows']} rows in {facts['runs']} runs over {facts['hours']:.1f} h: "
         f"{path} and {path.with_suffix('.toml').name}"
@@ -109,3 +137,5 @@ def _show(result: "Simulated", path: Path, as_json: bool) -> None:
         typer.echo(f"  {phase['name']}: {phase['rows']} rows")
     for note in facts["notes"]:
         typer.echo(f"- {note}")
+    if unused := unused_offset(result.measurement.instrument):
+        typer.echo(f"- {unused}; leave --component out if it should enter")

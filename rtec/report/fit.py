@@ -1,14 +1,18 @@
 """Report of a characterisation: how good the model is, what is in it, how it was chosen, what to beware of."""
 
+from collections.abc import Sized
+
 import numpy as np
 
 from rtec import __version__
 from rtec.metrology.characterise import Characterisation
 from rtec.metrology.characterise.result import Coefficient
 from rtec.report.html import Figure, Page, Section, Table
-from rtec.report.procedures import number
+from rtec.report.procedures import note_words, number
 
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
+WORTH_TELLING = 0.3
+"""Correlations nearer to zero are shown as none."""
 SURE = 3.0
 """A coefficient within so many standard errors of zero is not sure to be there."""
 
@@ -18,8 +22,9 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
     unit = UNITS[r.unit]
     return Page(
         title=f"Model of {r.model.machine.name}",
-        lead=f"{len(r.model.effects)} effects, {len(r.coefficients)} numbers: left is {r.inside_rms:.3g} {unit} "
-        f"in sample and {r.held_out_rms:.3g} {unit} on readings left out of the fit (standard deviation).",
+        lead=f"{_count(r.model.effects, 'effect')}, {_count(r.coefficients, 'number')}: "
+        f"left is {r.inside_rms:.3g} {unit} in sample and {r.held_out_rms:.3g} {unit} on readings "
+        "left out of the fit (standard deviation).",
         numbers=[
             (f"{r.held_out_rms:.3g}\u00a0{unit}", "left on readings not fitted"),
             (f"{r.inside_rms:.3g}\u00a0{unit}", "left in sample"),
@@ -28,7 +33,12 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
         ],
         sections=[
             Section("Beware", [f"{w.text}. What to do: {w.remedy}." for w in r.warnings] or ["Nothing stood out."]),
-            Section("How well each measurement is met", [], _measurements(r), _residual_figure(r) if figures else None),
+            Section(
+                "How well each measurement is met",
+                note_words(r.notes),
+                _measurements(r),
+                _residual_figure(r) if figures else None,
+            ),
             Section("The numbers", _number_words(r), _coefficients(r)),
             *_search(r, figures),
             *_correlations(r),
@@ -39,6 +49,10 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
             f"rtec {__version__}, rtec fit; procedure of [G 3.6].",
         ],
     )
+
+
+def _count(items: Sized, what: str) -> str:
+    return f"{len(items)} {what}" + ("" if len(items) == 1 else "s")
 
 
 def _measurements(r: Characterisation) -> Table:
@@ -117,7 +131,12 @@ def _residual_figure(r: Characterisation) -> Figure:
 def _correlations(r: Characterisation) -> list[Section]:
     if not r.correlations:
         return []
-    rows = [[c.component, c.feature, c.effect, f"{c.r:+.2f}", f"{100 * c.left:.2g}"] for c in r.correlations]
+    worth = [c for c in r.correlations if abs(c.r) >= WORTH_TELLING]
+    rows = [[c.component, c.feature, c.effect, f"{c.r:+.2f}", f"{100 * c.left:.2g}"] for c in worth]
     head = ("component", "goes with", "as", "r", "left, %")
     caption = "Left: share of its own variation that geometry and nuisances leave; little left is little known."
-    return [Section("What goes with what", [], Table(head, rows, caption, words=(0, 1, 2)))]
+    silent = [
+        name for name in dict.fromkeys(c.component for c in r.correlations) if name not in {c.component for c in worth}
+    ]
+    words = [f"Nothing goes with {', '.join(silent)} (correlation below {WORTH_TELLING:g})."] if silent else []
+    return [Section("What goes with what", words, Table(head, rows, caption, words=(0, 1, 2)) if rows else None)]

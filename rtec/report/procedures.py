@@ -5,14 +5,14 @@ import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rtec.errors import RtecError
-from rtec.report.html import Page, render
+from rtec.report.html import Page, Section, render
 
 
 def plain(value: Any) -> Any:
@@ -33,6 +33,17 @@ def plain(value: Any) -> Any:
 def number(value: float, digits: int = 2) -> str:
     """A number for a table; a dash for none."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "–"
+
+
+def note_words(notes: Mapping[str, Sequence[str]]) -> list[str]:
+    """What was said of measurements as they were read, a sentence each: nothing missing or accepted stays unsaid."""
+    return [f"{name}: {'; '.join(said)}." for name, said in notes.items() if said]
+
+
+def with_notes(page: Page, notes: Mapping[str, Sequence[str]]) -> Page:
+    """The page with what was said of its measurements at the end; the same page where nothing was."""
+    words = note_words(notes)
+    return replace(page, sections=[*page.sections, Section("Said of the measurements", words)]) if words else page
 
 
 def write_page(page: Page, facts: object, folder: Path) -> Path:

@@ -104,3 +104,34 @@ def test_missing_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     code, _, err = run(capsys, MACHINE, tmp_path / "none.csv", "-o", tmp_path / "m.toml")
     assert code == 2
     assert "no such file" in err
+
+
+def test_takes_the_place_of_no_input(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the bytes of the measurement's TOML, which a model of that name would have taken the place of."""
+    before = (folder / "laser-x.toml").read_bytes()
+    code, _, err = run(capsys, MACHINE, folder / "laser-x.csv", "-o", folder / "laser-x.toml")
+    assert code == 2
+    assert "is read by this fit" in err
+    assert (folder / "laser-x.toml").read_bytes() == before
+    model = tmp_path / "new" / "folder" / "m.toml"
+    assert run(capsys, MACHINE, folder / "laser-x.csv", "-o", model, "--effects", "scale")[0] == 0
+    assert load_model(model, load_machine(MACHINE)).name == "m"
+
+
+def test_only_what_goes_with_something_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: what the measurement was made with: the expansion of X; a laser at the tip sees the spindle too."""
+    machine = load_machine(MACHINE)
+    laser = make_instrument("laser_linear", {}, "X", None, machine, "test")
+    made = simulate(truth_of(machine, None, EFFECTS), laser, Settings(cycles=2), 3, "tip")
+    save_measurement(made, tmp_path / "tip.csv")
+    code, out, _ = run(capsys, MACHINE, tmp_path / "tip.csv", "-o", tmp_path / "m.toml", "--json")
+    assert code == 0
+    weak = [c for c in json.loads(out)["correlations"] if abs(c["r"]) < 0.3]
+    assert weak
+    _, out, _ = run(capsys, MACHINE, tmp_path / "tip.csv", "-o", tmp_path / "m.toml")
+    table = out[out.index("What goes with what") :]
+    assert "T_x_nut" in table
+    shown = [float(word) for word in table.split() if word[:3] in ("+0.", "-0.", "+1.", "-1.")]
+    assert shown
+    assert min(map(abs, shown)) >= 0.3
+    assert "tip: simulated, seed 3." in out

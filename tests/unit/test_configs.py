@@ -11,7 +11,9 @@ from rtec.runtime.clock import VirtualClock
 from rtec.runtime.config import load_setup
 from rtec.runtime.devices import make_devices
 from rtec.runtime.step import Step
+from rtec.sim.campaign_settings import Settings
 from rtec.sim.truth import check_truth, load_truth
+from rtec.tomlfile import read_toml, validated
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FILES = sorted(p.relative_to(CONFIGS) for p in CONFIGS.rglob("*.toml"))
@@ -28,6 +30,10 @@ def test_loads(name: Path) -> None:
             check_truth(load_truth(path), load_machine(machine), str(path))
         case ("models",):
             load_model(path, load_machine(machine))
+        case ("tutorial",) if "effect" in read_toml(path):
+            load_model(path, load_machine(CONFIGS / "machines" / "turning-centre.toml"))
+        case ("tutorial",):
+            validated(Settings, read_toml(path), str(path))
         case ("maps",):
             load_map(path)
         case ():

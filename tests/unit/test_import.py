@@ -463,6 +463,24 @@ def test_without_a_map_a_map_to_begin_with_is_shown(tmp_path: Path, capsys: pyte
     assert [c["name"] for c in json.loads(capsys.readouterr().out)["tables"][0]["columns"]] == ["t", "x", "e"]
 
 
+def test_a_map_of_source_alone_shows_a_file_that_is_not_plain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the file, written in Latin-1 with decimal commas and a line before the header, and the map shown."""
+    text = "Messung 7\nZeit;Weg [mm];Größe [µm]\n0;0,5;1,5\n1;1,5;2,5\n"
+    file = put(tmp_path, text.encode("latin-1"))
+    assert status(["import", str(file)]) == 2
+    assert "encoding = 'latin-1'" in capsys.readouterr().err
+    told = put(tmp_path, '[source]\nencoding = "latin-1"\ndecimal = ","\nskip_rows = 1\n', "source.toml")
+    assert status(["import", str(file), "--map", str(told)]) == 0
+    shown = capsys.readouterr().out
+    assert "Größe [µm]" in shown
+    how = load_map(put(tmp_path, shown, "shown.toml"))
+    assert (how.source.encoding, how.source.decimal, how.source.skip_rows) == ("latin-1", ",", 1)
+    assert status(["import", str(file), "--map", str(put(tmp_path, "[source]\nskip = 1\n", "wrong.toml"))]) == 2
+    assert "unknown key 'skip'" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "arguments",
     [["import"], ["import", "absent.csv"], ["import", "a.csv", "-o", "b"], ["import", "a.csv", "--map", "m.toml"]],

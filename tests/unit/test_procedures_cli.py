@@ -183,6 +183,23 @@ def test_a_drift_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert r["traces"][0]["fits"][0]["approach"]["tau_s"] == pytest.approx(5000, rel=0.01)
 
 
+def test_what_is_missing_from_a_measurement_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the one reading that was taken out, line 5 of the table, and the user's own note."""
+    reading = 3.0 * np.arange(12.0)
+    reading[3] = np.nan
+    columns = {
+        "run": np.ones(12), "time_s": 600.0 * np.arange(12), "spindle_rpm": np.full(12, 2000.0),
+        "reading_axial_um": reading,
+    }  # fmt: skip
+    named = {"instrument": "spindle_drift", "machine": "turning-centre", "notes": ["new bearing"]}
+    head = {"measurement": named, "setup": {"probe": {"axial": {"direction": "Z"}}}}
+    command = ["drift", measurement(tmp_path, "d", head, columns), "--machine", MACHINE]
+    said = as_json(command, capsys)["notes"]["d"]
+    assert said[:2] == ["new bearing", "reading_axial_um: 1 of 12 readings missing (line 5)"]
+    assert status(command) == 0
+    assert "1 of 12 readings missing (line 5)" in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_straightness_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: slide and artefact that the readings were made of."""
     columns = {

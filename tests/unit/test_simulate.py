@@ -475,6 +475,16 @@ def test_the_command_gives_json_a_truth_file_and_a_measurement(
     assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "laser.csv").read_bytes()
 
 
+@pytest.mark.parametrize(("more", "told"), [(["--component", "EXX"], True), ([], False)])
+def test_an_arm_that_has_no_say_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], told: bool
+) -> None:
+    """Oracle: with a component a reading is that component, whatever the place of the beam."""
+    beam = ["--set", "beam_offset_mm=[0,150,80]", "--protocol", "cold", "--cycles", "1"]
+    assert status(command(tmp_path / "laser", *beam, *more)) == 0
+    assert ("beam_offset_mm = [0, 150, 80] is not used" in capsys.readouterr().out) is told
+
+
 def test_settings_come_from_a_file_and_options_win(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "day.toml"
     file.write_text('[targets]\nrange_mm = [10.0, 90.0]\nstep_mm = 7.0\n[[phase]]\nname = "one"\ncycles = 1\n')

@@ -58,6 +58,7 @@ def assemble(
         correlations=tuple(_correlations(screened)),
         outliers=(*spikes, *fit.outliers),
         warnings=(*all_warnings(fit, rivals, unused), *outlier_warnings(spikes, "stand out from their neighbours")),
+        notes={m.name: tuple(m.notes) for m in measurements if m.notes},
         residuals={
             s.measurement.name: (s.measurement.time_s / 3600.0, r)
             for s, r in zip(fit.sources, fit.residuals, strict=True)

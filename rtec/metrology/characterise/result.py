@@ -102,6 +102,7 @@ class Characterisation:
         correlations: the best of each component error.
         outliers: readings that are off, with their rows.
         warnings: in words.
+        notes: what was said of each measurement as it was read (missing readings, what was accepted), by its name.
         residuals: for figures: measurement name to hours, (n,), and readings minus prediction, (readings, n).
     """
 
@@ -117,6 +118,7 @@ class Characterisation:
     correlations: tuple[Correlated, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     warnings: tuple[Warn, ...] = ()
+    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
     residuals: dict[str, tuple[Floats, Floats]] = field(default_factory=dict, repr=False)
 
     def facts(self) -> dict[str, Any]:
@@ -138,4 +140,5 @@ class Characterisation:
             "unit": self.unit,
             "condition_number": self.condition,
             **plain,
+            "notes": {name: list(said) for name, said in self.notes.items()},
         }

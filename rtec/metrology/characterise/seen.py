@@ -18,6 +18,8 @@ SAMPLE = 2000
 NO_ARM = 1e-12
 REAL_K = 0.5
 """Temperatures that vary by less are not a cause but the sensor's noise."""
+INNER = (1.0, 99.0)
+"""Percentiles between which a temperature's variation is taken: single wrong readings do not count."""
 REAL_RPM = 1.0
 
 
@@ -44,7 +46,7 @@ def seen_components(sources: Sequence[Source]) -> list[Seen]:
     that name those of the first link of the work chain: constant errors of one link or another look the same.
     """
     machine = sources[0].measurement.machine
-    moving = {a.name for a in machine.axes if any(_moves(s, a) for s in sources)}
+    moving = {a.name for a in machine.axes if any(moves(s, a) for s in sources)}
     found: dict[str, None] = {}
     for source in sources:
         direct = source.measurement.instrument.component
@@ -70,7 +72,7 @@ def _arms(source: Source) -> Floats:
 
 def _through_arms(source: Source, machine: Machine) -> list[str]:
     there = _arms(source) > NO_ARM
-    moving = {a.name for a in machine.axes if _moves(source, a)}
+    moving = {a.name for a in machine.axes if moves(source, a)}
     links = {*moving, _spindle(machine)}
     names = [
         c for c, ok in zip(machine.components, there, strict=True) if ok and (_axis_name(c, machine) or c[3:]) in links
@@ -85,7 +87,8 @@ def _spindle(machine: Machine) -> str:
     return (named or fixed or [""])[0]
 
 
-def _moves(source: Source, axis: Axis) -> bool:
+def moves(source: Source, axis: Axis) -> bool:
+    """Whether an axis moved by enough to be seen."""
     position = source.measurement.channels.get(axis.channel)
     return position is not None and float(np.ptp(position)) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0])
 
@@ -103,7 +106,9 @@ def axis_of(component: str, machine: Machine) -> Axis | None:
 
 def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[str]]:
     """Sensors that every measurement has and that vary by at least 0.5 K, and why others are not among them."""
-    good, why = [], []
+    good: list[str] = []
+    why: list[str] = []
+    still: dict[str, float] = {}
     for sensor in sources[0].measurement.machine.sensor_names:
         series = [s.measurement.channels.get(sensor) for s in sources]
         if any(v is None for v in series):
@@ -114,11 +119,20 @@ def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[str]]:
         whole = np.concatenate([v for v in series if v is not None])
         if not np.isfinite(whole).all():
             why.append(f"{sensor} is not used: {int((~np.isfinite(whole)).sum())} of its readings are missing")
-        elif np.ptp(np.percentile(whole, [1, 99])) < REAL_K:
-            why.append(f"{sensor} is not used: it varied by {np.ptp(whole):.2g} K, less than {REAL_K:g} K")
+        elif (varied := float(np.ptp(np.percentile(whole, INNER)))) < REAL_K:
+            still[sensor] = varied
         else:
             good.append(sensor)
-    return good, why
+    return good, [*why, *_still(still)]
+
+
+def _still(varied_k: dict[str, float]) -> list[str]:
+    """One sentence for all sensors that hardly varied."""
+    if not varied_k:
+        return []
+    are = "is" if len(varied_k) == 1 else "are"
+    said = ", ".join(f"{name} ({k:.2f} K)" for name, k in varied_k.items())
+    return [f"{said} {are} not used: varied by less than {REAL_K:g} K (98 % of the readings)"]
 
 
 def lags_s(sources: Sequence[Source]) -> list[float]:

@@ -9,6 +9,7 @@ from rtec.metrology.characterise.estimate import Estimate
 from rtec.metrology.characterise.noise import Outlier, rough_noise
 from rtec.metrology.characterise.result import Warn
 from rtec.metrology.characterise.rivals import Rival
+from rtec.metrology.characterise.setups import setup_warnings
 from rtec.metrology.characterise.source import Source
 from rtec.metrology.characterise.telling import label
 
@@ -37,6 +38,7 @@ def all_warnings(fit: Estimate, undecided: Sequence[Rival], unused: Sequence[str
         *_ill_conditioned(fit),
         *_collinear(fit),
         *_sign_changes(fit),
+        *setup_warnings(fit.sources),
         *_not_visited(fit),
         *_on_bound(fit),
         *_few_blocks(fit),

@@ -13,6 +13,7 @@ from rtec.metrology.readers.base import Source, Table
 from rtec.metrology.units import UNITS, canonical
 from rtec.tomlfile import Strict, read_toml, validated
 
+TIMES = ("time", "t", "ts", "time_s", "zeit", "timestamp", "uhrzeit", "date", "datum", "datetime")
 FORMS = ("iso", "filetime", "excel")
 TARGET = re.compile(
     r"[a-z][a-z0-9_]*_mm|dir_\w+|v\w+_mm_s|a\w+_mm_s2|\w+_degc|spindle_rpm|feed_mm_min|load_kg|angle_deg"
@@ -163,7 +164,7 @@ def load_map(path: Path) -> ImportMap:
 def starter_map(reader: str, tables: Sequence[Table]) -> str:
     """A map to begin with for a file: its columns stand there, what only people know is to be filled in."""
     columns = [name for table in tables[:1] for name in table.columns]
-    time = next((n for n in columns if n.lower() in ("time", "t", "ts", "time_s", "zeit", "timestamp")), None)
+    time = next((n for n in columns if n.lower() in TIMES), None)
     source = [f'reader = "{reader}"']
     if len(tables) > 1:
         source.append(f'table = "{tables[0].name}"        # or one of: {", ".join(t.name for t in tables[1:])}')
@@ -177,7 +178,7 @@ def starter_map(reader: str, tables: Sequence[Table]) -> str:
 [measurement]
 instrument = "laser_linear"     # what read it
 axis = "X"
-component = "EXX"
+# component = "EXX"             # only where the readings are that component already: no lever arm enters then
 machine = "NAME"                # as in the machine file
 
 [setup]                         # what the instrument needs

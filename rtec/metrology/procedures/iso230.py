@@ -158,6 +158,10 @@ def two_way(up: OneWay, down: OneWay) -> TwoWay:
     )
 
 
+SEEN_ALL_ROUND = 0.4
+"""Where no larger part of the pitch is without a target, its error shows (two places leave half, three a third)."""
+
+
 def hidden_period(target_mm: Floats, pitch_mm: float | None) -> list[str]:
     """Say so where the targets see one or two places of the pitch only."""
     if pitch_mm is None or len(target_mm) < 2:
@@ -165,7 +169,8 @@ def hidden_period(target_mm: Floats, pitch_mm: float | None) -> list[str]:
     phase = np.sort(np.mod((target_mm - target_mm[0]) / pitch_mm, 1.0))
     gaps = np.diff(np.append(phase, phase[0] + 1.0))
     places = max(1, int((gaps > SAME_PHASE).sum()))
-    if places > 2:
+    # A dense run leaves no gap at all: it sees the whole pitch.
+    if places > 2 or gaps.max() < SEEN_ALL_ROUND:
         return []
     where = "multiples of the pitch" if places == 1 else "multiples of half the pitch"
     return [

@@ -1,5 +1,6 @@
 """Plain tables for the procedures: CSV with one line of names, numbers below, strictly read."""
 
+import codecs
 import csv
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,9 @@ from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
 Table = dict[str, Floats]
+WAY_ON = "divide cells by ',' and write decimals with a point"
+LENGTHS = ("nm", "mm", "m", "inch", "mil", "urad", "mrad", "deg")
+"""Units that a column in µm is sometimes in by mistake, as its name then says."""
 
 
 def read_table(path: Path) -> Table:
@@ -35,17 +39,33 @@ def need(path: Path, table: Table, names: Sequence[str]) -> list[Floats]:
     """
     for name in names:
         if name not in table:
-            raise MeasurementError(f"{path}: column {name!r} is missing{nearest(name, table)}")
+            other = next((n for n in table if n.partition("_")[0] == name.partition("_")[0]), None)
+            unit = name.rpartition("_")[2]
+            hint = f"; there is {other!r}: convert its numbers to {unit}" if other else nearest(name, table)
+            raise MeasurementError(f"{path}: column {name!r} is missing{hint}")
     return [table[n] for n in names]
+
+
+def in_um(path: Path, names: Sequence[str]) -> None:
+    """Refuse columns of probes whose names say that they are in another unit than µm.
+
+    Raises:
+        MeasurementError: the first of them.
+    """
+    for name in names:
+        unit = name.rpartition("_")[2]
+        if unit in LENGTHS:
+            raise MeasurementError(f"{path}: column {name!r} is in {unit}; convert its numbers to µm, and call it …_um")
 
 
 def position_of(path: Path, table: Table) -> tuple[str, Floats]:
     """The one column of positions, `x_mm` and so on: axis name and values.
 
     Raises:
-        MeasurementError: none, more than one, or an empty cell in it.
+        MeasurementError: none, more than one, or an empty cell in it; or a column of a probe that is not in µm.
     """
-    found = [n for n in table if n.endswith("_mm")]
+    in_um(path, [n for n in table if n.startswith("probe")])
+    found = [n for n in table if n.endswith("_mm") and not n.startswith("probe")]
     if len(found) != 1:
         raise MeasurementError(
             f"{path}: needs one column of positions, named by its axis, such as x_mm; "
@@ -59,10 +79,10 @@ def position_of(path: Path, table: Table) -> tuple[str, Floats]:
 
 def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with path.open(encoding=_encoding(path), newline="") as file:
             lines = [(i, [c.strip() for c in r]) for i, r in enumerate(csv.reader(file), 1)]
-    except UnicodeDecodeError as e:
-        raise MeasurementError(f"{path}: not UTF-8 text (byte {e.start}); save it as UTF-8") from e
+    except UnicodeError as e:
+        raise MeasurementError(f"{path}: not UTF-8 text, nor UTF-16 with its mark; save it as UTF-8") from e
     except FileNotFoundError as e:
         raise MeasurementError(f"{path}: no such file") from e
     except OSError as e:
@@ -77,10 +97,19 @@ def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         raise MeasurementError(
             f"{path}: row {lines[0][0]}: each column needs a name of its own, found {', '.join(names)}"
         )
+    if len(names) == 1 and ";" in names[0]:
+        raise MeasurementError(f"{path}: row {lines[0][0]}: cells are divided by ';'; {WAY_ON}")
     for i, row in lines[1:]:
         if len(row) != len(names):
-            raise MeasurementError(f"{path}: row {i}: {len(row)} cells, but {len(names)} columns")
+            commas = f"; decimal commas? {WAY_ON}" if len(row) > len(names) else ""
+            raise MeasurementError(f"{path}: row {i}: {len(row)} cells, but {len(names)} columns{commas}")
     return names, lines[1:]
+
+
+def _encoding(path: Path) -> str:
+    """UTF-16 where its byte order mark says so; else UTF-8, with a mark or without."""
+    with path.open("rb") as file:
+        return "utf-16" if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
 
 
 def _number(path: Path, row: int, name: str, text: str) -> float:

@@ -10,7 +10,7 @@ from rtec.errors import MeasurementError
 from rtec.metrology.procedures.drift import Drift, spindle_drift
 from rtec.metrology.procedures.parallelism import Parallelism, parallelism
 from rtec.metrology.procedures.straightness import Straightness, face, pair, reversal
-from rtec.metrology.procedures.table import Table, need, position_of, read_table
+from rtec.metrology.procedures.table import Table, in_um, need, position_of, read_table
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
@@ -82,6 +82,7 @@ def drift_table(path: Path, columns: Mapping[str, str], distance_mm: float | Non
             f"{path}: no column radial1_um, radial2_um or axial_um; name others with --radial1, --radial2, --axial "
             f"(there are {', '.join(n for n in table if n.endswith('_um')) or 'no columns in µm'})"
         )
+    in_um(path, list(wanted.values()))
     time_s, rpm, *values = need(path, table, ["time_s", "spindle_rpm", *wanted.values()])
     warm = {n: v for n, v in table.items() if n.endswith(("_degc", "_C"))}
     return spindle_drift(path.name, time_s, rpm, dict(zip(wanted, values, strict=True)), distance_mm, warm)
