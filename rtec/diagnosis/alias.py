@@ -91,12 +91,12 @@ def _drivers(effect: Effect) -> set[str]:
     return {str(v) for k, v in given.items() if k in ("sensor", "front", "back", "axis", "other", "across")}
 
 
-KINDS = ("positioning", "straightness", "tilt", "roll", "axis_angle", "link", "link_angle", "axis_shift")
+STEPS = {"positioning": 0, "straightness": 1, "axis_angle": 1, "tilt": 2, "roll": 2, "link": 3, "link_angle": 3}
 
 
 def directness(effect: Effect, machine: Machine) -> int:
     """How directly a component shows in readings; the lower the more direct."""
-    return KINDS.index(component_kind(effect.component, machine))
+    return STEPS.get(component_kind(effect.component, machine), 4)
 
 
 def diverse(order: Sequence[int], kinds: Sequence[str], most: int, of_a_kind: int) -> list[int]:

@@ -38,6 +38,8 @@ LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 SURE, OVERWHELMING = math.log(20.0), math.log(50.0)
 """Posterior odds, as logarithms, that a name needs; and that need no draws of chance."""
+BESIDE = 3
+"""Effects that are tried beside the best, before it is given up for a shape without a name."""
 SHAPES = 4
 """Shapes without a name that are fitted anew, of each of the two looks."""
 ADEQUATE, LEAST = 0.95, 0.7
@@ -156,7 +158,9 @@ class _Search:
         stage("reading, finding the noise", 0, 1)
         self.prepared = prepare(model, measurements)
         self.readings = self.prepared.readings
-        self.candidates, self.untried = library(self.readings, only)
+        known = [f.effect for f in model.effects]
+        candidates, self.untried = library(self.readings, only)
+        self.candidates = [c for c in candidates if c.effect not in known]
         self._alternatives = Counter((c.effect.effect, c.effect.component) for c in self.candidates)
         self.rng = np.random.default_rng([seed, 400])
         self._shape: shapes.Shape | None = None
@@ -280,9 +284,26 @@ class _Search:
         adequacy = self._adequacy(best, tops)
         if top is None or top.log_evidence < best.log_evidence + WITHIN:
             return adequacy >= LEAST, adequacy, None
-        # A shape without a name is likelier; where the effect is almost that shape, it is the better answer still.
-        named = adequacy >= ADEQUATE
+        # A shape without a name is likelier; where the effect is almost that shape, or is one of two that together are
+        # likelier than it, the name is the better answer still.
+        named = adequacy >= ADEQUATE or self._with_another(best) > top.log_evidence
         return named, adequacy, None if named else self._unknown(top)
+
+    def _with_another(self, best: Tried) -> float:
+        """Log evidence of the best effect together with the best one beside it."""
+        base = np.concatenate([self.prepared.base, best.columns], axis=1)
+        beside = Projected.of(best.fit.whitener, base, self.readings.values)
+        found = screen(self.readings, self.candidates, beside)
+        out = -math.inf
+        for number in self._distinct(found)[:BESIDE]:
+            variant = found.variants[found.best[number]]
+            columns = self.readings.columns(
+                self.candidates[number].effect, self.candidates[number].thetas[variant.theta]
+            )
+            fit = self._fit(np.concatenate([base, columns], axis=1))
+            gain = fit.log_likelihood - best.fit.log_likelihood - 0.5 * variant.count * math.log(len(self.readings))
+            out = max(out, best.log_evidence + gain - found.search_cost(number) - self._choice_cost(number))
+        return out
 
     def _shapes(self, projected: Projected, best: Tried | None) -> list[Shaped]:
         """The best shapes without a name, each fitted along with the model and a noise found anew."""

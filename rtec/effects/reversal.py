@@ -108,8 +108,8 @@ class BacklashPosition(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Straight and bent along the axis."""
-        for degree in (1, 2):
+        """Straight, bent, and following a worn zone along the axis."""
+        for degree in (1, 2, 4):
             yield {"axis": around.moved.name, "degree": degree}
 
 
