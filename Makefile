@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: help demo test lint check bench discovery lock format clean
+.PHONY: help demo test lint check bench discovery figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -36,6 +36,9 @@ bench: $(STAMP)  ## speed, each figure beside what it is measured against
 
 discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many are found; half an hour
 	$(BIN)/python -m tests.discovery
+
+figures: $(STAMP)  ## the figures of the documentation, made by the commands of the tutorial
+	$(BIN)/python -m tests.replay.tutorial docs/figures
 
 format: $(STAMP)  ## rewrite the code in the project's format
 	$(BIN)/ruff format .

@@ -1,15 +1,16 @@
 """`rtec demo`: the first thing to see."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
-    from rtec.demo.story import Stage, Story
+    from rich.console import Console
+
+    from rtec.demo.later import Later
+    from rtec.demo.story import Story
 
 
 def demo(
@@ -21,48 +22,47 @@ def demo(
     configs: Annotated[
         Path | None, typer.Option("--configs", help="Folder with machines/ and sim/; by default that of the clone.")
     ] = None,
+    hidden_seed: Annotated[
+        int | None, typer.Option("--hidden-seed", min=0, help="Draws the hidden effect.  [default: drawn and printed]")
+    ] = None,
+    hidden: Annotated[
+        str | None, typer.Option("--hidden", metavar="NAME", help="Hide this one: gear, worn-screw, hot-nut, …")
+    ] = None,
+    no_hidden: Annotated[bool, typer.Option("--no-hidden", help="Leave out the hidden effect.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Show a machine tool being corrected; needs no hardware and takes under a minute.
+    """Show a machine tool being corrected, and its model learning; needs no hardware and takes under a minute.
 
     A simulated turning centre works for 8 hours from cold and cools overnight, once uncorrected and once through the
-    same loop as `rtec run`, with a model fitted to another day. Writes an HTML report, PNGs and result.json.
+    same loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the machine: it is found in
+    what the model leaves, added, and the error falls. Writes an HTML report, PNGs and result.json.
 
-    Example: `rtec demo --out out/demo --seed 1`
+    Example: `rtec demo --out out/demo --seed 1 --hidden-seed 7`
 
     The model in configs/models was made by: `rtec demo --model-out configs/models/turning-centre.toml`
     """
+    from secrets import randbelow
+
+    from rtec.cli.progress import stages
     from rtec.demo.page import write_report
     from rtec.demo.story import config_folder, tell_story
     from rtec.model import save_model
+    from rtec.report.procedures import plain
 
-    with _stages() as stage:
-        story = tell_story(seed, config_folder(configs), stage)
+    if hidden_seed is None and not no_hidden:
+        hidden_seed = randbelow(10_000)
+    with stages() as stage:
+        story = tell_story(
+            seed, config_folder(configs), stage, hidden_seed=None if no_hidden else hidden_seed, hidden=hidden
+        )
         stage("drawing the report", 0, 1)
         page = write_report(story, out)
     if model_out is not None:
         save_model(story.model, model_out)
     if as_json:
-        typer.echo(json.dumps(story.facts() | {"report": str(page)}, indent=2))
+        typer.echo(json.dumps(plain(story.facts()) | {"report": str(page)}, indent=2))
     else:
         _show(story, page, model_out)
-
-
-@contextmanager
-def _stages() -> Iterator["Stage"]:
-    """One bar, which names the stage that it is of; on standard error, so that results can be piped."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), TextColumn("{task.description:<32}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("getting ready", total=None)
-
-        def tell(what: str, done: int, total: int) -> None:
-            progress.update(task, description=what, completed=done, total=total if done else None)
-
-        yield tell
 
 
 def _show(story: "Story", page: Path, model_out: Path | None) -> None:
@@ -96,6 +96,24 @@ def _show(story: "Story", page: Path, model_out: Path | None) -> None:
     console.print(rest)
     for sentence in left_sentences(story):
         console.print(f"- {sentence}", markup=False, highlight=False)
+    if story.later is not None:
+        _show_later(console, story.later)
     console.print(f"\nReport: {page}", markup=False, highlight=False)
     if model_out is not None:
         console.print(f"Model: {model_out}", markup=False, highlight=False)
+
+
+def _show_later(console: "Console", later: "Later") -> None:
+    from rich.table import Table
+
+    from rtec.demo.later_page import TIP_HEAD, TITLE, later_words, tip_rows
+
+    console.print(f"\n{TITLE}", style="bold")
+    for sentence in later_words(later):
+        console.print(f"- {sentence}", markup=False, highlight=False)
+    table = Table(*TIP_HEAD)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in tip_rows(later):
+        table.add_row(*row)
+    console.print(table)

@@ -180,7 +180,7 @@ def history(
     Example: `rtec history better.toml --report out/history`
     """
     from rtec.diagnosis.machine_of import load_with_machine
-    from rtec.report.diagnosis import history_page, steps_of
+    from rtec.report.model_history import history_page, steps_of
 
     known = load_with_machine(model, machine)
     facts: dict[str, Any] = {"model": known.name, "history": [dict(h) for h in known.history], "steps": steps_of(known)}

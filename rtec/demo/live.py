@@ -10,6 +10,7 @@ import numpy as np
 
 from rtec.correction.guard import HOLD_REASONS, GuardSettings, Limits
 from rtec.demo.day import EVERY_NS, NS, OTHER, WAIT_S, Cut, Floats, Ints, Plan, Track, Work, surface_of
+from rtec.demo.hidden import Fault, with_fault
 from rtec.machine import Machine
 from rtec.model import Model
 from rtec.runtime.devices import Ports, driver_class
@@ -168,13 +169,19 @@ def step_settings(model: Model) -> StepSettings:
 
 
 def corrected(
-    model: Model, truth_file: Path, seed: int, plan: Plan, mode: int = MODE_ON, progress: Progress | None = None
+    model: Model,
+    truth_file: Path,
+    seed: int,
+    plan: Plan,
+    mode: int = MODE_ON,
+    progress: Progress | None = None,
+    fault: Fault | None = None,
 ) -> tuple[Track, LoopSide]:
     """The day through the loop, with the simulated machine's own driver on both ends."""
     machine, clock = model.machine, MachineClock()
     kind = driver_class("sim", "demo")
     device = kind(kind.options_model(truth=truth_file, seed=seed), machine, clock)
-    sim = device.machine
+    sim = with_fault(device.machine, fault, seed)
     step = Step(step_settings(model))
     pair = Samples.empty(step.layout, 1), Commands.empty(step.layout, 1)
     rows = bind_rows(step, [pair])

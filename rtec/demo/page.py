@@ -6,6 +6,7 @@ import numpy as np
 
 from rtec import __version__
 from rtec.demo.day import CYLINDER, FACE, OTHER, Floats
+from rtec.demo.later_page import later_sections
 from rtec.demo.leftover import WHY
 from rtec.demo.live import RATE_HZ
 from rtec.demo.sizes import line
@@ -48,15 +49,22 @@ def page_of(story: Story) -> Page:
         ],
         sections=[
             _sizes(story), _over_time(story), _straight(story), _profiles(story), _temperatures(story), _left(story),
-            _how(story),
+            _how(story), *(later_sections(story.later) if story.later else []),
         ],
         foot=[
-            f"rtec {__version__}, rtec demo --seed {story.seed}. A simulation: machine, heat and errors are made up "
+            f"rtec {__version__}, {command(story)}. A simulation: machine, heat and errors are made up "
             "in the size of a real turning centre of middle accuracy; nothing here was measured on a machine.",
             "[G 4]: the guidelines of NIST on real-time error correction of machine tools, which report 10-20 × on "
             "diameter and length from cold to operating temperature and 4-5 × on straightness over 70 mm.",
         ],
     )  # fmt: skip
+
+
+def command(story: Story) -> str:
+    """What tells the same story again."""
+    if story.later is None:
+        return f"rtec demo --seed {story.seed} --no-hidden"
+    return f"rtec demo --seed {story.seed} --hidden-seed {story.later.hidden_seed} --hidden {story.later.fault.name}"
 
 
 def nist_words(factor: list[float] | None) -> str:

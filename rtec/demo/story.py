@@ -11,6 +11,8 @@ import numpy as np
 from rtec.demo import training
 from rtec.demo.beside import Beside
 from rtec.demo.day import Plan, Track
+from rtec.demo.hidden import draw
+from rtec.demo.later import Later, tell_later
 from rtec.demo.leftover import WHY, Leftover, leftover
 from rtec.demo.live import RATE_HZ, LoopSide, corrected, uncorrected
 from rtec.demo.sizes import NIST_SIZE, NIST_STRAIGHT, Sizes, sizes_of
@@ -43,6 +45,7 @@ class Story:
         side: what the loop read and sent on the corrected day.
         left: what the correction left, taken apart.
         finer_um: straightness, worst over the first parts, with a finer encoder: uncorrected, corrected.
+        later: the second story; None where it was not told.
     """
 
     plan: Plan
@@ -57,6 +60,7 @@ class Story:
     side: LoopSide
     left: Leftover
     finer_um: tuple[float, float]
+    later: Later | None = None
 
     @cached_property
     def sizes(self) -> tuple[Sizes, Sizes]:
@@ -118,6 +122,7 @@ class Story:
                 "on_um": self.finer_um[1],
                 "factor": self.finer_um[0] / self.finer_um[1],
             },
+            "hidden_effect": self.later.facts() if self.later else None,
         }
 
 
@@ -137,7 +142,14 @@ def config_folder(given: Path | None = None) -> Path:
     return folder
 
 
-def tell_story(seed: int, configs: Path, stage: Stage, plan: Plan | None = None) -> Story:
+def tell_story(
+    seed: int,
+    configs: Path,
+    stage: Stage,
+    plan: Plan | None = None,
+    hidden_seed: int | None = None,
+    hidden: str | None = None,
+) -> Story:
     """Run everything; the uncorrected day, and the fits that only check, run in a second process meanwhile.
 
     Args:
@@ -145,8 +157,12 @@ def tell_story(seed: int, configs: Path, stage: Stage, plan: Plan | None = None)
         configs: folder with machine and truth.
         stage: told of progress.
         plan: a shorter day.
+        hidden_seed: draws the fault of the second story; None: it is not told.
+        hidden: name of a fault, where it is not to be drawn.
     """
     plan = plan or Plan()
+    if hidden_seed is not None:
+        draw(hidden_seed, hidden)  # a wrong name is told at once
     machine, truth = load_machine(configs / MACHINE_FILE), load_truth(configs / TRUTH_FILE)
     measuring_seed = seed + 1
     with Beside(_beside, seed, measuring_seed, configs, plan) as beside:
@@ -156,11 +172,14 @@ def tell_story(seed: int, configs: Path, stage: Stage, plan: Plan | None = None)
         on, side = corrected(model, configs / TRUTH_FILE, seed, plan, progress=_told(stage, "corrected day"))
         stage("what a finer encoder would do", 0, 1)
         finer = _finer(model, configs, seed)
+        later = None
+        if hidden_seed is not None:
+            later = tell_later(model, configs / TRUTH_FILE, hidden_seed, hidden, seed, stage)
         stage("waiting for the uncorrected day", 0, 1)
         off, clean, rms = beside.result()
     stage("taking stock", 0, 1)
     left = leftover(on, side, (model, clean), truth, seed)
-    return Story(plan, seed, measuring_seed, model, day.readings, *rms, off, on, side, left, finer)
+    return Story(plan, seed, measuring_seed, model, day.readings, *rms, off, on, side, left, finer, later)
 
 
 def _beside(seed: int, measuring_seed: int, configs: Path, plan: Plan) -> tuple[Track, Model, tuple[float, float]]:

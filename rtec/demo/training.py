@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.demo.hidden import Fault, with_fault
 from rtec.effects import Effect, State, effect_class
 from rtec.machine import Machine
 from rtec.metrology.characterise.run import characterise
@@ -47,6 +48,16 @@ Z_LINES_AT_X_MM = (20.0, 150.0)
 X_LINES_AT_Z_MM = (90.0, 310.0)
 Z_STEP_MM, X_STEP_MM = 11.3, 5.9
 """No multiples of the screws' pitch, which would hide their cyclic error."""
+SHORT_SCHEDULE = (
+    (2.0, 2800.0, 0.35),
+    (1.0, 0.0, 0.0),
+    (1.5, 1600.0, 0.6),
+    (1.5, 3300.0, 0.15),
+    (1.0, 0.0, 0.5),
+    (2.0, 2400.0, 0.4),
+    (3.0, 0.0, 0.0),
+)
+SHORT_EVERY_S, SHORT_Z_STEP_MM, SHORT_X_STEP_MM = 2700, 23.7, 10.9
 BLOCK, OF_BLOCKS = 3, 4
 """Sessions are left out of the fit that is checked in blocks of three, every fourth block: whole hours."""
 
@@ -81,6 +92,26 @@ EFFECTS: tuple[dict[str, object], ...] = (
 
 
 @dataclass(frozen=True)
+class Visit:
+    """What is measured on a visit with the probe.
+
+    Attributes:
+        schedule: hours, spindle 1/min, share of motion; one after the other.
+        every_s: from session to session; twice as long in stretches of four hours and more.
+        z_step_mm, x_step_mm: between stations of a line.
+    """
+
+    schedule: tuple[tuple[float, float, float], ...] = SCHEDULE
+    every_s: int = SESSION_S
+    z_step_mm: float = Z_STEP_MM
+    x_step_mm: float = X_STEP_MM
+
+
+SHORT = Visit(SHORT_SCHEDULE, SHORT_EVERY_S, SHORT_Z_STEP_MM, SHORT_X_STEP_MM)
+"""Half a day with fewer stations."""
+
+
+@dataclass(frozen=True)
 class MeasuringDay:
     """What was read.
 
@@ -107,15 +138,31 @@ def effects() -> list[Effect]:
     return [validated(effect_class(str(e["effect"]), "demo"), e, "demo") for e in EFFECTS]
 
 
-def measure(machine: Machine, truth: Truth, seed: int, progress: Progress | None = None) -> MeasuringDay:
-    """Live through the measuring day of a seed."""
-    sim = SimulatedMachine(machine, truth, seed)
-    day = _Notebook(sim, np.random.default_rng([seed, 30]))
+def measure(
+    machine: Machine,
+    truth: Truth,
+    seed: int,
+    progress: Progress | None = None,
+    visit: Visit | None = None,
+    fault: Fault | None = None,
+) -> MeasuringDay:
+    """Live through the measuring day of a seed.
+
+    Args:
+        machine, truth: what is measured.
+        seed: of the day.
+        progress: told seconds done and in all.
+        visit: what is measured; a whole day where not given.
+        fault: that the machine has beyond its truth.
+    """
+    visit = visit or Visit()
+    sim = with_fault(SimulatedMachine(machine, truth, seed), fault, seed)
+    day = _Notebook(sim, np.random.default_rng([seed, 30]), visit)
     day.session()
-    total = sum(hours for hours, _, _ in SCHEDULE) * 3600
-    for hours, rpm, duty in SCHEDULE:
-        every_s = SESSION_S if hours < 4.0 else 2 * SESSION_S
-        for _ in range(round(hours * 3600 / every_s)):
+    total = sum(hours for hours, _, _ in visit.schedule) * 3600
+    for hours, rpm, duty in visit.schedule:
+        every_s = visit.every_s if hours < 4.0 else 2 * visit.every_s
+        for _ in range(max(1, round(hours * 3600 / every_s))):
             day.work(every_s - day.session_s, rpm, duty)
             day.session()
             if progress:
@@ -131,7 +178,7 @@ def fit_day(day: MeasuringDay, tip_um: Floats | None = None, name: str = "turnin
         tip_um: other readings at the same instants.
         name: of the model.
     """
-    readings = _measurement(day, day.tip_um if tip_um is None else tip_um)
+    readings = measurement_of(day, day.tip_um if tip_um is None else tip_um)
     return characterise([readings], wanted=Wanted((), tuple(effects())), name=name).model
 
 
@@ -143,14 +190,14 @@ def held_out_rms_um(day: MeasuringDay) -> tuple[float, float]:
     return tuple(float(np.sqrt(np.nanmean(left[part] ** 2))) for part in (~out, out))  # type: ignore[return-value]
 
 
-def _measurement(day: MeasuringDay, tip_um: Floats) -> Measurement:
+def measurement_of(day: MeasuringDay, tip_um: Floats, name: str = "measuring-day") -> Measurement:
     """The readings of X and Z as a measurement; a session is a run, together with the work before the next."""
     machine = day.state.machine
     setup = {"directions": ["X", "Z"], "zero": "none"}
-    probe = make_instrument("tool_tip", setup, None, None, machine, "measuring-day")
+    probe = make_instrument("tool_tip", setup, None, None, machine, name)
     content = digest([day.state.time_s.tolist(), np.nan_to_num(tip_um).tolist()])
     return Measurement(
-        name="measuring-day",
+        name=name,
         instrument=probe,
         machine=machine,
         run=np.maximum.accumulate(np.maximum(day.session, 0)),
@@ -164,8 +211,8 @@ def _measurement(day: MeasuringDay, tip_um: Floats) -> Measurement:
 class _Notebook:
     """Goes through the day and writes down what is read."""
 
-    def __init__(self, sim: SimulatedMachine, rng: np.random.Generator) -> None:
-        self._sim, self._rng, self._sessions = sim, rng, 0
+    def __init__(self, sim: SimulatedMachine, rng: np.random.Generator, visit: Visit) -> None:
+        self._sim, self._rng, self._visit, self._sessions = sim, rng, visit, 0
         self._rows: list[tuple[Floats, Floats, Floats, Floats, int]] = []
         self.session_s = LINE_S * (len(Z_LINES_AT_X_MM) + len(X_LINES_AT_Z_MM))
 
@@ -185,8 +232,9 @@ class _Notebook:
         self._sessions += 1
 
     def _lines(self) -> Sequence[Floats]:
-        z = np.arange(self._rng.uniform(0.0, Z_STEP_MM), 400.0, Z_STEP_MM)
-        x = np.arange(self._rng.uniform(0.0, X_STEP_MM), 200.0, X_STEP_MM)
+        z_step_mm, x_step_mm = self._visit.z_step_mm, self._visit.x_step_mm
+        z = np.arange(self._rng.uniform(0.0, z_step_mm), 400.0, z_step_mm)
+        x = np.arange(self._rng.uniform(0.0, x_step_mm), 200.0, x_step_mm)
         along_z = [np.stack([np.full(len(z), at), z], axis=1) for at in Z_LINES_AT_X_MM]
         return [*along_z, *(np.stack([x, np.full(len(x), at)], axis=1) for at in X_LINES_AT_Z_MM)]
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec import __version__
 from rtec.diagnosis import floor
 from rtec.diagnosis.base import spikes
+from rtec.diagnosis.entry import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.floor import Unit
-from rtec.diagnosis.joint import Joint, joint_fit
+from rtec.diagnosis.joint import LOOSE, Joint, joint_fit
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import held_out
 from rtec.effects import Effect
@@ -19,26 +19,11 @@ from rtec.errors import ModelError
 from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.model.fit import Margin, valid_range
+from rtec.model.fit import Margin
 from rtec.model.model import names_of
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Root mean squares, in the unit of the change.
-
-    Attributes:
-        as_given: what the model left before anything was refitted; None where it was refitted.
-        inside: what is left of the readings that were fitted.
-        held_out: what is left of runs that were left out.
-    """
-
-    as_given: float | None
-    inside: float
-    held_out: float
 
 
 @dataclass(frozen=True)
@@ -133,12 +118,15 @@ def _add(
     _check_new(model, new)
     tell("refitting the model as it is", 0, 3)
     readings = clean_readings(model, measurements)
-    before = joint_fit(model.effects, readings)
+    # Readings that the model was fitted to before say nothing new of how sure its numbers are.
+    again = any(m.sha256 in model.measurements.values() for m in measurements)
+    loose = LOOSE if again else None
+    before = joint_fit(model.effects, readings, loose=loose)
     for fitted in new:
         if not np.abs(readings.columns(fitted.effect, fitted.theta)).max(initial=0.0) > 0.0:
             raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
     tell("refitting with what is new", 1, 3)
-    after = joint_fit((*before.effects, *new), readings)
+    after = joint_fit((*model.effects, *new), readings, loose=loose)
     tell("runs left out", 2, 3)
     scale = _scale(after, readings)
     pair = [_errors(j, after, readings, scale) for j in (before, after)]
@@ -149,11 +137,11 @@ def _add(
     labels = tuple(f.label for f in new)
     unit = floor.unit_of(readings)
     was = Errors(given, pair[0].inside, pair[0].held_out)
-    entry = _entry(labels, was, pair[1], noise, unit, measurements, len(readings))
+    entry = entry_of(labels, was, pair[1], noise, unit, measurements, len(readings))
     made = replace(
         model,
         effects=after.effects,
-        valid_range=_ranges(model, after.effects, readings, margin),
+        valid_range=ranges_of(model, after.effects, readings, margin),
         noise_um=noise if unit == "um" else model.noise_um,
         measurements={**model.measurements, **{m.name: m.sha256 for m in measurements if m.sha256}},
         history=(*model.history, entry),
@@ -169,7 +157,7 @@ def _add(
         unit,
         better,
         _with_smooth(after, measurements, model, scale),
-        _notes(model, measurements),
+        notes_of(model, measurements),
     )
 
 
@@ -220,48 +208,3 @@ def _with_smooth(joint: Joint, measurements: Sequence[Measurement], model: Model
     columns = [smooth.columns(f.effect, f.theta) for f in joint.effects]
     whole = np.concatenate([np.zeros((len(smooth), 0)), *columns, smooth.setup], axis=1)
     return held_out(joint.whitener, whole, scale).rms
-
-
-def _ranges(
-    model: Model, effects: Sequence[FittedEffect], readings: Readings, margin: Margin
-) -> dict[str, tuple[float, float]]:
-    """Ranges seen before and now, together."""
-    seen = [(m.state(model.reference_degc), np.arange(len(m))) for m in readings.measurements]
-    out = dict(model.valid_range)
-    for name, (low, high) in valid_range([f.effect for f in effects], seen, margin).items():
-        a, b = out.get(name, (low, high))
-        out[name] = (min(a, low), max(b, high))
-    return out
-
-
-def _entry(
-    labels: Sequence[str],
-    before: Errors,
-    after: Errors,
-    noise: float,
-    unit: str,
-    measurements: Sequence[Measurement],
-    readings: int,
-) -> Mapping[str, Any]:
-    return {
-        "change": "add" if labels else "refit",
-        "effects": list(labels),
-        "rms_as_given": before.as_given,
-        "rms_before": before.held_out,
-        "rms_after": after.held_out,
-        "rms_inside_before": before.inside,
-        "rms_inside": after.inside,
-        "noise_floor": noise,
-        "unit": unit,
-        "readings": readings,
-        "measurements": [m.name for m in measurements],
-        "rtec": __version__,
-    }
-
-
-def _notes(model: Model, measurements: Sequence[Measurement]) -> tuple[str, ...]:
-    given = {m.name for m in measurements}
-    missing = [n for n in model.measurements if n not in given]
-    if not missing:
-        return ()
-    return (f"the model was fitted on {', '.join(missing)} too, not given now: what only those show stays as it was",)

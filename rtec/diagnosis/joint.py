@@ -24,7 +24,9 @@ from rtec.model.model import names_of
 Floats = NDArray[np.float64]
 
 LOOSE = 30.0
-"""So many of its standard errors a number may move without being held back."""
+"""So many of its standard errors a number may move freely where the same readings are fitted again."""
+LOOSENESS = (1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 100.0)
+"""What is tried where the readings are new."""
 NEW = 1e6
 """Standard deviation of the prior of a number nobody has fitted yet, over its usual size."""
 ROUNDS = 2
@@ -69,13 +71,16 @@ class _Work:
         return np.concatenate([*parts, self.readings.setup], axis=1)
 
 
-def joint_fit(effects: Sequence[FittedEffect], readings: Readings, *, search: bool = True) -> Joint:
+def joint_fit(
+    effects: Sequence[FittedEffect], readings: Readings, *, search: bool = True, loose: float | None = LOOSE
+) -> Joint:
     """Refit effects together.
 
     Args:
         effects: with the numbers to start from; a new one with `errors` empty and coefficients zero.
         readings: what was measured, with the channels that the loop will see.
         search: also search for non-linear parameters.
+        loose: how many of its standard errors a number may move freely; None: as the readings make it likeliest.
 
     Raises:
         MeasurementError: a channel that an effect needs was not recorded.
@@ -85,14 +90,15 @@ def joint_fit(effects: Sequence[FittedEffect], readings: Readings, *, search: bo
     columns = work.columns(thetas)
     whitener = find_noise(readings, columns)
     free = _free(effects, readings) if search else []
+    loose = _likeliest(effects, readings, whitener, columns) if loose is None else loose
     for _ in range(ROUNDS if free else 1):
         if free:
             thetas = _polish(work, whitener, thetas, free)
             columns = work.columns(thetas)
-        values = _values(effects, readings, whitener, columns)
+        values = _values(effects, readings, whitener, columns, loose)
         whitener = refine(whitener, readings.values - columns @ values, 30)
-    values = _values(effects, readings, whitener, columns)
-    fitted = _numbers(effects, readings, whitener, columns, thetas, values)
+    values = _values(effects, readings, whitener, columns, loose)
+    fitted = _numbers(effects, readings, whitener, columns, thetas, values, loose)
     return Joint(fitted, whitener, columns, readings.values - columns @ values)
 
 
@@ -140,7 +146,7 @@ def _polish(
     return at(found.x) if better else thetas
 
 
-def _prior(effects: Sequence[FittedEffect], readings: Readings) -> tuple[Floats, Floats]:
+def _prior(effects: Sequence[FittedEffect], readings: Readings, loose: float) -> tuple[Floats, Floats]:
     """Where the linear numbers start, and how far they may move, set-up terms last."""
     centre: list[float] = []
     spread: list[float] = []
@@ -149,14 +155,34 @@ def _prior(effects: Sequence[FittedEffect], readings: Readings) -> tuple[Floats,
             value = f.values.get(p.name, 0.0)
             error = f.errors.get(p.name)
             centre.append(value)
-            spread.append(LOOSE * error if error else NEW * max(p.typical, abs(value)))
+            spread.append(loose * error if error else NEW * max(p.typical, abs(value)))
     count = readings.setup.shape[1]
     return np.array([*centre, *[0.0] * count]), np.array([*spread, *[np.inf] * count])
 
 
-def _values(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> Floats:
+def _likeliest(effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats) -> float:
+    """How loose the numbers are, by the evidence of the readings for each looseness: they may have changed, or not."""
+    white = whitener(columns)
+    best, most = LOOSE, -np.inf
+    for loose in LOOSENESS:
+        centre, spread = _prior(effects, readings, loose)
+        spread = np.minimum(spread, NEW * 1e3)
+        target = whitener(readings.values - columns @ centre)
+        scaled = white * spread
+        value, vector = np.linalg.eigh(scaled.T @ scaled)
+        value = np.maximum(value, 0.0)
+        seen = vector.T @ (scaled.T @ target)
+        evidence = 0.5 * float(np.sum(seen**2 / (1.0 + value)) - np.sum(np.log1p(value)))
+        if evidence > most:
+            best, most = loose, evidence
+    return best
+
+
+def _values(
+    effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats, loose: float
+) -> Floats:
     """Generalised least squares that begins at the numbers as they are, (p,)."""
-    centre, spread = _prior(effects, readings)
+    centre, spread = _prior(effects, readings, loose)
     white = whitener(columns)
     rows = np.diag(1.0 / spread)
     target = whitener(readings.values - columns @ centre)
@@ -171,6 +197,7 @@ def _numbers(
     columns: Floats,
     thetas: Sequence[Mapping[str, float]],
     values: Floats,
+    loose: float,
 ) -> tuple[FittedEffect, ...]:
     """Effects with the numbers found and their standard errors."""
     machine, at = readings.machine, 0
@@ -186,7 +213,7 @@ def _numbers(
             slopes.append(slope(f, readings, name, np.array(list(f.values.values()))))
             owner.append((i, name))
     whole = np.concatenate([columns, *[s[:, None] for s in slopes]], axis=1)
-    spread = np.concatenate([_prior(effects, readings)[1], np.full(len(slopes), np.inf)])
+    spread = np.concatenate([_prior(effects, readings, loose)[1], np.full(len(slopes), np.inf)])
     covariance = inverse(np.concatenate([whitener(whole), np.diag(1.0 / spread)]))
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     errors = np.where(np.abs(whole).max(axis=0, initial=0.0) > 0.0, errors, np.nan)  # nan: not seen

@@ -36,7 +36,7 @@ USUAL = (
     "spindle_growth",
 )
 """Effects that are asked about where none are named: each once for every component error that the tests see."""
-OFFSETS_MM = (0.0, 200.0)
+BESIDE_MM = 200.0
 
 
 def load_test(path: Path, machine: Machine) -> Measurement:
@@ -122,13 +122,12 @@ def _probes() -> dict[str, Any]:
 
 def _along(axis: Axis, machine: Machine) -> Iterator[_Idea]:
     name, cold = axis.name, {"protocol": "cold", "cycles": 2}
-    across = next((i for i in range(3) if i != "XYZ".index(axis.direction)), 0)
-    for offset in OFFSETS_MM:
-        at = [0.0, 0.0, 0.0]
-        at[across] = offset
-        where = f", beam {offset:g} mm beside the tool" if offset else ""
+    yield _Idea(f"laser along {name}, both ways, cold", "laser_linear", {}, name, None, cold)
+    for across in "XYZ".replace(axis.direction, ""):
+        at = [BESIDE_MM if letter == across else 0.0 for letter in "XYZ"]
+        where = f"beam {BESIDE_MM:g} mm from the tool along {across}"
         yield _Idea(
-            f"laser along {name}, both ways, cold{where}", "laser_linear", {"beam_offset_mm": at}, name, None, cold
+            f"laser along {name}, both ways, cold, {where}", "laser_linear", {"beam_offset_mm": at}, name, None, cold
         )
     warm = {"protocol": "warm_up", "cycles": 2}
     yield _Idea(f"laser along {name} through a warm-up", "laser_linear", {}, name, None, warm)

@@ -107,7 +107,7 @@ def _worst(c: Comparison) -> Section:
             r.words,
             number(r.rms),
             number(r.elsewhere),
-            f"{r.mean:+.2f}".replace("-0.00", "+0.00"),
+            _signed(r.mean).replace("-0.00", "+0.00"),
             f"{r.n}",
             UNITS[i.unit],
         ]
@@ -127,6 +127,11 @@ def _worst(c: Comparison) -> Section:
         words.append("Where channels name the same readings, these data cannot say which of them it is.")
     caption = "Best evidence first; root mean squares, the mean with its sign. Elsewhere: in none of these places."
     return Section("Where it is worst", words, Table(head, rows, caption, (0, 1, 6)))
+
+
+def _signed(value: float) -> str:
+    text = f"{value:+.2f}".replace("-", "−")
+    return "0.00" if text[1:] == "0.00" else text
 
 
 def _outside(c: Comparison) -> list[Section]:

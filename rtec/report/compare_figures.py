@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, OFF, ON, _figure, _png, _styled
+from rtec.report.compare_stack import Stack, colours, draw_stack
+from rtec.report.figures import GREY, OFF, _figure, _png, _styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 MOST_BARS = 10
+STACK_IN = 4.8
+LONG = 22
+"""Letters; longer names stand on two lines."""
 
 
 @_styled
@@ -75,32 +79,48 @@ def _short(value: float) -> str:
 
 @_styled
 def contributions(
-    title: str, unit: str, rows: Sequence[tuple[str, float, float]], measured: float, left: float, floor: float
+    title: str,
+    unit: str,
+    rows: Sequence[tuple[str, float, float]],
+    measured: float,
+    left: float,
+    floor: float,
+    stack: Stack | None = None,
 ) -> bytes:
-    """What each effect adds, bars with the largest on top, between what was measured and what is left.
+    """What each effect adds: bars between what was measured and what is left; below, one on top of the other.
 
     Args:
         title: of the figure.
         unit: of the readings.
         rows: label, root mean square, largest size; in falling order.
         measured, left, floor: root mean squares.
+        stack: means along a channel, its effects in the order of `rows`.
     """
-    shown = _joined(rows)
-    bars = [("measured", measured, GREY, ""), *((n, r, ON, "") for n, r, _ in shown), ("left", left, OFF, "//")]
-    figure, (ax,) = _figure(1, 0.6 * len(bars) + 1.6)
+    shown = rows[:MOST_BARS]
+    effects = [(name, rms, colour, "") for (name, rms, _), colour in zip(shown, colours(len(shown)), strict=True)]
+    bars = [("measured", measured, GREY, ""), *effects, ("left", left, OFF, "//")]
+    high = 0.7 * len(bars) + 1.6
+    figure, axes = _figure(2 if stack else 1, 0.5 * (high + STACK_IN) if stack else high)
+    if stack and (grid := axes[0].get_gridspec()):
+        grid.set_height_ratios([high, STACK_IN])
+        draw_stack(axes[1], unit, stack)
+    ax = axes[0]
     most = max(b[1] for b in bars)
     for place, (name, rms, colour, hatch) in enumerate(reversed(bars)):
         ax.barh(place, rms, 0.7, color=colour, hatch=hatch, edgecolor="white")
         ax.text(rms + 0.01 * most, place, f"{rms:.2f}", va="center", fontsize=14)
-        ax.text(-0.02, place, name, va="center", ha="right", transform=ax.get_yaxis_transform())
+        ax.text(-0.02, place, _broken(name), va="center", ha="right", transform=ax.get_yaxis_transform(),
+                linespacing=1.0)  # fmt: skip
     ax.axvspan(0.0, floor, color="#BBBBBB", alpha=0.6, zorder=3, linewidth=0)
     ax.set_yticks([])
     ax.set_xlim(0, 1.15 * most)
-    ax.set_title(f"{title}: what each effect of the model adds")
-    ax.set_xlabel(f"root mean square, {unit}; grey band at the left: noise {floor:.2g} {unit}")
+    # Over the names too: beside them there is not always room.
+    figure.suptitle(f"{title}: what each effect adds", x=0.01, ha="left", fontsize=17, fontweight="bold")
+    ax.set_xlabel(f"root mean square, {unit} (grey band: noise {floor:.2g} {unit})")
     ax.grid(visible=False, axis="y")
     return _png(figure)
 
 
-def _joined(rows: Sequence[tuple[str, float, float]]) -> list[tuple[str, float, float]]:
-    return list(rows[:MOST_BARS])
+def _broken(name: str) -> str:
+    """A long label on two lines."""
+    return name.replace("(", "\n(", 1) if len(name) > LONG else name

@@ -12,6 +12,7 @@ from rtec.diagnosis.locate_bins import MOVES, REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.readings import Readings, Series
 from rtec.diagnosis.words import UNITS
 from rtec.report import compare_figures, compare_lines
+from rtec.report.compare_stack import Stack, stack_along
 from rtec.report.html import Figure, Section
 
 Floats = NDArray[np.float64]
@@ -55,7 +56,8 @@ def _figures(c: Comparison, item: Compared, s: Series, title: str) -> list[tuple
     out.append(("what is left over time", Figure("time.png", png, "What is left over time, and the temperatures.")))
     if item.parts:
         rows = [(p.label, p.rms, p.most) for p in item.parts]
-        png = compare_figures.contributions(title, unit, rows, item.measured.rms, item.left.rms, item.floor)
+        stack = _stack(c, item, s, main)
+        png = compare_figures.contributions(title, unit, rows, item.measured.rms, item.left.rms, item.floor, stack)
         out.append(("what the model says", Figure("effects.png", png, "What each effect of the model adds.")))
     return out
 
@@ -77,6 +79,20 @@ def _sensors(readings: Readings, s: Series) -> list[tuple[str, Floats]]:
     found = [(n, state.channels[n][s.row]) for n in readings.machine.sensor_names if n in state.channels]
     found = [(n, v) for n, v in found if np.isfinite(v).any()]
     return sorted(found, key=lambda one: -float(np.nanmax(one[1]) - np.nanmin(one[1])))[:MOST_SENSORS]
+
+
+def _stack(c: Comparison, item: Compared, s: Series, main: tuple[str, Floats, Floats] | None) -> Stack | None:
+    """The effects along position, time or a temperature: where their means show most of what is predicted."""
+    parts = {p.label: c.traces.parts[p.label][s.part] for p in item.parts}
+    measured = c.traces.measured[s.part]
+    scale, name = time_unit(float(np.ptp(s.time_s)))
+    found = [stack_along((f"{main[0]}, mm", main[1]), main[2], parts, measured)] if main else []
+    slow = [
+        (f"{n}, °C", v) for n, v in _sensors(c.traces.readings, s) if np.isfinite(v).all() and np.ptp(v) > REAL_DEGC
+    ]
+    for channel in [(f"{name} since the first reading", (s.time_s - s.time_s[0]) / scale), *slow]:
+        found.append(stack_along(channel, None, parts, measured))
+    return max((f for f in found if f is not None), key=lambda f: f.shows, default=None)
 
 
 Cells = tuple[tuple[str, Floats], tuple[str, Floats], list[tuple[str, Floats]]]

@@ -1,16 +1,14 @@
-"""Reports of a diagnosis, of what was added, and of a model's history."""
+"""Reports of a diagnosis, and of what was added."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
 
 from rtec import __version__
 from rtec.diagnosis.add import Added
 from rtec.diagnosis.improve import Improved
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.words import UNITS
-from rtec.model import Model
 from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.model_history import history_sections
 from rtec.report.procedures import number
 
 SHOWN_ABSENT = 14
@@ -176,7 +174,9 @@ def added_page(a: Added, figures: bool = True) -> Page:
         f"With temperatures smoothed both ways in time, which the loop cannot do, it would be {a.smoothed:.3g} {unit}.",
         *(_sentence(n) for n in a.notes),
     ]
-    return Page("What it bought", lead, [], [Section("Before and after", words, table), *_history(a.model, figures)])
+    return Page(
+        "What it bought", lead, [], [Section("Before and after", words, table), *history_sections(a.model, figures)]
+    )
 
 
 def improved_page(r: Improved, figures: bool = True) -> Page:
@@ -202,79 +202,4 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     ]
     last_page = diagnosis_page(r.diagnoses[-1], figures=False) if r.diagnoses else None
     tail = [Section("What is left", [last_page.lead])] if last_page else []
-    return Page("The model improved", lead, [], [*_history(r.model, figures), *sections, *tail])
-
-
-def history_page(model: Model, figures: bool = True) -> Page:
-    """Every change of a model and what it bought."""
-    steps = steps_of(model)
-    if not steps:
-        lead = "This model has no history: it was written by hand, or fitted before histories were kept."
-        return Page(f"History of {model.name}", lead, [], [])
-    first, last = steps[0], steps[-1]
-    lead = (
-        f"{len(steps)} {'entry' if len(steps) == 1 else 'entries'}: from {first['error']:.3g} to {last['error']:.3g} "
-        f"{UNITS.get(last['unit'], last['unit'])} on runs left out of the fit."
-    )
-    return Page(f"History of {model.name}", lead, [], _history(model, figures))
-
-
-def steps_of(model: Model) -> list[dict[str, Any]]:
-    """Entries of a model's history that know their error on runs left out."""
-    out: list[dict[str, Any]] = []
-    for entry in model.history:
-        after = entry.get("rms_after", entry.get("rms_held_out"))
-        if after is None:
-            continue
-        before = entry.get("rms_before")
-        moved = bool(out) and before is not None and abs(float(before) / max(out[-1]["error"], 1e-12) - 1.0) > 0.05
-        out.append(
-            {
-                "name": ", ".join(entry.get("effects", ())) or str(entry.get("change", "change")),
-                "before": None if before is None else float(before),
-                "error": float(after),
-                "floor": entry.get("noise_floor"),
-                "unit": str(entry.get("unit", "um")),
-                "other_data": moved,
-            }
-        )
-    return out
-
-
-def _history(model: Model, figures: bool) -> list[Section]:
-    steps = steps_of(model)
-    if not steps:
-        return []
-    rows = [_step_row(s) for s in steps]
-    head = ("change", "before", "after", "mean square falls by", "noise floor", "unit")
-    table = Table(head, rows, "Root mean squares on runs left out of the fit.", words=(0, 5))
-    words = [_bought(s) for s in steps if s["before"] is not None]
-    if any(s["other_data"] for s in steps):
-        words.append("Where 'before' is not the 'after' of the row above, the change was judged on other measurements.")
-    return [Section("The error falling", words, table, _staircase(steps) if figures else None)]
-
-
-def _step_row(s: Mapping[str, Any]) -> list[str]:
-    before = s["before"]
-    fall = "–" if not before else f"{1.0 - (s['error'] / before) ** 2:.0%}"
-    floor = "–" if s["floor"] is None else number(float(s["floor"]), 3)
-    unit = UNITS.get(s["unit"], s["unit"])
-    return [s["name"], "–" if before is None else number(before, 3), number(s["error"], 3), fall, floor, unit]
-
-
-def _bought(s: Mapping[str, Any]) -> str:
-    unit = UNITS.get(s["unit"], s["unit"])
-    return f"{s['name']}: {s['before']:.3g} {unit} became {s['error']:.3g}."
-
-
-def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
-    from rtec.report import diagnosis_figures
-
-    unit = steps[-1]["unit"]
-    same = [s for s in steps if s["unit"] == unit]
-    names, errors = [s["name"] for s in same], [s["error"] for s in same]
-    if same[0]["before"] is not None:
-        names, errors = ["as it was", *names], [same[0]["before"], *errors]
-    floor = next((float(s["floor"]) for s in reversed(same) if s["floor"] is not None), None)
-    png = diagnosis_figures.staircase(UNITS.get(unit, unit), names, errors, floor)
-    return Figure("history.png", png, "The error on runs left out after each change, and the noise floor.")
+    return Page("The model improved", lead, [], [*history_sections(r.model, figures), *sections, *tail])

@@ -102,7 +102,7 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
     ax.step(x, [*errors, errors[-1]], where="post", color=ON, linewidth=3.4)
     for place, value in enumerate(errors):
         ax.text(place + 0.5, value, f"{value:.2f}", ha="center", va="bottom", fontweight="bold", color=ON)
-        if place:
+        if place and value < errors[place - 1]:
             ax.annotate("", (place, value), (place, errors[place - 1]),
                         arrowprops={"arrowstyle": "-|>", "color": OFF, "linewidth": 2.5})  # fmt: skip
     top = 1.22 * max([*errors, floor or 0.0])
@@ -119,6 +119,34 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
     return _png(figure)
 
 
+@_styled
+def tip_by_part(title: str, rows: Sequence[tuple[str, Floats]]) -> bytes:
+    """Tip error part by part with several models, side by side.
+
+    Args:
+        title: of the figure.
+        rows: name, root mean square of each part, µm, (parts,); drawn in grey, orange, blue.
+    """
+    figure, (ax,) = _figure(1, 4.4)
+    wide = 0.8 / len(rows)
+    styles = (("#999999", ""), (OFF, "//"), (ON, ""))
+    for k, ((name, values), (colour, hatch)) in enumerate(zip(rows, styles, strict=False)):
+        place = np.arange(len(values)) + (k - 0.5 * (len(rows) - 1)) * wide
+        ax.bar(place, values, wide, color=colour, hatch=hatch, edgecolor="white", label=name)
+    ax.set_xticks(np.arange(len(rows[0][1])), [str(i + 1) for i in range(len(rows[0][1]))])
+    ax.set_ylim(0.0, 1.35 * max(float(v.max()) for _, v in rows))
+    ax.grid(visible=False, axis="x")
+    ax.set_title(title)
+    ax.set_xlabel("part, the first cut cold")
+    ax.set_ylabel("error at the tool tip, µm rms")
+    ax.legend(ncols=len(rows), frameon=False, loc="upper left", fontsize=13)
+    return _png(figure)
+
+
 def _broken(name: str) -> str:
-    """A label on several lines: at the bracket and after each comma."""
-    return name.replace("(", "\n(", 1).replace(", ", ",\n")
+    """A label on several lines: at the bracket; words where they are many; long names at an underscore too."""
+    head, mark, rest = name.partition("(")
+    if len(head) > 18 and "_" in head:
+        at = head.rindex("_") + 1
+        head = f"{head[:at]}\n{head[at:]}"
+    return f"{head}\n{mark}{rest}" if mark else name.replace(" the ", " the\n", 1)

@@ -57,7 +57,9 @@ def _sizes(s: Separation) -> Table:
     rows = []
     for p in s.parameters:
         size = s.detectable[p.name]
-        enough = "never" if not math.isfinite(size) else "yes" if size < p.typical else "only if large"
+        together = any(p.name in group for group in s.confounded)
+        blind = "only with others" if together else "never"
+        enough = blind if not math.isfinite(size) else "yes" if size < p.typical else "only if large"
         rows.append([p.name, f"{size:.3g}" if math.isfinite(size) else "∞", f"{p.typical:.3g}", p.unit, enough])
     return Table(("parameter", "found from", "usual size", "unit", "seen?"), rows, words=(0, 3, 4))
 

@@ -1,0 +1,170 @@
+"""The second story: a machine with a fault that nobody knows, and a model that learns it.
+
+A fault is drawn. A first model is fitted to half a day of probing as ever, and corrects the machine; an error is left.
+`rtec diagnose` looks at the same readings, the effect that it names is added as `rtec add` does, and the same hours are
+lived through again with the new model, through the same loop.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+import tomli_w
+
+from rtec.demo import training
+from rtec.demo.day import CYLINDER, FACE, SHOULDER, Floats, Ints, Plan, Track
+from rtec.demo.hidden import Fault, draw, with_play
+from rtec.demo.live import corrected
+from rtec.diagnosis.add import Added, add, new_effect
+from rtec.diagnosis.diagnose import diagnose
+from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from rtec.sim.truth import Truth, load_truth
+
+Stage = Callable[[str, int, int], None]
+Found = Literal["named", "among those alike", "not named", "wrongly named"]
+
+LATER_PLAN = Plan(warm_h=1.5, night_h=0.0)
+APART = 1000
+"""The days of this story are other days than those of the first."""
+
+
+@dataclass(frozen=True)
+class Later:
+    """What came of the fault.
+
+    Attributes:
+        hidden_seed: by which the fault was drawn.
+        fault: what it was.
+        seed: of the hours that were corrected; the probing is the next seed's.
+        readings: numbers that the probe read.
+        noise_um: of the probe.
+        first: model that does not know the fault.
+        diagnosis: of the readings.
+        added: what the addition did; None where nothing was named.
+        healthy: the corrected hours of the machine without the fault, with a model of it: as good as it gets.
+        before, after: the corrected hours with the first and with the new model; None where there is none.
+    """
+
+    hidden_seed: int
+    fault: Fault
+    seed: int
+    readings: int
+    noise_um: float
+    first: Model
+    diagnosis: Diagnosis
+    added: Added | None
+    healthy: Track
+    before: Track
+    after: Track | None
+
+    @property
+    def found(self) -> Found:
+        """Whether the fault was found; only a simulation can say."""
+        if self.added is None:
+            return "not named"
+        first = self.diagnosis.findings[0].effect
+        if first.effect in self.fault.right and first.component == self.fault.component:
+            return "named"
+        alike = {f.effect.effect for f in self.diagnosis.group}
+        alike |= {a.effect for a in self.diagnosis.findings[0].confused_with}
+        return "among those alike" if alike & set(self.fault.right) else "wrongly named"
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data, for JSON."""
+        return {
+            "hidden_seed": self.hidden_seed,
+            "hidden": {"name": self.fault.name, "words": self.fault.words, "component": self.fault.component},
+            "seed": self.seed,
+            "readings": self.readings,
+            "found": self.found,
+            "added": list(self.added.labels) if self.added else [],
+            "tip_rms_um": {
+                "without_the_fault": tip_rms_um(self.healthy),
+                "first_model": tip_rms_um(self.before),
+                "new_model": tip_rms_um(self.after) if self.after is not None else None,
+            },
+            "held_out_rms_um": {
+                "before": self.added.before.held_out if self.added else None,
+                "after": self.added.after.held_out if self.added else None,
+            },
+            "probe_noise_um": self.noise_um,
+            "diagnosis": self.diagnosis.facts(),
+        }
+
+
+def tell_later(sound: Model, truth_file: Path, hidden_seed: int, name: str | None, seed: int, stage: Stage) -> Later:
+    """Go through the second story.
+
+    Args:
+        sound: model of the machine without the fault.
+        truth_file: of that machine.
+        hidden_seed: draws the fault.
+        name: of a fault, where it is not to be drawn.
+        seed: of the first story.
+        stage: told of progress.
+    """
+    with TemporaryDirectory() as scratch:
+        fault, file = draw(hidden_seed, name), Path(scratch) / "truth.toml"
+        truth = with_play(load_truth(truth_file), fault)
+        file.write_text(tomli_w.dumps(truth.model_dump(mode="json", exclude_none=True)), encoding="utf-8")
+        return _tell(sound, (truth_file, file), truth, fault, (hidden_seed, seed + APART), stage)
+
+
+def _tell(
+    sound: Model, files: tuple[Path, Path], truth: Truth, fault: Fault, seeds: tuple[int, int], stage: Stage
+) -> Later:
+    """The story once the fault is there; files: the truth without and with it."""
+    hidden_seed, later = seeds
+
+    def live(model: Model, what: str, fault: Fault | None = fault) -> Track:
+        def progress(done: int, total: int) -> None:
+            stage(what, done, total)
+
+        return corrected(model, files[fault is not None], later, LATER_PLAN, progress=progress, fault=fault)[0]
+
+    stage("probing a machine with a fault", 0, 1)
+    day = training.measure(sound.machine, truth, later + 1, visit=training.SHORT, fault=fault)
+    measured = training.measurement_of(day, day.tip_um, "probing")
+    first = training.fit_day(day, name="first")
+    healthy = live(sound, "without the fault", None)
+    before = live(first, "with the first model")
+    found = diagnose(first, [measured], seed=hidden_seed, stage=stage)
+    best = found.findings[0] if found.findings else None
+    added = _add(first, best, measured, stage) if best is not None and best.accepted else None
+    after = live(added.model, "with the new model") if added else None
+    return Later(
+        hidden_seed, fault, later, day.readings, training.PROBE_NOISE_UM, first, found, added, healthy, before, after
+    )
+
+
+def _add(model: Model, named: Finding, measured: Measurement, stage: Stage) -> Added:
+    values = {k: n.value for k, n in named.parameters.items()}
+    return add(model, [new_effect(named.effect, model, named.theta, values)], [measured], stage=stage)
+
+
+def tip_errors_um(track: Track) -> tuple[Ints, Floats]:
+    """Tip error across and along the workpiece while cutting, counted from the mean on the first part.
+
+    Returns:
+        Part, (n,), and error along X and Z, (n, 2), µm.
+    """
+    rows = np.isin(track.surface, (CYLINDER, FACE, SHOULDER))
+    part, error = track.part[rows], track.tip_um[rows][:, [0, 2]]
+    return part, np.asarray(error - error[part == 0].mean(axis=0))
+
+
+def tip_rms_um(track: Track) -> float:
+    """Root mean square distance of the tool tip from where it should be, in the plane of X and Z, µm."""
+    return float(np.sqrt(np.mean(np.sum(tip_errors_um(track)[1] ** 2, axis=1))))
+
+
+def by_part_um(track: Track) -> Floats:
+    """The same part by part, (parts,)."""
+    part, error = tip_errors_um(track)
+    square = np.sum(error**2, axis=1)
+    return np.array([float(np.sqrt(square[part == p].mean())) for p in np.unique(part)])

@@ -1,0 +1,75 @@
+"""What a change leaves in the model file: its entry of the history, wider ranges, and what else is to be known."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtec import __version__
+from rtec.diagnosis.readings import Readings
+from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect, Model
+from rtec.model.fit import Margin, valid_range
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root mean squares, in the unit of the change.
+
+    Attributes:
+        as_given: what the model left before anything was refitted; None where it was refitted.
+        inside: what is left of the readings that were fitted.
+        held_out: what is left of runs that were left out.
+    """
+
+    as_given: float | None
+    inside: float
+    held_out: float
+
+
+def ranges_of(
+    model: Model, effects: Sequence[FittedEffect], readings: Readings, margin: Margin
+) -> dict[str, tuple[float, float]]:
+    """Ranges seen before and now, together."""
+    seen = [(m.state(model.reference_degc), np.arange(len(m))) for m in readings.measurements]
+    out = dict(model.valid_range)
+    for name, (low, high) in valid_range([f.effect for f in effects], seen, margin).items():
+        a, b = out.get(name, (low, high))
+        out[name] = (min(a, low), max(b, high))
+    return out
+
+
+def entry_of(
+    labels: Sequence[str],
+    before: Errors,
+    after: Errors,
+    noise: float,
+    unit: str,
+    measurements: Sequence[Measurement],
+    readings: int,
+) -> Mapping[str, Any]:
+    """The entry of the history; `rms_before` and `rms_after` are those of runs left out."""
+    return {
+        "change": "add" if labels else "refit",
+        "effects": list(labels),
+        "rms_as_given": before.as_given,
+        "rms_before": before.held_out,
+        "rms_after": after.held_out,
+        "rms_inside_before": before.inside,
+        "rms_inside": after.inside,
+        "noise_floor": noise,
+        "unit": unit,
+        "readings": readings,
+        "measurements": [m.name for m in measurements],
+        "rtec": __version__,
+    }
+
+
+def notes_of(model: Model, measurements: Sequence[Measurement]) -> tuple[str, ...]:
+    """Which measurements the model was fitted on and which are not given now."""
+    given = {m.name for m in measurements}
+    missing = [n for n in model.measurements if n not in given]
+    if not missing:
+        return ()
+    return (f"the model was fitted on {', '.join(missing)} too, not given now: what only those show stays as it was",)
