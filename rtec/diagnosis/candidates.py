@@ -162,7 +162,7 @@ def _grid(parameter: Parameter, readings: Readings) -> tuple[float, ...]:
         return _instants(readings)
     low, high = parameter.low, parameter.high
     if parameter.name == "period" and parameter.unit == "mm":
-        return _periods(low, high, _longest_travel_mm(readings))
+        return _periods(max(low, _fold_mm(readings)), high, _longest_travel_mm(readings))
     if not np.isfinite([low, high]).all() or low >= high:
         return (parameter.start,)
     if low > 0.0:
@@ -173,6 +173,17 @@ def _grid(parameter: Parameter, readings: Readings) -> tuple[float, ...]:
 def _longest_travel_mm(readings: Readings) -> float:
     axes = [a.channel for a in readings.machine.axes]
     return max(float(np.ptp(s.value(c))) for s in readings.states for c in axes)
+
+
+def _fold_mm(readings: Readings) -> float:
+    """Below this period, waves at evenly spaced targets fold onto longer ones; zero where targets are uneven."""
+    steps = []
+    for state in readings.states:
+        for axis in readings.machine.axes:
+            apart = np.diff(np.unique(np.round(state.value(axis.channel), 4)))
+            if len(apart) > 4 and np.std(apart) < 0.02 * np.mean(apart):
+                steps.append(2.02 * float(np.mean(apart)))
+    return max(steps, default=0.0)
 
 
 def _periods(low_mm: float, high_mm: float, span_mm: float) -> tuple[float, ...]:

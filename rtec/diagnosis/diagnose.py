@@ -20,7 +20,7 @@ from rtec.diagnosis.noise import Whitener, find_noise, without_drift
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import Fit, fit_columns, held_out, inverse, solve
 from rtec.diagnosis.result import Absent, Alike, Diagnosis, Finding, NotTestable, Number, Picture, Unknown
-from rtec.diagnosis.screen import Projected, Screen, screen
+from rtec.diagnosis.screen import UNMOVED, Projected, Screen, screen
 from rtec.effects import Effect
 from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.measurement import Measurement
@@ -228,7 +228,7 @@ class _Search:
             self.stage("fitting the best anew", done, len(looks))
             variant = look.variants[look.best[number]]
             candidate = self.candidates[number]
-            columns = self.readings.columns(candidate.effect, candidate.thetas[variant.theta])
+            columns = self._columns(number, variant.theta)
             fit = self._fit(np.concatenate([base, columns], axis=1))
             evidence = fit.log_likelihood - without.log_likelihood - 0.5 * variant.count * n
             evidence -= look.search_cost(number) + self._choice_cost(number)
@@ -237,6 +237,14 @@ class _Search:
             out.append(Tried(number, variant.theta, columns, fit, evidence, drop, gain))
         # What does worse on runs left out is no winner, whatever its evidence.
         return sorted(out, key=lambda t: (not t.holds, -t.log_evidence))
+
+    def _columns(self, number: int, theta: int) -> Floats:
+        """Columns of a candidate; one that hardly moves the readings at its usual size is nothing but rounding."""
+        effect = self.candidates[number].effect
+        columns = self.readings.columns(effect, self.candidates[number].thetas[theta])
+        usual = np.array([p.typical for p in effect.coefficients(self.model.machine)])
+        live = np.sqrt(np.mean(columns**2, axis=0)) * usual > UNMOVED
+        return np.asarray(columns * live)
 
     def _top(self, found: Screen) -> list[int]:
         """The best few of different kinds, and what the screen does not tell from the best."""
@@ -297,9 +305,7 @@ class _Search:
         out = -math.inf
         for number in self._distinct(found)[:BESIDE]:
             variant = found.variants[found.best[number]]
-            columns = self.readings.columns(
-                self.candidates[number].effect, self.candidates[number].thetas[variant.theta]
-            )
+            columns = self._columns(number, variant.theta)
             fit = self._fit(np.concatenate([base, columns], axis=1))
             gain = fit.log_likelihood - best.fit.log_likelihood - 0.5 * variant.count * math.log(len(self.readings))
             out = max(out, best.log_evidence + gain - found.search_cost(number) - self._choice_cost(number))
@@ -469,7 +475,7 @@ class _Search:
         scale = self._scale()
         left = floor.cleaned(readings, readings.values - prepared.predicted)
         rms = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-        noise = floor.pooled(readings, floor.floors(self._noise(findings)), scale)
+        noise = min(floor.pooled(readings, floor.floors(self._noise(findings)), scale), rms)
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
         if unknown is not None:
@@ -480,7 +486,7 @@ class _Search:
             verdict = "nothing_missing"
         unit = floor.unit_of(readings)
         absent = _absent(found, findings if accepted else (), projected)
-        smallest = max((a.smallest for a in absent), default=math.nan)
+        smallest = float(np.median([a.smallest for a in absent])) if absent else math.nan
         shown = self._shown(findings, unknown)
         draft = Diagnosis(
             verdict=verdict,  # type: ignore[arg-type]

@@ -22,6 +22,7 @@ Bools = NDArray[np.bool_]
 
 LINE, FINE, PLANE = 6, 14, 4
 """Basis functions of a curve over one variable, coarse and fine, and along each side of a surface over two."""
+LEVELS = 8
 DETAIL, BEND = 9, 2
 """Basis functions of a fine curve along a position, and of how it changes with another variable."""
 PERIODS = 240
@@ -244,8 +245,8 @@ def _wave(group: str, name: str, value: Floats, mask: NDArray[np.bool_], period:
 def curve(value: Floats, count: int) -> Floats:
     """Smooth basis over a variable, without the constant, (m, ≤ count): natural splines on its quantiles."""
     places = np.unique(value)
-    if len(places) <= 3:
-        # Two or three values: one column for each but the first.
+    if len(places) <= min(count + 1, LEVELS):
+        # A few levels, as of a spindle speed: one column for each but the first.
         return np.stack([(value == p).astype(np.float64) for p in places[1:]], axis=1)
     u = (value - places[0]) / (places[-1] - places[0])
     knots = np.unique(np.quantile(u, np.linspace(0.0, 1.0, count + 1)))

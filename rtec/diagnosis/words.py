@@ -14,7 +14,7 @@ def with_sentence(d: Diagnosis, smallest: float) -> Diagnosis:
 
     Args:
         d: without a sentence.
-        smallest: the smallest size that would have been seen of every effect that was looked for.
+        smallest: size from which on half of the effects that were looked for would have been seen.
     """
     return replace(d, sentence=_sentence(d, smallest))
 
@@ -42,7 +42,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             share = max(d.adequacy, 0.0)
             near = f"; the closest, {d.findings[0].label}, explains only {share:.0%} of what can be explained"
         return f"something is missing that no effect of the catalogue describes: it depends {how} on {where}{near}"
-    limit = f" above {smallest:.2g} {unit}" if math.isfinite(smallest) else ""
+    limit = f" (half of the catalogue from {smallest:.2g} {unit} on)" if math.isfinite(smallest) else ""
     left = f"{d.rms_residual:.2g} {unit} are left, noise is {d.noise_floor:.2g}"
     return f"nothing missing that these readings could show{limit}: {left}"
 

@@ -172,6 +172,6 @@ class CyclicPole(_Wave):
     def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
         """`period`: tooth or pole pitch."""
         low, high = self.the_axis(machine).travel_mm
-        longest = min(60.0, 0.4 * (high - low))
+        longest = min(40.0, 0.4 * (high - low))
         start = min(16.0, 0.8 * longest)
         return (Parameter("period", "mm", start, min(2.5, 0.2 * longest), longest, start),)
