@@ -26,6 +26,8 @@ USUAL_OFFSET = math.log(0.3)
 START = ((0.2, 0.01), (0.2, 0.05), (2.0, 0.05), (2.0, 0.25), (20.0, 0.25))
 """Where the search looks first: drift's variance, and time constant as a share of the record."""
 STEPS = 60
+MANY, STRETCH = 8000, 400
+"""A longer series is searched through stretches of so many readings, so many in all."""
 DRIFT_BOUNDS = (1e-4, 1e5)
 
 
@@ -249,6 +251,14 @@ def _bounds(series: Series) -> Floats:
     )
 
 
+def _stretches(n: int) -> NDArray[np.int64]:
+    """Stretches of neighbouring readings, evenly over a long series: short and long memory both show; else all."""
+    if n <= MANY:
+        return np.arange(n)
+    first = np.linspace(0, n - STRETCH, MANY // STRETCH).astype(np.int64)
+    return np.unique((first[:, None] + np.arange(STRETCH)).ravel())
+
+
 def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: int) -> Noise:
     """Noise of a series that has no mean left, searched for from a noise that is about right."""
     from rtec.diagnosis.kalman_search import likelihood, walk
@@ -256,7 +266,11 @@ def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: 
     start = [math.log(now.drift), math.log(now.tau_s)] + ([math.log(now.offset)] if now.offset > 0.0 else [])
     freedom = float(max(len(left) - series.nuisance.shape[1] * int(series.run[-1] + 1), 3))
     data = (series.time_s, series.run, series.nuisance, wide, np.ascontiguousarray(left))
-    found = np.exp(walk(*data, freedom, np.array(start), _bounds(series), steps))
+    few = _stretches(len(left))
+    part, share = data, len(few) / len(left)
+    if share < 1.0:
+        part = (series.time_s[few], series.run[few], np.ascontiguousarray(series.nuisance[few]), wide, data[4][few])
+    found = np.exp(walk(*part, freedom * share, np.array(start), _bounds(series), steps))
     offset = float(found[2]) if len(found) > 2 else 0.0
     _, square = likelihood(*data, float(found[0]), float(found[1]), offset)
     return Noise(math.sqrt(max(square, 1e-12) / freedom), float(found[0]), float(found[1]), offset)

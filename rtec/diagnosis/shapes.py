@@ -6,8 +6,7 @@ variables the error depends, whether smoothly or periodically, and with which pe
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -22,6 +21,8 @@ Bools = NDArray[np.bool_]
 
 LINE, FINE, PLANE = 6, 14, 4
 """Basis functions of a curve over one variable, coarse and fine, and along each side of a surface over two."""
+KEPT = 24
+"""Shapes whose columns are kept."""
 LEVELS = 8
 DETAIL, BEND = 9, 2
 """Basis functions of a fine curve along a position, and of how it changes with another variable."""
@@ -57,20 +58,15 @@ class Weighed:
 
     Attributes:
         shape: which.
-        directions: orthonormal, whitened, less the base, (m, k).
+        count: numbers that it has, once what the base absorbs is left out.
         explained: sum of squares beyond chance, in units of the noise variance.
         log_evidence: over the base alone.
     """
 
     shape: Shape
-    directions: Floats
+    count: int
     explained: float
     log_evidence: float
-
-    @cached_property
-    def count(self) -> int:
-        """Numbers that it has."""
-        return int(self.directions.shape[1])
 
 
 def variables(readings: Readings) -> dict[str, Floats]:
@@ -119,7 +115,9 @@ def weigh(projected: Projected, shape: Shape) -> Weighed | None:
     d = scaled @ (vector[:, keep] / np.sqrt(value[keep]))
     t = d.T @ projected.left
     noise = projected.squares / projected.freedom
-    return Weighed(shape, d, float(t @ t) - d.shape[1] * noise, _evidence(projected, float(t @ t), d.shape[1], shape))
+    return Weighed(
+        shape, int(d.shape[1]), float(t @ t) - d.shape[1] * noise, _evidence(projected, float(t @ t), d.shape[1], shape)
+    )
 
 
 def _evidence(projected: Projected, square: float, count: int, shape: Shape) -> float:
@@ -137,12 +135,18 @@ def all_shapes(readings: Readings, projected: Projected) -> list[Weighed]:
     for group, mask in groups(readings).items():
         lines = _lines(projected, group, mask, known)
         leaders = list(dict.fromkeys(w.shape.variables[0] for w in lines))[:LEADERS]
-        out += lines
-        out += _surfaces(projected, group, mask, known, leaders)
+        out = _best([*out, *lines])
+        out = _best([*out, *_surfaces(projected, group, mask, known, leaders)])
         moving = [a.channel for a in readings.machine.axes if a.channel in known]
-        out += _along(projected, group, mask, known, moving, leaders)
-        out += _waves(projected, group, mask, known, moving)
+        out = _best([*out, *_along(projected, group, mask, known, moving, leaders)])
+        out = _best([*out, *_waves(projected, group, mask, known, moving)])
     return out
+
+
+def _best(weighed: list[Weighed]) -> list[Weighed]:
+    """Best first; of those far behind the columns are forgotten, which may be gigabytes."""
+    order = sorted(weighed, key=lambda w: -w.log_evidence)
+    return [*order[:KEPT], *(replace(w, shape=replace(w.shape, raw=np.zeros((0, 0)))) for w in order[KEPT:])]
 
 
 def _lines(projected: Projected, group: str, mask: Bools, known: Mapping[str, Floats]) -> list[Weighed]:
@@ -268,23 +272,3 @@ def surface(a: Floats, b: Floats, fine_a: int, fine_b: int) -> Floats:
     one, two = (c / np.maximum(np.abs(c).max(axis=0), 1e-12) for c in (one, two))
     cross = (one[:, :, None] * two[:, None, :]).reshape(len(a), -1)
     return np.concatenate([one, two, cross], axis=1)
-
-
-def family_p(projected: Projected, shapes: Sequence[Weighed], draws: int, rng: np.random.Generator) -> float:
-    """Probability that chance alone makes the best of all shapes look as good."""
-    if not shapes:
-        return 1.0
-    n = len(projected.left)
-    noise = rng.standard_normal((n, draws))
-    base = projected.q.T @ noise
-    whole = (noise**2).sum(axis=0) - (base**2).sum(axis=0)
-    top = np.full(draws, -np.inf)
-    free, m = projected.freedom, float(n)
-    for w in shapes:
-        r2 = ((w.directions.T @ noise) ** 2).sum(axis=0) / whole
-        searched = 0.5 * np.log(m) if w.shape.kind == "periodic" else 0.0
-        left = np.maximum(1.0 - r2, 1e-12)
-        value = 0.5 * (free - w.count) * np.log1p(m) - 0.5 * free * np.log1p(m * left) - searched
-        top = np.maximum(top, value)
-    best = max(w.log_evidence for w in shapes)
-    return float((1 + np.sum(top >= best)) / (draws + 1))

@@ -6,12 +6,13 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench import boxlink, cycle, fit, quadrature, startup, wakeup
+from tests.bench import boxlink, cycle, diagnose, fit, quadrature, startup, wakeup
 from tests.bench.table import Row
 
 PARTS = {
     "boxlink": boxlink.rows,
     "cycle": cycle.rows,
+    "diagnose": diagnose.rows,
     "fit": fit.rows,
     "quadrature": quadrature.rows,
     "startup": startup.rows,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.compare import compare
 from rtec.diagnosis.compare_result import Region
 from rtec.diagnosis.locate_bins import cut_into, round_edges, words_of
+from rtec.diagnosis.locate_scan import scan
 from rtec.metrology.measurement import Measurement
 from tests.unit.diagnosis_examples import laser, small_machine
 from tests.unit.test_compare import SCALE, drift, model
@@ -116,3 +117,17 @@ def test_words_are_plain() -> None:
     down = cut_into("d_x", np.repeat([-1.0, 1.0], 9), 20)
     assert down is not None
     assert words_of([down.bound(0, 0)], machine, 2, 1.0) == "X moving −"
+
+
+def test_quiet_stretch_is_not_the_worst() -> None:
+    """Oracle: by hand: the middle third is quieter, so that the best region holds none of it."""
+    place = np.linspace(0.0, 300.0, 900)
+    quiet = (place > 100.0) & (place < 200.0)
+    rng = np.random.default_rng(5)
+    squares = rng.standard_normal((900, 41)) ** 2
+    squares[:, 0] *= np.where(quiet, 0.1, 4.0)
+    cut = cut_into("x", place, 20)
+    assert cut is not None
+    best = scan([cut], [], squares, np.ones(900, dtype=bool)).single
+    assert best is not None
+    assert not (best.inside & quiet).sum() > 0.1 * best.inside.sum()
