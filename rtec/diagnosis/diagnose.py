@@ -322,7 +322,7 @@ class _Search:
             fresh = 0
             for w in sorted(weighed, key=lambda w: -w.log_evidence):
                 key = (w.shape.group, w.shape.variables, w.shape.kind)
-                if key not in picked:
+                if key not in picked and w.shape.raw.size:  # the columns of those far behind are forgotten
                     picked[key] = w
                     fresh += 1
                 if fresh == SHAPES:
