@@ -12,6 +12,7 @@ from rtec.diagnosis.base import spikes
 from rtec.diagnosis.entry import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.floor import Unit
 from rtec.diagnosis.joint import LOOSE, Joint, joint_fit
+from rtec.diagnosis.noise import least_noise
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import held_out
 from rtec.effects import Effect
@@ -126,7 +127,8 @@ def _add(
         if not np.abs(readings.columns(fitted.effect, fitted.theta)).max(initial=0.0) > 0.0:
             raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
     tell("refitting with what is new", 1, 3)
-    after = joint_fit((*model.effects, *new), readings, loose=loose)
+    least = least_noise(readings, floor.cleaned(readings, before.left)) if new else ()
+    after = joint_fit((*model.effects, *new), readings, loose=loose, least=least)
     tell("runs left out", 2, 3)
     scale = _scale(after, readings)
     pair = [_errors(j, after, readings, scale) for j in (before, after)]

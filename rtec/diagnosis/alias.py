@@ -55,6 +55,8 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
     why, test = _told(one, other)
     if cos > SAME:
         how = f"in these readings the two are the same shape (cosine {cos:.3f})"
+    elif log_odds > 2.0 * WITHIN:
+        how = "the readings make it less likely, yet runs that were left out are predicted better by it"
     else:
         how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"
     return Alike(other.effect, other.component, f"{how}; {why}" if why else how, test)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from rtec.diagnosis.add import Added, add, new_effect
+from rtec.diagnosis.answer import SURE
 from rtec.diagnosis.diagnose import ALPHA, DRAWS, diagnose
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.metrology.measurement import Measurement
@@ -97,15 +98,28 @@ def improve(
         picked = ask(Choice(found, choice, len(steps) + 1)) if ask else choice
         if picked is None:
             return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
-        values = {k: n.value for k, n in picked.parameters.items()}
-        added = add(model, [new_effect(picked.effect, model, picked.theta, values)], measurements, stage=stage)
-        if added.after.held_out > (1.0 - LITTLE) * added.before.held_out:
+        others = [] if ask else [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]
+        added = _first_gain(model, [picked, *others], measurements, stage)
+        if added is None:
             return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
         steps.append(added)
         if step:
             step(added)
         model = added.model
     return Improved(model, tuple(steps), tuple(diagnoses), "steps")
+
+
+def _first_gain(
+    model: Model, findings: Sequence[Finding], measurements: Sequence[Measurement], stage: Stage | None
+) -> Added | None:
+    """Add the first that makes runs left out better on the channels as the loop has them."""
+    for finding in findings:
+        pair = [finding] if finding.partner is None else [finding, finding.partner]
+        new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
+        added = add(model, new, measurements, stage=stage)
+        if added.after.held_out <= (1.0 - LITTLE) * added.before.held_out:
+            return added
+    return None
 
 
 def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:

@@ -72,7 +72,12 @@ class _Work:
 
 
 def joint_fit(
-    effects: Sequence[FittedEffect], readings: Readings, *, search: bool = True, loose: float | None = LOOSE
+    effects: Sequence[FittedEffect],
+    readings: Readings,
+    *,
+    search: bool = True,
+    loose: float | None = LOOSE,
+    least: tuple[float, ...] = (),
 ) -> Joint:
     """Refit effects together.
 
@@ -81,6 +86,7 @@ def joint_fit(
         readings: what was measured, with the channels that the loop will see.
         search: also search for non-linear parameters.
         loose: how many of its standard errors a number may move freely; None: as the readings make it likeliest.
+        least: smallest white noise of each series, as `least_noise` gives it; empty for none.
 
     Raises:
         MeasurementError: a channel that an effect needs was not recorded.
@@ -88,7 +94,7 @@ def joint_fit(
     work = _Work([f.effect for f in effects], readings, effects)
     thetas = [dict(f.theta) for f in effects]
     columns = work.columns(thetas)
-    whitener = find_noise(readings, columns)
+    whitener = find_noise(readings, columns, least=least)
     free = _free(effects, readings) if search else []
     loose = _likeliest(effects, readings, whitener, columns) if loose is None else loose
     for _ in range(ROUNDS if free else 1):

@@ -6,7 +6,7 @@ looks like an effect of anything that also changes slowly.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +29,11 @@ STEPS = 60
 MANY, STRETCH = 8000, 400
 """A longer series is searched through stretches of so many readings, so many in all."""
 DRIFT_BOUNDS = (1e-4, 1e5)
+INEXACT = 0.05
+"""No law of a machine is truer than so: this share of what it is to explain counts as white noise at the least.
+
+Else the likelihood of very quiet readings is ruled by quick changes far below what anybody wants explained.
+"""
 
 
 @dataclass(frozen=True)
@@ -103,11 +108,19 @@ def make_filter(series: Series, wide: Floats, noise: Noise) -> Filter:
 
 @dataclass(frozen=True)
 class Whitener:
-    """Whitens columns of all readings, series by series."""
+    """Whitens columns of all readings, series by series.
+
+    Attributes:
+        readings: the readings.
+        noises: of each series.
+        wides: variances of the unknowns of each run over that of the white noise, for each series.
+        least: smallest white noise of each series, in its unit; empty for none.
+    """
 
     readings: Readings
     noises: tuple[Noise, ...]
     wides: tuple[Floats, ...]
+    least: tuple[float, ...] = ()
 
     @cached_property
     def filters(self) -> tuple[Filter, ...]:
@@ -130,7 +143,8 @@ class Whitener:
 
     def with_noises(self, noises: Sequence[Noise]) -> "Whitener":
         """The same readings under other noises."""
-        return Whitener(self.readings, tuple(noises), self.wides)
+        least = self.least or (0.0,) * len(self.wides)
+        return Whitener(self.readings, tuple(map(_at_least, noises, least)), self.wides, self.least)
 
     @property
     def floor(self) -> Floats:
@@ -138,13 +152,27 @@ class Whitener:
         return np.fromiter((n.floor for n in self.noises), dtype=np.float64)
 
 
-def find_noise(readings: Readings, base: Floats, steps: int = STEPS) -> Whitener:
+def least_noise(readings: Readings, left: Floats) -> tuple[float, ...]:
+    """The least white noise of each series where so much, (m,), is left to be explained."""
+    return tuple(INEXACT * math.sqrt(float(np.mean(left[s.part] ** 2))) for s in readings.series)
+
+
+def _at_least(noise: Noise, sigma: float) -> Noise:
+    """A noise whose white part is no smaller than given; drift and offset stay what they are."""
+    if noise.sigma >= sigma:
+        return noise
+    less = (noise.sigma / sigma) ** 2
+    return replace(noise, sigma=sigma, drift=max(noise.drift * less, DRIFT_BOUNDS[0]), offset=noise.offset * less)
+
+
+def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tuple[float, ...] = ()) -> Whitener:
     """Find the noise of every series with the current model's columns as its mean.
 
     Args:
         readings: the readings.
         base: columns of the model's numbers and of unknown set-up terms, (m, p).
         steps: evaluations of the search, for each series.
+        least: smallest white noise of each series; empty for none.
     """
     noises, wides = [], []
     for s in readings.series:
@@ -152,7 +180,7 @@ def find_noise(readings: Readings, base: Floats, steps: int = STEPS) -> Whitener
         wide = _wide(s, y)
         wides.append(wide)
         noises.append(_reml(s, wide, _orthonormal(base[s.part]), y, steps))
-    return Whitener(readings, tuple(noises), tuple(wides))
+    return Whitener(readings, (), tuple(wides), least).with_noises(noises)
 
 
 CALM = 0.1

@@ -10,7 +10,6 @@ from rtec.diagnosis.noise import Whitener
 from rtec.diagnosis.readings import Readings
 from rtec.diagnosis.refit import solve
 from rtec.diagnosis.result import Picture
-from rtec.diagnosis.shapes import Shape
 from rtec.effects import Effect
 
 Floats = NDArray[np.float64]
@@ -25,9 +24,11 @@ def of_effect(
     return _picture(readings, base, whitener, readings.columns(effect, theta), label, effect.channels(readings.machine))
 
 
-def of_shape(readings: Readings, base: Floats, whitener: Whitener, shape: Shape) -> Picture | None:
-    """Picture of a shape without a name."""
-    return _picture(readings, base, whitener, shape.raw, " and ".join(shape.variables), shape.variables)
+def of_shape(
+    readings: Readings, base: Floats, whitener: Whitener, columns: Floats, variables: Sequence[str]
+) -> Picture | None:
+    """Picture of a shape without a name: its columns, (m, k), and what it depends on."""
+    return _picture(readings, base, whitener, columns, " and ".join(variables), variables)
 
 
 def _picture(

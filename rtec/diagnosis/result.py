@@ -59,6 +59,7 @@ class Finding:
         group: shares rank 1's group: these readings cannot tell it from rank 1.
         confused_with: with what else it may be confused, and the test that separates.
         why_not: why it was not accepted or not preferred, in words; empty for rank 1 when accepted.
+        partner: a second effect that has to be added with it, as neither makes runs left out better alone.
     """
 
     rank: int
@@ -75,6 +76,7 @@ class Finding:
     group: bool
     confused_with: tuple[Alike, ...] = ()
     why_not: str = ""
+    partner: "Finding | None" = None
 
     @property
     def label(self) -> str:
@@ -237,6 +239,7 @@ def _finding(f: Finding) -> dict[str, Any]:
         "same_group_as_rank_1": f.group,
         "confused_with": [vars(a) for a in f.confused_with],
         "why_not": f.why_not,
+        "together_with": f.partner.label if f.partner else None,
     }
 
 

@@ -28,6 +28,8 @@ ABSORBED = 2e-3
 """A direction of which the base leaves less than this share of its norm is absorbed."""
 UNMOVED = 1e-3
 """Readings that an effect of its usual size moves by less than this, µm or µrad, say nothing of it."""
+SKETCH = 8192
+"""Rows that stand for all where there are many, when chance is drawn."""
 CHUNK = 96
 """Columns that are whitened together."""
 
@@ -165,12 +167,18 @@ class Screen:
         """
         if not self.variants:
             return 1.0, np.zeros(0)
-        n, tops = len(self.projected.left), []
+        tops = []
+        directions = _sketch(self.directions, rng)
+        rest = max(len(self.projected.left) - len(directions) - self.projected.q.shape[1], 0)
+        whole_base = self.projected.q.astype(np.float32) if directions is self.directions else None
         for start in range(0, draws, 100):
-            noise = rng.standard_normal((n, min(100, draws - start)), dtype=np.float32)
-            t2 = (self.directions.T @ noise) ** 2
-            base = self.projected.q.T.astype(np.float32) @ noise
-            whole = (noise**2).sum(axis=0) - (base**2).sum(axis=0)
+            noise = rng.standard_normal((len(directions), min(100, draws - start)), dtype=np.float32)
+            t2 = (directions.T @ noise) ** 2
+            whole = (noise**2).sum(axis=0)
+            if whole_base is not None:
+                whole -= ((whole_base.T @ noise) ** 2).sum(axis=0)
+            elif rest:
+                whole += rng.chisquare(rest, len(whole)).astype(np.float32)
             r2 = _sums(t2, self.variants) / whole
             made = evidence(r2, self.counts[:, None], self.projected)
             tops.append(mean_evidence(made, self.starts).max(axis=0))
@@ -243,6 +251,22 @@ def orthonormal(columns: Floats) -> Floats:
     return np.asarray(np.linalg.qr(q)[0], dtype=np.float64)
 
 
+def _sketch(directions: Single, rng: np.random.Generator) -> Single:
+    """Fewer rows with the same inner products, near enough: rows drawn together with random signs, (SKETCH, columns).
+
+    What chance does to many directions at once depends on nothing but their inner products.
+    """
+    n = len(directions)
+    if n <= 2 * SKETCH:
+        return directions
+    out = np.zeros((SKETCH, directions.shape[1]), dtype=np.float32)
+    for start in range(0, n, SKETCH):
+        part = directions[start : start + SKETCH]
+        sign = (1 - 2 * rng.integers(0, 2, len(part))).astype(np.float32)
+        out[rng.permutation(SKETCH)[: len(part)]] += part * sign[:, None]
+    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=0), 1e-12), dtype=np.float32)
+
+
 class _Columns:
     """Makes, whitens and projects columns chunk by chunk; equal basis functions are worked out once."""
 
@@ -289,7 +313,10 @@ class _Columns:
         scaled = left[:, before > 0] / before[before > 0]
         if not scaled.shape[1]:
             return
-        value, vector = np.linalg.eigh(scaled.T @ scaled)
+        if scaled.shape[1] == 1:
+            value, vector = np.array([float(scaled[:, 0] @ scaled[:, 0])]), np.ones((1, 1))
+        else:
+            value, vector = np.linalg.eigh(scaled.T @ scaled)
         good = value > ABSORBED**2
         if not good.any():
             return

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from rtec.diagnosis.result import Diagnosis, Finding
 
+TOGETHER = "found, to be added together with rank 1"
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 
 
@@ -23,6 +24,11 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     unit = UNITS[d.unit]
     if d.verdict == "missing_effect":
         f = d.findings[0]
+        if f.partner is not None:
+            return (
+                f"{f.label} and {f.partner.label} are missing together, neither makes left-out runs better alone: "
+                f"{f.heldout_drop:.0%} of the mean square there goes with both"
+            )
         return (
             f"{f.label} is missing: it makes {f.size_um:.2g} {unit} of the {d.rms_residual:.2g} {unit} that are left, "
             f"and on runs that were not used {f.heldout_drop:.0%} of the mean square goes with it"
@@ -31,7 +37,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         names = _names(d)
         test = next((a.separating_test for a in d.findings[0].confused_with if a.separating_test), "")
         way = f"; to tell them apart: {test}" if test else ""
-        return f"one of {names} is missing, and these readings cannot say which{way}"
+        return f"one of {names} is missing, or more than one, and these readings cannot say which{way}"
     if d.verdict == "unknown_effect" and d.unknown is not None:
         where = " and ".join(d.unknown.channels)
         how = (
@@ -56,6 +62,8 @@ def _names(d: Diagnosis) -> str:
 
 def why_not(mine: float, best: float, gain: float, same: bool) -> str:
     """Why a candidate is not preferred."""
+    if same and best - mine > 2.0 * math.log(20.0):
+        return "less likely than rank 1, but runs left out are predicted better by it"
     if same:
         return "as likely as rank 1 to these readings"
     if gain <= 0.0:

@@ -1,7 +1,7 @@
 """What a set of measurements offers to an effect that looks for its arguments, and what it lacks."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from rtec.errors import ModelError
@@ -20,6 +20,7 @@ class Surroundings:
         channels: every channel that was recorded and varies, by name, with its lowest and highest value.
         span_s: length of the longest measurement.
         step_s: time between readings, typically.
+        moves_mm: by position channel, how far an axis that moves goes from one reading to the next, typically.
     """
 
     machine: Machine
@@ -29,6 +30,7 @@ class Surroundings:
     channels: Mapping[str, tuple[float, float]]
     span_s: float
     step_s: float
+    moves_mm: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def moved(self) -> Axis:

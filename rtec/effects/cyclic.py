@@ -12,6 +12,10 @@ from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
 from rtec.machine import Machine
 
+MOST_HARMONICS = (1, 2, 4, 8, 16)
+PER_PERIOD = 4.0
+"""Readings that a period of the finest harmonic needs, before it is looked for."""
+
 
 class _Wave(AxisEffect):
     """A sine and a cosine over position."""
@@ -62,6 +66,15 @@ class CyclicScrew(AxisEffect):
     driven_by: ClassVar[tuple[str, ...]] = ("position", "pitch")
     effect: Literal["cyclic_screw"] = "cyclic_screw"
     harmonics: Annotated[int, Field(ge=1, le=16)] = 1
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """The first harmonic; and up to others, twice as many each, that the readings are fine enough for."""
+        axis = around.moved
+        step = around.moves_mm.get(axis.channel, math.inf)
+        for most in MOST_HARMONICS:
+            if most == 1 or PER_PERIOD * most * step <= (axis.pitch_mm or 0.0):
+                yield {"axis": axis.name, "harmonics": most}
 
     def check(self, machine: Machine, where: str) -> None:
         """Check that the axis has a pitch."""

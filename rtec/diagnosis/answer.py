@@ -1,0 +1,271 @@
+"""The answer of a search: findings with their rivals, numbers with their errors, and the verdict."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis import floor, picture, words
+from rtec.diagnosis.absent import absent_ones, untestable
+from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine
+from rtec.diagnosis.base import slope
+from rtec.diagnosis.candidates import Candidate, Untried
+from rtec.diagnosis.drifts import run_drifts
+from rtec.diagnosis.noise import Whitener
+from rtec.diagnosis.refit import Fit, inverse, solve
+from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown
+from rtec.diagnosis.screen import Projected, Screen
+from rtec.diagnosis.tried import Prepared, Tried
+from rtec.diagnosis.unnamed import Shaped
+from rtec.effects import Effect
+from rtec.model import FittedEffect, Model
+
+Floats = NDArray[np.float64]
+
+LOOKED_AT = 60
+"""Candidates whose shape is compared with the winner's."""
+SURE = math.log(20.0)
+"""Posterior odds, as a logarithm, that a name needs."""
+BETTER = 0.9
+"""An effect that leaves less than this share of the winner's mean square on runs left out disputes its place."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """All that a search found out.
+
+    Attributes:
+        model: the current model.
+        prepared: readings, base and noise.
+        candidates, untried: what was looked for, and what could not be.
+        prior_odds: log of how much likelier nothing is than any one effect, before the readings.
+        projected, found: the readings less the base, and the weights of all candidates.
+        without: the fit of the base alone.
+        tried: candidates fitted anew, best first.
+        partner: number of the one that has to be added with the first, if any.
+        p: family-wise probability of chance.
+        accepted: whether the first is named.
+        adequacy: what it explains of what can be explained.
+        unknown, shape: what is there if nothing has a name, and its shape.
+        seed: of the draws.
+    """
+
+    model: Model
+    prepared: Prepared
+    candidates: Sequence[Candidate]
+    untried: Sequence[Untried]
+    prior_odds: float
+    projected: Projected
+    found: Screen
+    without: Fit
+    tried: Sequence[Tried]
+    partner: int | None
+    p: float
+    accepted: bool
+    adequacy: float | None
+    unknown: Unknown | None
+    shape: Shaped | None
+    seed: int
+
+
+def answer(searched: Searched) -> Diagnosis:
+    """Put the answer together."""
+    return _Answer(searched).diagnosis()
+
+
+class _Answer:
+    def __init__(self, searched: Searched) -> None:
+        self.s = searched
+        self.readings = searched.prepared.readings
+
+    def diagnosis(self) -> Diagnosis:
+        findings = self._findings(self.s.found, list(self.s.tried), self.s.p, self.s.accepted)
+        if self.s.partner is not None:
+            findings = (replace(findings[0], partner=findings[1]), *findings[1:])
+        return self._answer(self.s.projected, self.s.found, findings, self.s.adequacy, self.s.unknown)
+
+    def _findings(self, found: Screen, tried: list[Tried], p: float, accepted: bool) -> tuple[Finding, ...]:
+        if not tried:
+            return ()
+        odds = np.array([t.log_evidence for t in tried])
+        top = max(float(odds.max()), self.s.prior_odds)
+        weights, none = np.exp(odds - top), math.exp(self.s.prior_odds - top)
+        posterior = weights / (weights.sum() + none)
+        return tuple(
+            self._finding(found, rank, t, tried, p, float(share), accepted)
+            for rank, (t, share) in enumerate(zip(tried, posterior, strict=True), 1)
+        )
+
+    def _finding(
+        self, found: Screen, rank: int, t: Tried, tried: Sequence[Tried], p: float, share: float, accepted: bool
+    ) -> Finding:
+        candidate, winner = self.s.candidates[t.number], tried[0]
+        theta = candidate.thetas[t.theta]
+        same = self._same(found, winner, t) or (t.number != self.s.partner and self._disputes(winner, t))
+        confused = tuple(self._alikes(found, t, tried)) if rank == 1 and accepted else ()
+        numbers, size = self._numbers(candidate.effect, theta, t)
+        return Finding(
+            rank=rank,
+            effect=candidate.effect,
+            theta=theta,
+            parameters=numbers,
+            channels=candidate.effect.channels(self.s.model.machine),
+            heldout_drop=t.drop,
+            confidence=share,
+            log_evidence=t.log_evidence,
+            p=p,
+            size_um=size,
+            accepted=accepted and rank == 1,
+            group=accepted and (rank == 1 or same),
+            confused_with=confused,
+            why_not="" if rank == 1 else self._why_not(t, winner, same and accepted),
+        )
+
+    def _why_not(self, t: Tried, winner: Tried, same: bool) -> str:
+        if t.number == self.s.partner:
+            return words.TOGETHER
+        return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same)
+
+    def _same(self, found: Screen, winner: Tried, other: Tried) -> bool:
+        """Whether the readings cannot tell another candidate from the winner."""
+        if winner.number == other.number:
+            return True
+        if other.number == self.s.partner:
+            return False
+        if winner.log_evidence - other.log_evidence < WITHIN:
+            return True
+        one = found.variants[found.best[winner.number]]
+        two = found.variants[found.best[other.number]]
+        if two.count > one.count:
+            return False  # it holds the winner and more, and the more buys nothing
+        cos = cosine(found.contribution(winner.number), found.contribution(other.number))
+        return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
+
+    def _disputes(self, winner: Tried, other: Tried) -> bool:
+        """Whether the runs left out speak for a sure effect that the evidence puts behind the winner."""
+        sure = other.holds and other.log_evidence - self.s.prior_odds > SURE
+        return sure and 1.0 - other.drop < BETTER * (1.0 - winner.drop)
+
+    def _alikes(self, found: Screen, winner: Tried, tried: Sequence[Tried]) -> list[Alike]:
+        """What cannot be told from the winner: of those fitted anew by their evidence, of the others by their shape."""
+        mine = self.s.candidates[winner.number].effect
+        shape = found.contribution(winner.number)
+        width = found.variants[found.best[winner.number]].count
+        out: dict[tuple[str, str], Alike] = {}
+        fitted = {t.number: t for t in tried}
+        for number in found.order[:LOOKED_AT]:
+            if number == winner.number:
+                continue
+            other = self.s.candidates[number].effect
+            cos = cosine(shape, found.contribution(number))
+            if number in fitted:
+                same = self._same(found, winner, fitted[number]) or self._disputes(winner, fitted[number])
+                behind = winner.log_evidence - fitted[number].log_evidence
+            else:
+                same = cos > SAME and found.variants[found.best[number]].count <= width
+                behind = 0.0
+            if same:
+                out.setdefault((other.effect, other.component), alike(mine, other, cos, behind))
+        return list(out.values())
+
+    def _numbers(self, effect: Effect, theta: Mapping[str, float], t: Tried) -> tuple[dict[str, Number], float]:
+        machine = self.s.model.machine
+        at = dict(theta)
+        linear = effect.coefficients(machine)
+        first = self.s.prepared.base.shape[1] if t.before is None else t.before
+        values = t.fit.values[first : first + len(linear)]
+        fitted = FittedEffect(effect, {p.name: float(v) for p, v in zip(linear, values, strict=True)}, at)
+        slopes = [slope(fitted, self.readings, name, values) for name in at]
+        whole = np.concatenate([t.fit.columns, *[s[:, None] for s in slopes]], axis=1)
+        spread = np.sqrt(np.maximum(np.diag(inverse(t.fit.whitener(whole))), 0.0))
+        spread = np.concatenate([spread[first : first + len(linear)], spread[t.fit.columns.shape[1] :]])
+        numbers = {
+            p.name: Number(v, float(se), p.unit)
+            for p, v, se in zip(
+                (*linear, *effect.nonlinear(machine)), (*map(float, values), *at.values()), spread, strict=True
+            )
+        }
+        part = t.columns @ values
+        # What the current model could have taken up is not of the effect's making.
+        base = self.s.prepared.base
+        part = part - base @ solve(t.fit.whitener(base), t.fit.whitener(part))
+        part = floor.cleaned(self.readings, part)
+        scale = self._scale()
+        return numbers, floor.pooled(self.readings, floor.rms_by_series(self.readings, part), scale)
+
+    def _noise(self, findings: Sequence[Finding]) -> Whitener:
+        """The noise as it is known best: with what was found in the mean."""
+        accepted = bool(findings) and findings[0].accepted
+        return self.s.tried[0].fit.whitener if accepted and self.s.tried else self.s.prepared.whitener
+
+    def _scale(self) -> Floats:
+        if floor.unit_of(self.readings) != "noise":
+            return np.ones(len(self.readings.series))
+        return 1.0 / np.maximum(floor.floors(self.s.prepared.whitener), 1e-12)
+
+    def _answer(
+        self,
+        projected: Projected,
+        found: Screen,
+        findings: tuple[Finding, ...],
+        adequacy: float | None,
+        unknown: Unknown | None,
+    ) -> Diagnosis:
+        readings, prepared = self.readings, self.s.prepared
+        scale = self._scale()
+        left = floor.cleaned(readings, readings.values - prepared.predicted)
+        rms = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
+        noise = min(floor.pooled(readings, floor.floors(self._noise(findings)), scale), rms)
+        accepted = bool(findings) and findings[0].accepted
+        group = [f for f in findings if f.group]
+        if unknown is not None:
+            verdict = "unknown_effect"
+        elif accepted:
+            verdict = "ambiguous" if len(group) > 1 or findings[0].confused_with else "missing_effect"
+        else:
+            verdict = "nothing_missing"
+        unit = floor.unit_of(readings)
+        absent = absent_ones(found, findings if accepted else (), projected)
+        smallest = float(np.median([a.smallest for a in absent])) if absent else math.nan
+        shown = self._shown(findings, unknown)
+        draft = Diagnosis(
+            verdict=verdict,  # type: ignore[arg-type]
+            sentence="",
+            unit=unit,
+            rms_residual=rms,
+            noise_floor=noise,
+            adequacy=adequacy,
+            findings=findings,
+            unknown=unknown,
+            not_testable=untestable(self.s.untried, found),
+            absent=absent,
+            notes=(
+                *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
+                *words.notes(prepared.spikes, len(readings), [m.name for m in readings.measurements]),
+            ),
+            noise=tuple(
+                n.words(f"{readings.measurements[s.source].name} {s.column}", s.unit)
+                for s, n in zip(readings.series, self._noise(findings).noises, strict=True)
+            ),
+            seed=self.s.seed,
+            picture=shown,
+        )
+        return words.with_sentence(draft, smallest)
+
+    def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:
+        """The picture of what was found."""
+        if unknown is not None:
+            shape = self.s.shape
+            if shape is None:
+                return None
+            return picture.of_shape(
+                self.readings, self.s.prepared.base, self.s.prepared.whitener, shape.columns, shape.shape.variables
+            )
+        if findings and findings[0].accepted:
+            first = findings[0]
+            return picture.of_effect(
+                self.readings, self.s.prepared.base, self.s.prepared.whitener, first.label, first.effect, first.theta
+            )
+        return None

@@ -1,0 +1,56 @@
+"""Drift from run to run (cycle to cycle) of a series, told beside the diagnosis: no error of the machine's geometry."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.readings import Readings, Series
+
+Floats = NDArray[np.float64]
+
+FEWEST = 4
+"""Runs that a trend needs."""
+CHANCE = 0.01
+UNITS = {"um": "µm", "urad": "µrad"}
+
+
+def run_drifts(readings: Readings, left: Floats) -> tuple[str, ...]:
+    """Series whose runs wander steadily one way, in words.
+
+    Args:
+        readings: the readings.
+        left: what the best fit leaves of them, in their unit, (m,).
+    """
+    told = []
+    for s in readings.series:
+        trend = _trend(s, left[s.part])
+        if trend is not None and trend[1] < CHANCE:
+            unit = UNITS.get(s.unit, s.unit)
+            name = f"{readings.measurements[s.source].name} {s.column}"
+            way = "rises" if trend[0] > 0.0 else "falls"
+            told.append(
+                f"drift between the runs (cycles) of {name}: their mean {way} steadily, by {abs(trend[0]):.2g} {unit} "
+                "from the first to the last. An effect of geometry would be the same in each: suspect the zero, the "
+                "instrument, or heat that was not recorded"
+            )
+    return tuple(told)
+
+
+def _trend(series: Series, left: Floats) -> tuple[float, float] | None:
+    """Change of the runs' means from first to last along a straight line in time, and its probability by chance."""
+    from scipy.stats import t as student
+
+    runs = int(series.run[-1]) + 1
+    if runs < FEWEST or bool((np.ptp(series.nuisance, axis=0) == 0.0).any() if series.nuisance.size else False):
+        return None  # too few, or the zero of each run is unknown
+    size = np.bincount(series.run, minlength=runs)
+    mean, time = (np.bincount(series.run, v, minlength=runs) / size for v in (left, series.time_s))
+    line = np.polynomial.Polynomial.fit(time, mean, 1)
+    free = runs - 2
+    spread = float(np.sum((time - time.mean()) ** 2))
+    error = math.sqrt(max(float(np.sum((mean - line(time)) ** 2)) / free, 1e-24))
+    change = float(line(time[-1]) - line(time[0]))
+    slope = change / float(time[-1] - time[0])
+    chance = 2.0 * float(student.sf(abs(slope) * math.sqrt(spread) / error, free))
+    return change, chance

@@ -1,0 +1,126 @@
+"""The best shapes without a name: picked in a first look, then fitted along with the model and a noise found anew."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.noise import Whitener
+from rtec.diagnosis.readings import Readings
+from rtec.diagnosis.refit import Fit
+from rtec.diagnosis.screen import Projected
+from rtec.diagnosis.shapes import Ground, Shape
+from rtec.diagnosis.shapes_search import Weighed, all_shapes, weigh
+from rtec.diagnosis.thin import each, looked_at
+
+Floats = NDArray[np.float64]
+
+RICH, LEAN, PLAIN = 10**6, 8, 3
+"""Numbers that shapes have at most: any, lean and plain ones."""
+SHAPES = 4
+"""Shapes without a name that are fitted anew, of each of the two looks; half as many lean and plain ones."""
+
+
+@dataclass(frozen=True)
+class Shaped:
+    """A shape without a name, fitted along with the current model and a noise found anew."""
+
+    shape: Shape
+    columns: Floats
+    fit: Fit
+    log_evidence: float
+    drop: float
+    gain: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether runs that were left out get better."""
+        return self.gain > 0.0 and self.drop > 0.0
+
+
+def best_shapes(
+    readings: Readings,
+    base: Floats,
+    noises: Sequence[Whitener],
+    fit: Callable[[Floats], Fit],
+    without: Fit,
+    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+) -> list[Shaped]:
+    """Fit the most promising.
+
+    Args:
+        readings: the readings.
+        base: columns of the current model, (m, p).
+        noises: under each of which a first look is taken.
+        fit: fits columns and the noise together.
+        without: the fit of the base alone.
+        left_out: fall of the mean square on runs left out, and whitened gain, that columns beside the base bring.
+
+    Returns:
+        Those that make runs left out better.
+    """
+    keep = looked_at(readings)
+    few = readings if keep.all() else readings.without(~keep)
+    ground, whole = Ground(few), Ground(readings)
+
+    def look(whitener: Whitener) -> list[Weighed]:
+        thin = Whitener(few, whitener.noises, whitener.wides, whitener.least)
+        return all_shapes(ground, Projected.of(thin, base[keep], few.values))
+
+    looks = each(look, noises, len(readings))
+    searched = math.log(max(len(looks[0]), 2))
+
+    def shaped(w: Weighed) -> Shaped:
+        columns = whole.columns(w.shape)
+        found = fit(np.concatenate([base, columns], axis=1))
+        evidence = found.log_likelihood - without.log_likelihood
+        evidence -= 0.5 * w.count * math.log(len(readings)) + searched
+        return Shaped(w.shape, columns, found, evidence, *left_out(found.whitener, columns))
+
+    return [s for s in each(shaped, _picked(looks), len(readings)) if s.holds]
+
+
+def _picked(looks: Sequence[Sequence[Weighed]]) -> list[Weighed]:
+    """The best of each look.
+
+    Rich ones win where the drift is supposed to be small, and lose again with the noise found anew: the lean get their
+    chance.
+    """
+    picked: dict[tuple[str, tuple[str, ...], str, int], Weighed] = {}
+    for weighed in looks:
+        for most, few in ((RICH, SHAPES), (LEAN, SHAPES // 2), (PLAIN, SHAPES // 2)):
+            fresh = 0
+            for w in (w for w in weighed if w.count <= most):
+                key = (w.shape.group, w.shape.variables, w.shape.kind, _richness(w))
+                if fresh == few:
+                    break
+                if key not in picked:
+                    picked[key] = w
+                    fresh += 1
+    return list(picked.values())
+
+
+def _richness(w: Weighed) -> int:
+    return PLAIN if w.count <= PLAIN else LEAN if w.count <= LEAN else RICH
+
+
+def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Readings) -> float:
+    """What columns explain over what the best shape explains, under the noise of each shape.
+
+    Args:
+        columns: of the effect, (m, k).
+        tops: the best shapes.
+        base: columns of the current model, (m, p).
+        readings: the readings.
+    """
+    out = 1.0
+    for t in tops:
+        if t.log_evidence <= 0.0:
+            continue
+        known = Projected.of(t.fit.whitener, base, readings.values)
+        mine, its = weigh(known, columns), weigh(known, t.columns, int(t.shape.period is not None))
+        if its is not None:
+            out = min(out, (mine[1] if mine else 0.0) / max(its[1], 1e-9))
+    return out
