@@ -140,11 +140,14 @@ class _Search:
 
     def _second_look(self) -> Screen:
         """The same weighing as if there were hardly any drift: the noise may have swallowed what is looked for."""
+        return self._look(without_drift, self.prepared.whitener, self.prepared.base)
+
+    def _look(self, change: Callable[[Whitener], Whitener], now: Whitener, base: Floats) -> Screen:
+        """Weigh all candidates beside columns, (m, p), under a noise; of very many readings on some."""
         keep = looked_at(self.readings)
         few = self.readings if keep.all() else self.readings.without(~keep)
-        now = self.prepared.whitener
-        calm = without_drift(Whitener(few, now.noises, now.wides, now.least))
-        return screen(few, self.candidates, Projected.of(calm, self.prepared.base[keep], few.values))
+        noise = change(Whitener(few, now.noises, now.wides, now.least))
+        return screen(few, self.candidates, Projected.of(noise, base[keep], few.values))
 
     def _choice_cost(self, number: int) -> float:
         """What the choice among sensors takes off: every effect of a component is as likely before, whatever it takes.
@@ -251,8 +254,7 @@ class _Search:
         """The best beside an effect, each fitted together with it; the evidence is that of both."""
         width = self.prepared.base.shape[1]
         base = np.concatenate([self.prepared.base, first.columns], axis=1)
-        projected = Projected.of(first.fit.whitener, base, self.readings.values)
-        found = screen(self.readings, self.candidates, projected)
+        found = self._look(lambda w: w, first.fit.whitener, base)
         out = []
         for number in self._distinct(found)[:BESIDE]:
             variant = found.variants[found.best[number]]

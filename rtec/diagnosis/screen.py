@@ -205,14 +205,13 @@ def screen(
     made.flush()
     if tell:
         tell(total, total)
-    directions = (
-        np.concatenate(made.directions, axis=1) if made.directions else np.zeros((len(readings), 0), np.float32)
-    )
+    directions = made.directions[:, : made.width]
     variants = tuple(made.variants)
-    t = (
-        directions.T.astype(np.float64) @ projected.left
-        if directions.shape[1] < 4000
-        else (directions.T @ projected.left.astype(np.float32)).astype(np.float64)
+    t = np.concatenate(
+        [
+            np.zeros(0),
+            *(directions[:, i : i + CHUNK].T.astype(np.float64) @ projected.left for i in range(0, made.width, CHUNK)),
+        ]
     )
     out = Screen(projected, tuple(candidates), variants, directions, np.zeros(len(variants)), ())
     r2 = _sums((t**2)[:, None], variants)[:, 0] / max(projected.squares, 1e-300)
@@ -273,7 +272,10 @@ class _Columns:
     def __init__(self, readings: Readings, projected: Projected, candidates: Sequence[Candidate]) -> None:
         self.readings, self.projected, self.candidates = readings, projected, candidates
         self.variants: list[Variant] = []
-        self.directions: list[Single] = []
+        machine = readings.machine
+        most = sum(len(c.thetas) * len(c.effect.coefficients(machine)) for c in candidates)
+        # Column by column in memory, filled as they come: two copies of these would be most of what a search takes.
+        self.directions: Single = np.empty((len(readings), most), dtype=np.float32, order="F")
         self.width = 0
         self._waiting: list[tuple[int, int, Floats]] = []
 
@@ -324,7 +326,7 @@ class _Columns:
         after = np.linalg.norm(left, axis=0)
         count = int(good.sum())
         self.variants.append(Variant(number, theta, self.width, count, np.stack([before, after], axis=1)))
-        self.directions.append(found)
+        self.directions[:, self.width : self.width + count] = found
         self.width += count
 
 
