@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.table import Table as Grid
 
     from rtec.report.html import Page, Table
 
@@ -25,18 +25,19 @@ def show_page(page: "Page") -> None:
         for sentence in section.text:
             console.print(f"- {sentence}")
         if section.table is not None:
-            _print_table(console, section.table)
+            console.print(grid(section.table))
         console.print()
 
 
-def _print_table(console: "Console", table: "Table") -> None:
+def grid(table: "Table") -> "Grid":
+    """A table as the terminal shows it."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as Grid
     from rich.text import Text
 
-    grid = Grid(box=SIMPLE_HEAD, pad_edge=False)
+    out = Grid(box=SIMPLE_HEAD, pad_edge=False)
     for k, name in enumerate(table.head):
-        grid.add_column(Text(name), justify="left" if k in table.words else "right")
+        out.add_column(Text(name), justify="left" if k in table.words else "right")
     for row in table.rows:
-        grid.add_row(*(Text(cell) for cell in row))
-    console.print(grid)
+        out.add_row(*(Text(cell) for cell in row))
+    return out

@@ -1,0 +1,68 @@
+"""`rtec doctor`: are the devices well, and is this computer fit for real time?"""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rtec.runtime.doctor_found import Examination
+    from rtec.runtime.pc_found import PcFound
+
+
+def doctor(
+    config: Annotated[
+        Path | None,
+        typer.Argument(metavar="[CONFIG]", help="Run file whose devices are looked at.", show_default=False),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option("--seconds", "-s", min=0.1, max=3600, help="How long to read, and to measure wake-ups.")
+    ] = 3.0,
+    pc: Annotated[bool, typer.Option("--pc/--no-pc", help="Look at this computer too.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
+) -> None:
+    """Look at this computer, and with a run file at its devices: what each reads, what is wrong, how to mend it.
+
+    All devices are opened at once. None is told to apply anything. Exit status 1 where something is wrong.
+
+    Example: rtec doctor configs/turning-centre-sim.toml
+    """
+    from rtec.errors import ConfigError
+
+    if config is None and not pc:
+        raise ConfigError("rtec doctor: nothing to look at; name a run file, or leave --no-pc out")
+    devices = _devices(config, seconds, as_json) if config is not None else None
+    computer = _computer(config, seconds, as_json) if pc else None
+    well = all(part.well for part in (devices, computer) if part is not None)
+    if as_json:
+        parts = {"devices": devices and devices.plain(), "pc": computer and computer.plain()}
+        typer.echo(json.dumps({"well": well, **parts}, indent=2, ensure_ascii=False))
+    if not well:
+        raise typer.Exit(1)
+
+
+def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
+    from rtec.cli.doctor_screen import Screen
+    from rtec.cli.show import show_page
+    from rtec.report.doctor_page import doctor_page
+    from rtec.runtime.doctor import examine
+
+    with Screen(quiet) as screen:
+        found = examine(config, seconds, screen.update)
+    if not quiet:
+        show_page(doctor_page(found))
+    return found
+
+
+def _computer(config: Path | None, seconds: float, quiet: bool) -> "PcFound":
+    from rtec.cli.progress import bar
+    from rtec.cli.show import show_page
+    from rtec.report.pc_page import pc_page
+    from rtec.runtime.pc import look_at, wanted_of
+
+    with bar("measuring wake-ups") as tell:
+        found = look_at(*wanted_of(config), seconds, tell)
+    if not quiet:
+        show_page(pc_page(found))
+    return found

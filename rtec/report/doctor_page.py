@@ -1,0 +1,60 @@
+"""What people are told about the devices of a run file."""
+
+from collections.abc import Sequence
+
+from rtec.report.html import Page, Section, Table
+from rtec.runtime.doctor_found import DeviceFound, Examination, Fault, Value
+
+HEAD = ("device", "driver", "value", "now", "age", "rate", "")
+WORDS = (0, 1, 2, 6)
+
+
+def doctor_page(found: Examination) -> Page:
+    """Values of all devices in one table; then, device by device, what is wrong and how to mend it."""
+    sick = [d for d in found.devices if d.wrong]
+    verdict = f"Of {_devices(len(found.devices))} {_are(len(sick))} not well." if sick else "All devices are well."
+    sections = [Section("What they read", (), doctor_table(found.devices))]
+    sections += [Section(f"Wrong: {d.name} ({d.driver})", _fault_lines(d.wrong)) for d in sick]
+    if found.wrong:
+        sections.append(Section("Wrong: the run file", _fault_lines(found.wrong)))
+    told = [f"{d.name}: {text}" for d in found.devices for text in d.told]
+    if told:
+        sections.append(Section("To know", told))
+    many, how = _devices(len(found.devices)), f"read for {found.seconds:g} s; nothing was commanded"
+    return Page("Doctor", f"{found.machine}: {many}, {how}. {verdict}", (), sections)
+
+
+def doctor_table(devices: Sequence[DeviceFound]) -> Table:
+    """One row a value; a device that gives none has one row that says so."""
+    return Table(HEAD, [row for device in devices for row in _rows(device)], words=WORDS)
+
+
+def _rows(device: DeviceFound) -> list[tuple[str, ...]]:
+    state = device.doing if device.doing != "done" else "wrong" if device.wrong else "good"
+    first = (device.name, device.driver)
+    rows = [_value(v) for v in device.values] or [("-", "-", "-", "-")]
+    return [(*(first if k == 0 else ("", "")), *row, state if k == 0 else "") for k, row in enumerate(rows)]
+
+
+def _value(value: Value) -> tuple[str, str, str, str]:
+    number = f"{value.value:.{value.digits}f} {value.unit}"
+    return value.name, number, _age(value.age_s), "-" if value.rate_hz is None else f"{value.rate_hz:.3g} /s"
+
+
+def _age(age_s: float | None) -> str:
+    if age_s is None:
+        return "-"
+    return f"{age_s * 1e3:.1f} ms" if age_s < 0.1 else f"{age_s:.1f} s"
+
+
+def _fault_lines(faults: Sequence[Fault]) -> list[str]:
+    """What is wrong, each with the ways to mend it below."""
+    return ["\n    → ".join((f.what, *f.mend)) for f in faults]
+
+
+def _devices(n: int) -> str:
+    return "1 device" if n == 1 else f"{n} devices"
+
+
+def _are(n: int) -> str:
+    return f"{n} is" if n == 1 else f"{n} are"

@@ -1,0 +1,68 @@
+"""What people are told about drivers."""
+
+from collections.abc import Sequence
+
+from rtec.report.html import Page, Section, Table
+from rtec.runtime.driver_facts import DriverFacts
+from rtec.runtime.driver_options import Option
+
+
+def drivers_page(drivers: Sequence[DriverFacts]) -> Page:
+    """The table of all drivers; what cannot be used stands in a section of its own."""
+    rows = [driver_row(d) for d in drivers if not d.trouble]
+    lead = (
+        'The drivers that are installed. A device\'s table in the run file names one: driver = "serial_box". '
+        "`rtec drivers NAME` tells its options, with an example."
+    )
+    table = Table(("driver", "reads", "output it takes", "what"), rows, words=(0, 1, 2, 3))
+    sections = [Section("Drivers", (), table)]
+    broken = [f"{d.trouble} (package {d.package})" for d in drivers if d.trouble]
+    if broken:
+        sections.append(Section("Cannot be used here", broken))
+    return Page("Drivers", lead, (), sections)
+
+
+def driver_row(driver: DriverFacts) -> tuple[str, str, str, str]:
+    """Name, what it reads, what it takes, what it is."""
+    reads = ", ".join(role for role in driver.roles if role != "actuator")
+    return driver.name, reads or "-", _takes(driver), driver.summary
+
+
+def driver_page(driver: DriverFacts) -> Page:
+    """One driver in full; its example is printed below, as it stands."""
+    if driver.trouble:
+        return Page(driver.name, driver.trouble, (), ())
+    text = [f"In [role] it can be: {', '.join(driver.roles) or 'nothing'}."]
+    if "actuator" in driver.roles:
+        by = f", by its option {driver.takes_by}" if driver.takes_by else ""
+        text.append(f"Kinds of output that it takes: {_takes(driver)}{by}.")
+    if driver.resumes:
+        text.append("After a reset or a lost position it stops, and goes on when it is ordered to resume.")
+    text.append(f"Its code: {driver.module}, of package {driver.package}.")
+    sections = [Section("What it can do", text), *(_options_section(*part) for part in _by_table(driver.options))]
+    return Page(driver.name, f"{driver.name}: {driver.summary}", (), sections)
+
+
+def _by_table(options: Sequence[Option]) -> list[tuple[str, list[Option]]]:
+    """Options by the table that they stand in: the device's own first, then those within it in their order."""
+    out: dict[str, list[Option]] = {}
+    for option in options:
+        out.setdefault(option.name.rpartition(".")[0], []).append(option)
+    return sorted(out.items(), key=lambda item: item[0] != "")
+
+
+def _options_section(table: str, options: Sequence[Option]) -> Section:
+    heading = f"Options in its table {table}" if table else "Options"
+    head = ("option", "what may be given", "if not given", "what it means")
+    return Section(heading, (), Table(head, [_option_row(o) for o in options], words=(0, 1, 2, 3)))
+
+
+def _option_row(option: Option) -> tuple[str, str, str, str]:
+    default = "required" if option.required else option.default or "-"
+    return option.name.rpartition(".")[2], option.kind, default, option.meaning.replace("`", "")
+
+
+def _takes(driver: DriverFacts) -> str:
+    if "actuator" not in driver.roles:
+        return "-"
+    return ", ".join(driver.takes) or "asked when it is opened"

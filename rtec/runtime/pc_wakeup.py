@@ -1,0 +1,137 @@
+"""`python -m rtec.runtime.pc_wakeup`: how late this computer wakes a process that sleeps until absolute deadlines.
+
+In a process of its own, which asks for the same treatment as the loop's: what is measured is what the loop will get.
+Reads its orders as JSON from standard input; tells progress by a dot every tenth of a second, and the outcome as JSON.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from rtec.errors import DriverUnavailable
+from rtec.runtime.clock import Clock, RealClock
+from rtec.runtime.config import Realtime
+from rtec.runtime.pc_found import Finding, State
+from rtec.runtime.realtime import prepare_process
+
+NS_PER_S = 1_000_000_000
+DOTS_PER_S = 10
+POOR = 0.1
+"""A wake-up that is later than this share of a cycle leaves the cycle's work less room than it should have."""
+MANY = 0.001
+
+
+@dataclass(frozen=True)
+class WakeUps:
+    """How late the process woke up, µs.
+
+    Attributes:
+        n: wake-ups.
+        p50_us, p99_us, p99_9_us, max_us: of their lateness.
+        late: wake-ups later than a whole cycle: a deadline each.
+        refused: what the system did not grant; "" for nothing.
+    """
+
+    n: int
+    p50_us: float
+    p99_us: float
+    p99_9_us: float
+    max_us: float
+    late: int
+    refused: str
+
+
+def measure(clock: Clock, rate_hz: float, seconds: float, refused: str, tell: Callable[[], None]) -> WakeUps:
+    """Sleep until absolute deadlines and note how late each wake-up is.
+
+    Args:
+        clock: that sleeps.
+        rate_hz: deadlines a second.
+        seconds: for how long.
+        refused: is passed on.
+        tell: is called ten times a second.
+    """
+    period_ns = round(NS_PER_S / rate_hz)
+    n = max(1, round(seconds * rate_hz))
+    late_ns = np.zeros(n, np.int64)
+    every = max(1, round(rate_hz / DOTS_PER_S))
+    due_ns = clock.now_ns() + period_ns
+    for k in range(n):
+        clock.sleep_until_ns(due_ns)
+        now_ns = clock.now_ns()
+        late_ns[k] = now_ns - due_ns
+        due_ns += period_ns * max(1, -(-(now_ns - due_ns) // period_ns))  # a deadline that has passed is not waited for
+        if k % every == 0:
+            tell()
+    p50, p99, p99_9, most = (round(float(x) * 1e-3, 1) for x in np.percentile(late_ns, (50, 99, 99.9, 100)))
+    return WakeUps(n, p50, p99, p99_9, most, int(np.count_nonzero(late_ns > period_ns)), refused)
+
+
+def measured(wanted: Realtime, rate_hz: float, seconds: float, tell: Callable[[int, int], None]) -> WakeUps:
+    """Measure in a process of its own; `tell` is given how much is done, of how much.
+
+    Raises:
+        DriverUnavailable: that process did not end well.
+    """
+    orders = json.dumps({"realtime": wanted.model_dump(), "rate_hz": rate_hz, "seconds": seconds})
+    command = [sys.executable, "-m", "rtec.runtime.pc_wakeup"]
+    with subprocess.Popen(  # noqa: S603 - our own interpreter and module
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdin is not None  # noqa: S101 - for the type checker: both are pipes
+        assert child.stdout is not None  # noqa: S101
+        child.stdin.write(orders)
+        child.stdin.close()
+        of, outcome = round(seconds * DOTS_PER_S), ""
+        for done, line in enumerate(child.stdout):
+            outcome = line.strip(".\n")
+            tell(min(done, of), of)
+    if child.returncode or not outcome:
+        raise DriverUnavailable(f"the measurement of wake-ups failed (exit status {child.returncode})")
+    return WakeUps(**json.loads(outcome))
+
+
+def judged(found: WakeUps, rate_hz: float) -> Finding:
+    """Are they early enough for the loop?"""
+    cycle_us = 1e6 / rate_hz
+    text = (
+        f"late by {found.p50_us:.0f} µs (p50), {found.p99_us:.0f} (p99), {found.p99_9_us:.0f} (p99.9), "
+        f"{found.max_us:.0f} (max) of {found.n}, cycle {cycle_us:.0f} µs"
+    )
+    state: State = "good"
+    why = ""
+    if found.late > MANY * found.n:
+        state, why = "wrong", f"{found.late} of {found.n} came later than a whole cycle: deadlines are missed"
+    elif found.late or found.p99_9_us > POOR * cycle_us:
+        state, why = (
+            "better",
+            f"{found.late} came later than a whole cycle"
+            if found.late
+            else "a tenth of the cycle and more is over before its work begins",
+        )
+    if found.refused:
+        why = "; ".join(t for t in (why, f"measured without: {found.refused}") if t)
+    return Finding("wake-ups", text, state, why)
+
+
+def main() -> None:
+    """Measure as ordered."""
+    orders: dict[str, Any] = json.load(sys.stdin)
+    wanted = Realtime.model_validate(orders["realtime"])
+    refused = prepare_process(wanted)
+
+    def dot() -> None:
+        sys.stdout.write(".\n")
+        sys.stdout.flush()
+
+    found = measure(RealClock(), orders["rate_hz"], orders["seconds"], "; ".join(refused), dot)
+    sys.stdout.write(json.dumps(asdict(found)) + "\n")
+
+
+if __name__ == "__main__":
+    main()

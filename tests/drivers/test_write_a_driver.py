@@ -1,0 +1,114 @@
+"""docs/write-a-driver.md: its code is taken out of the page, installed as a package, listed, examined, run.
+
+Oracles: what the test writes into the files that the driver reads; the page's tables against the ports.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rtec.runtime.driver_facts import CAN_BE
+from tests import setups
+
+PAGE = (Path(__file__).parents[2] / "docs" / "write-a-driver.md").read_text(encoding="utf-8")
+pytestmark = pytest.mark.xdist_group("real-clock")
+
+
+def blocks(language: str) -> list[str]:
+    """Fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+(MODULE,), (PYPROJECT,), (COMMANDS,) = blocks("python"), blocks("toml"), blocks("sh")
+SAID = {"T_spindle_front": 31.25, "T_bed": 19.5}
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    """The page's package as `pip install` leaves it; a run file with its device, and the files that this reads."""
+    project = tomllib.loads(PYPROJECT)["project"]
+    info = tmp_path / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    head = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    (info / "METADATA").write_text(head, encoding="utf-8")
+    ((group, points),) = project["entry-points"].items()
+    text = f"[{group}]\n" + "".join(f"{name} = {place}\n" for name, place in points.items())
+    (info / "entry_points.txt").write_text(text, encoding="utf-8")
+    (module,) = tomllib.loads(PYPROJECT)["tool"]["setuptools"]["py-modules"]
+    (tmp_path / f"{module}.py").write_text(MODULE, encoding="utf-8")
+    tables = setups.tables(tmp_path)
+    tables["role"]["temperatures"] = ["cabinet"]
+    tables["device"]["cabinet"] = {"driver": "hwmon", "files": {name: name for name in SAID}}
+    for name, degc in SAID.items():
+        (tmp_path / name).write_text(f"{degc * 1000:.0f}\n", encoding="utf-8")
+    setups.write(tmp_path, tables)
+    return tmp_path
+
+
+def rtec(site: Path, *words: str, expected: int = 0) -> str:
+    """Run a command in a process of its own, in which the package is installed."""
+    given = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in (str(site), os.environ.get("PYTHONPATH")) if p)}
+    command = [sys.executable, "-m", "rtec.cli.main", *words]
+    done = subprocess.run(command, capture_output=True, text=True, env=given, cwd=site, check=False)
+    assert done.returncode == expected, done.stderr
+    return done.stdout if done.returncode != 2 else done.stderr
+
+
+def test_it_is_short() -> None:
+    """The class, its options, nothing else; the example in it does not count."""
+    code = re.sub(r'    EXAMPLE = """.*?"""\n', "", MODULE, flags=re.DOTALL)
+    lines = [line for line in code.split("class ", 1)[1].splitlines() if line.strip()]
+    assert len(lines) <= 27
+
+
+def test_it_is_listed(site: Path) -> None:
+    found: dict[str, Any] = json.loads(rtec(site, "drivers", "hwmon", "--json"))
+    assert (found["package"], found["roles"], found["trouble"]) == ("rtec-hwmon", ["temperatures"], "")
+    assert [(o["name"], o["required"]) for o in found["options"]] == [("files", True)]
+    assert "thousandths" in found["options"][0]["meaning"]
+    assert tomllib.loads(found["example"])["device"]["cabinet"]["driver"] == "hwmon"
+    assert "hwmon" in rtec(site, "drivers")
+
+
+def test_the_doctor_reads_it(site: Path) -> None:
+    words = ("doctor", "run.toml", "--no-pc", "--seconds", "0.3", "--json")
+    found = json.loads(rtec(site, *words))
+    (cabinet,) = [d for d in found["devices"]["devices"] if d["name"] == "cabinet"]
+    assert {v["name"]: v["value"] for v in cabinet["values"]} == SAID
+    (site / "T_bed").unlink()
+    found = json.loads(rtec(site, *words, expected=1))
+    (cabinet,) = [d for d in found["devices"]["devices"] if d["name"] == "cabinet"]
+    assert "T_bed" in cabinet["wrong"][0]["what"]
+    assert [v["name"] for v in cabinet["values"]] == ["T_spindle_front"]
+
+
+def test_the_loop_runs_on_it(site: Path) -> None:
+    found = json.loads(rtec(site, "run", "run.toml", "--duration", "0.5", "--json"))
+    assert {name: found["degc"][name] for name in SAID} == SAID
+
+
+def test_a_sensor_that_is_not_there_is_refused(site: Path) -> None:
+    text = (site / "run.toml").read_text(encoding="utf-8")
+    (site / "run.toml").write_text(text.replace('T_bed = "T_bed"', 'T_bett = "T_bed"'), encoding="utf-8")
+    said = rtec(site, "run", "run.toml", "--duration", "0.1", expected=2)
+    assert "[device.cabinet] files: the machine has no sensor 'T_bett'; did you mean 'T_bed'?" in " ".join(said.split())
+
+
+def test_what_else_the_page_says(site: Path) -> None:
+    """Its table of methods against the ports; its commands run, but for the last part of the names."""
+    rows = dict(re.findall(r"^\| (\w+) \| (.*?) \|", PAGE.split("## What a driver can be")[1], re.MULTILINE))
+    rows.pop("key", None)
+    for role, port in CAN_BE.items():
+        named = set(re.findall(r"`(\w+)\(", rows[role]))
+        assert named == {name for name in vars(port) if not name.startswith("_")}
+    assert set(rows) == set(CAN_BE)
+    for line in COMMANDS.splitlines():
+        words = [*line.split()[1:], *(["--no-pc", "--seconds", "0.2"] if " doctor " in line else [])]
+        rtec(site, *words)
