@@ -75,6 +75,7 @@ units = {T_air = "degf"}
         """
         self.resume()
         self._entered = True
+        self._reopener.start()
         try:
             self._adopt(self._connect())
         except DriverError as e:
@@ -89,6 +90,11 @@ units = {T_air = "degf"}
     ) -> None:
         """Close."""
         self._leave()
+
+    @property
+    def must_resume(self) -> str:
+        """Why it waits for an order to resume; "" where it does not."""
+        return self._book.lost
 
     def resume(self) -> None:
         """The order to go on after a lost position: what is printed next is taken as it stands."""

@@ -34,6 +34,11 @@ class ReadingBook:
         """Do the patterns name the axes?"""
         return self._tracker is not None
 
+    @property
+    def lost(self) -> str:
+        """Why the positions are not known any more; "" where they are."""
+        return "" if self._tracker is None else self._tracker.lost
+
     def restart(self) -> None:
         """Forget everything."""
         self.values.clear()

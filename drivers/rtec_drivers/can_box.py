@@ -74,6 +74,7 @@ class CanBoxDriver:
     """
 
     options_model = CanBoxOptions
+    TAKES = ("pulse",)
     EXAMPLE = """\
 [device.box]
 driver = "can_box"

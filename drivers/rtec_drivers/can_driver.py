@@ -65,7 +65,9 @@ class CanTemperatureOptions(CanOptions):
 
 
 class CanDriver:
-    """Temperatures and spindle speed from a CAN bus, as they come; nothing that the loop calls waits for the bus.
+    """Temperatures and spindle speed from a CAN bus: signals of a DBC file, or CANopen PDOs.
+
+    They are taken as they come; nothing that the loop calls waits for the bus.
 
     Args:
         options: what the run file says.

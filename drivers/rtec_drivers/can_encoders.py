@@ -54,7 +54,7 @@ class CanEncoderOptions(CanOptions):
 
 
 class CanEncodersDriver:
-    """Count source: positions of all axes from a CAN bus.
+    """Encoders on a CAN bus: the counts of all axes.
 
     With `sync` each reading sends the next SYNC and gives what the last one brought: it is a cycle old, and its
     instant says so. The next SYNC waits until all have answered the last one, or have had `timeout_ms` for it, so no
@@ -125,6 +125,11 @@ max_speed_mm_s = 500
     ) -> None:
         """Stop listening and close."""
         self._port.close()
+
+    @property
+    def must_resume(self) -> str:
+        """Why it waits for an order to resume; "" where it does not."""
+        return self._tracker.lost
 
     def resume(self) -> None:
         """The order to go on after a lost position: the next reading is taken as it stands."""

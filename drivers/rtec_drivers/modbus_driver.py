@@ -27,10 +27,11 @@ LEAST_SILENCE_NS = 1_750_000
 
 
 class ModbusDriver:
-    """Temperature source: polls Modbus slaves in a thread of its own and hands out the newest believed values.
+    """Temperatures from Modbus modules on a serial line or over TCP, several on one line.
 
-    A line that is lost is opened again, with growing waits, until it is there; slaves that fall silent are told, and
-    slow no other. Nothing that the loop calls waits for the line.
+    Polls in a thread of its own and hands out the newest believed values. A line that is lost is opened again, with
+    growing waits, until it is there; slaves that fall silent are told, and slow no other. Nothing that the loop calls
+    waits for the line.
 
     Args:
         options: what the run file says.

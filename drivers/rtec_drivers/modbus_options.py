@@ -21,7 +21,8 @@ class SlaveOptions(Strict):
 
     Attributes:
         id: its number.
-        profile: name of a shipped register map; `channels` then tells which sensor is on which of its channels.
+        profile: name of a shipped register map.
+        channels: which of the machine's sensors is on which channel of the profile.
         register: registers by sensor, for a module without a profile, or besides it.
         period_s: how often it is asked.
         timeout_s: how long it may take to answer.
@@ -53,8 +54,8 @@ class ModbusOptions(Strict):
     """What a run file may say of a Modbus line.
 
     Attributes:
-        serial: a serial line (see `PortOptions`; without `baud` 9600), or
-        tcp: a connection (see `TcpOptions`).
+        serial: a serial line; either this
+        tcp: or a connection over TCP.
         slave: the slaves by a name of your choice.
     """
 

@@ -4,14 +4,13 @@ Used by the Modbus and the CAN drivers. Nothing here spins: between attempts, an
 the kernel, and `stop` wakes it.
 """
 
-import contextlib
-import os
 import threading
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from rtec.errors import DriverError, DriverUnavailable
 from rtec.runtime.clock import Clock
+from rtec.runtime.realtime import prepare_worker
 
 NS = 1_000_000_000
 STOP_TIMEOUT_S = 15.0
@@ -108,8 +107,7 @@ class Worker(Generic[L]):
             self._stop.wait(left_ns / NS)
 
     def _run(self, link: L | None) -> None:
-        with contextlib.suppress(OSError):  # slow buses are not urgent, whatever the loop's priority is
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        prepare_worker()
         while not self.stopping:
             why = self._once(link)
             link = None

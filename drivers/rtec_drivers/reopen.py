@@ -1,14 +1,13 @@
 """Opens what was lost again, without the loop ever waiting for it."""
 
-import os
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from queue import SimpleQueue
 from typing import Generic, TypeVar
 
 from rtec.errors import DriverError
 from rtec.runtime.clock import Clock
+from rtec.runtime.realtime import prepare_worker
 
 T = TypeVar("T")
 
@@ -17,7 +16,8 @@ class Reopener(Generic[T]):
     """Attempts in a thread of its own; when the next one is due, the caller's clock decides.
 
     `poll` is called every cycle and returns at once. Attempts come at growing distances, from `first_s` up to
-    `longest_s`. The thread is made with the first attempt and lives until `close`; between attempts it sleeps.
+    `longest_s`. The thread is made by `start`, at the latest with the first attempt, and lives until `close`; between
+    attempts it sleeps.
 
     Args:
         attempt: opens once; bounded in time; raises DriverError where it fails.
@@ -59,6 +59,12 @@ class Reopener(Generic[T]):
             self._order()
         return None
 
+    def start(self) -> None:
+        """Make the thread now, so that no cycle has to: where memory is locked, a new thread's stack takes 10 ms."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="rtec-reopen", daemon=True)
+            self._thread.start()
+
     def close(self) -> None:
         """End the thread; close what it has opened in the meantime."""
         if self._thread is None:
@@ -74,14 +80,11 @@ class Reopener(Generic[T]):
     def _order(self) -> None:
         self.attempts += 1
         self._busy = True
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="rtec-reopen", daemon=True)
-            self._thread.start()
+        self.start()
         self._orders.put(True)
 
     def _work(self) -> None:
-        with suppress(OSError):  # opening is not urgent, whatever the loop's priority is
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        prepare_worker()
         while self._orders.get():
             try:
                 self._results.put(self._attempt())

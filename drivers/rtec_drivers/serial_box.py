@@ -46,6 +46,7 @@ class SerialBoxDriver:
     """
 
     options_model = BoxOptions
+    TAKES = ("pulse",)
     EXAMPLE = """\
 [device.box]
 driver = "serial_box"
@@ -80,6 +81,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """
         self._begin()
         self._entered = True
+        self._reopener.start()
         try:
             session = self._connect()
             self._adopt(session)

@@ -32,7 +32,8 @@ class SimOptions(Strict):
     Attributes:
         truth: file of the truth; a relative path starts at the folder of the run file.
         seed: same seed, same day.
-        program: text of a part program; or `program_file`, a file with one. Without either the axes stand still.
+        program: text of a part program; without one, and without `program_file`, the axes stand still.
+        program_file: a file with a part program instead.
         repeat: start the program again when it ends.
         warm_up_s: work that is over before the run begins, so that there is something to correct.
         warm_up_rpm: spindle speed during it.
@@ -58,7 +59,7 @@ class SimOptions(Strict):
 
 
 class SimDriver:
-    """Simulated machine behind the ports of `rtec.runtime.ports`.
+    """Simulated machine; needs no hardware.
 
     Args:
         options: what the run file says.
@@ -71,6 +72,20 @@ class SimDriver:
     """
 
     options_model = SimOptions
+    EXAMPLE = """\
+[device.machine]
+driver = "sim"
+truth = "sim/turning-centre.toml"    # what is so, beside what the machine's file says
+seed = 1
+warm_up_s = 7200                     # two hours of work before the run begins
+warm_up_rpm = 2400
+program = '''
+M3 S2400
+G0 X110 Z335
+G1 Z330 F720
+G1 X40
+'''
+"""
 
     def __init__(self, options: SimOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
         self.options = options

@@ -11,6 +11,7 @@ class WireFaults:
         silent: nothing arrives.
         flip_rate: share of messages in which one bit arrives wrong.
         cut_next: the next message ends after so many bytes; -1: it does not.
+        cut_every: one message in so many ends in its middle; 0: none does.
         late_ns: everything arrives so much later.
         babble: these bytes come before every message, and by themselves.
         garbled, passed: messages that arrived wrong, and all that arrived.
@@ -21,6 +22,7 @@ class WireFaults:
 
     def __init__(self, seed: int = 0) -> None:
         self.silent, self.flip_rate, self.cut_next, self.late_ns, self.babble = False, 0.0, -1, 0, b""
+        self.cut_every = 0
         self.garbled = self.passed = 0
         self._chance = random.Random(seed)  # noqa: S311 - a test's dice
         self._on_the_way: deque[tuple[int, bytes]] = deque()
@@ -48,6 +50,8 @@ class WireFaults:
         if not message:
             return message
         self.passed += 1
+        if self.cut_every and self.passed % self.cut_every == 0:
+            self.cut_next = len(message) // 2
         if self.cut_next >= 0:
             message, self.cut_next = message[: self.cut_next], -1
             self.garbled += 1

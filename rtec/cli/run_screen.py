@@ -58,7 +58,9 @@ class Screen:
         of = f" of {self._duration_s:g}" if self._duration_s else ""
         text = f"{status.time_s:.0f}{of} s   {status.cycles} cycles, {status.misses} deadlines missed   Ctrl-C ends"
         why = "   ".join(status.reasons)
-        return Text.assemble(text, ("\n" + why if why else "", "bold yellow"))
+        wrong = [f"device {name}: {'; '.join(texts)}" for name, texts in status.devices.items()]
+        lines = "".join(f"\n{line}" for line in (*wrong, status.reload, status.log) if line)
+        return Text.assemble(text, ("\n" + why if why else "", "bold yellow"), (lines, "bold red"))
 
 
 def show_report(setup: Setup, report: Report) -> None:
@@ -79,7 +81,8 @@ def show_report(setup: Setup, report: Report) -> None:
     for line in flag_lines(report.flags_seen):
         console.print(line, style="yellow", highlight=False)
     if summary["driver_errors"]:
-        console.print(f"device errors: {summary['driver_errors']}, the last: {summary['last_error']}", style="bold red")
+        for line in device_lines(summary["devices"]):
+            console.print(line, style="bold red", markup=False, highlight=False)
     for warning in report.warnings:
         console.print(f"note: {warning}", style="yellow", highlight=False)
     if report.overruns:
@@ -88,6 +91,15 @@ def show_report(setup: Setup, report: Report) -> None:
         console.print("interrupted: correction held, log flushed, devices closed")
     if report.log:
         console.print(f"log: {report.log}", highlight=False, soft_wrap=True)
+
+
+def device_lines(devices: dict[str, dict[str, Any]]) -> list[str]:
+    """One line a device: how often it failed, and the last reason of everything that it does."""
+    lines = []
+    for name, found in devices.items():
+        reasons = "; ".join(dict.fromkeys(found["last"].values()))
+        lines.append(f"device {name}: {found['times']} errors, the last: {reasons}")
+    return lines
 
 
 def show_dry_run(setup: Setup, found: dict[str, Any]) -> None:

@@ -113,20 +113,22 @@ def guard_update(
         applied: correction now, µm.
         speed: its speed, µm/s.
         target: where it should go, µm; not looked at while held.
-        hold: brake and stay.
+        hold: brake and stay. Beyond `stop`, where a lower limit that was loaded anew leaves it, it goes to `stop`.
         dt: length of the cycle, s.
         stop, slew, acceleration: limits, µm, µm/s, µm/s².
 
     Returns:
         applied and speed after the cycle. Speed never passes `slew`, changes by at most `acceleration · dt`, and is
-        always low enough to come to rest at a target that stands still; `applied` never passes `stop`.
+        always low enough to come to rest at a target that stands still; `applied` never passes `stop`, nor goes
+        further away where it is beyond.
     """
     if dt <= 0.0:
         return applied, speed
     change = acceleration * dt
+    bound = max(stop, abs(applied))
     wanted, arriving, goal = 0.0, False, applied
-    if not hold:
-        goal = min(max(target, -stop), stop)
+    if not hold or bound > stop:
+        goal = min(max(applied if hold else target, -stop), stop)
         per_cycle = abs(goal - applied) / dt
         # Braking by `change` a cycle from k·change takes k(k+1)/2·change of way; k whole cycles fit, the rest of
         # the way is shared out among the k+1 that it takes to get there.
@@ -141,4 +143,4 @@ def guard_update(
     limited = min(max(wanted, speed - change), speed + change)
     if arriving and limited == wanted:
         return goal, limited
-    return min(max(applied + limited * dt, -stop), stop), limited
+    return min(max(applied + limited * dt, -bound), bound), limited

@@ -45,6 +45,11 @@ class VirtualClock:
         self._now_ns = max(self._now_ns, instant_ns)
 
 
+def wall_clock_ns() -> int:
+    """Give the date and time of day, ns since 1970 UTC: to be written down beside monotonic time, never for control."""
+    return time.time_ns()
+
+
 def wall_clock_iso() -> str:
     """Give the date and time of day in UTC, ISO 8601: for people and file names, never for control."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

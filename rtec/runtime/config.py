@@ -13,6 +13,7 @@ from rtec.errors import ConfigError, RtecError
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
 from rtec.runtime.inputs import Inputs, loop_faults
+from rtec.runtime.log_settings import LogTable
 from rtec.runtime.step import StepSettings
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
 
@@ -25,6 +26,7 @@ class RunTable(Strict):
         rate_hz: cycles per second.
         mode: "on", "off" or "hold" at the start.
         log_folder: a log a run is written there; no log where it is not given.
+        state_folder: ledger and mode are kept there over a power cut; not given: the log_folder.
         flush_s: the log loses at most this much in a power cut.
     """
 
@@ -33,6 +35,7 @@ class RunTable(Strict):
     rate_hz: Annotated[float, Field(ge=1, le=4000)] = 1000.0
     mode: Literal["on", "off", "hold"] = "on"
     log_folder: Path | None = None
+    state_folder: Path | None = None
     flush_s: Annotated[float, Field(gt=0, le=1)] = 0.5
 
 
@@ -89,7 +92,7 @@ class CaptureTable(Strict):
 
 
 class RunFile(Strict):
-    """The whole run file."""
+    """The whole run file; what stands in `hil` is read by the bench of `rtec hil` alone."""
 
     run: RunTable
     role: Roles
@@ -99,7 +102,9 @@ class RunFile(Strict):
     inputs: Inputs = Field(default_factory=Inputs)
     output: dict[str, Sink] = Field(default_factory=dict)
     realtime: Realtime = Field(default_factory=Realtime)
+    log: LogTable = Field(default_factory=LogTable)
     capture: CaptureTable | None = None
+    hil: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)

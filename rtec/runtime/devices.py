@@ -1,10 +1,8 @@
 """Finds drivers by name, makes the devices of a run file, and opens them together."""
 
-import importlib
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
-from importlib.metadata import entry_points
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +13,34 @@ from rtec.errors import ConfigError, DriverUnavailable, RtecError
 from rtec.machine import Machine
 from rtec.runtime.clock import Clock
 from rtec.runtime.config import Roles, Setup
-from rtec.runtime.ports import Actuator, CountSource, Device, SpindleSource, TemperatureSource
-from rtec.tomlfile import nearest, validated
-
-GROUP = "rtec.drivers"
+from rtec.runtime.drivers import find
+from rtec.runtime.ports import Actuator, CountSource, Device, Resumable, SpindleSource, TemperatureSource
+from rtec.tomlfile import validated
 
 
 @dataclass(frozen=True)
 class Ports:
-    """Opened devices by what they do."""
+    """Opened devices by what they do.
+
+    Attributes:
+        names: the devices' names by what they do, for messages; what is not there is called by what it does.
+    """
 
     counts: CountSource
     temperatures: tuple[TemperatureSource, ...]
     spindle: SpindleSource | None
     actuator: Actuator
+    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
+    def name(self, does: str, k: int = 0) -> str:
+        """Name of the k-th device that does this: "counts", "temperatures", "spindle" or "output"."""
+        names = self.names.get(does, ())
+        return names[k] if k < len(names) else does
 
-def driver_table() -> dict[str, tuple[str, str]]:
-    """All drivers that are installed: name to module and class; those of other packages too."""
-    out: dict[str, tuple[str, str]] = {}
-    for entry in entry_points(group=GROUP):
-        out.update(entry.load())
-    return out
+    def resumable(self) -> list[Resumable]:
+        """Devices that take an order to resume, each once."""
+        devices: tuple[object, ...] = (self.counts, *self.temperatures, self.spindle, self.actuator)
+        return [d for d in {id(d): d for d in devices}.values() if isinstance(d, Resumable)]
 
 
 def driver_class(name: str, where: str) -> Any:
@@ -46,18 +50,10 @@ def driver_class(name: str, where: str) -> Any:
         ConfigError: no driver of that name.
         DriverUnavailable: its module, or a library that it needs, is not installed; or it has no such class.
     """
-    table = driver_table()
-    if name not in table:
-        raise ConfigError(f"{where}: no driver {name!r}{nearest(name, table)}")
-    module_name, class_name = table[name]
     try:
-        module = importlib.import_module(module_name)
-    except ImportError as e:
-        raise DriverUnavailable(f"{where}: driver {name!r} cannot be imported: {e}") from e
-    try:
-        return getattr(module, class_name)
-    except AttributeError as e:
-        raise DriverUnavailable(f"{where}: driver {name!r}: module {module_name} has no {class_name}") from e
+        return find(name, where).load()
+    except DriverUnavailable as e:
+        raise DriverUnavailable(f"{where}: {e}") from e
 
 
 def make_devices(setup: Setup, clock: Clock) -> dict[str, Device]:
@@ -70,7 +66,7 @@ def make_devices(setup: Setup, clock: Clock) -> dict[str, Device]:
     faults: list[str] = []
     for name, table in setup.file.device.items():
         try:
-            out[name] = _make(name, table, setup.machine, clock, setup.path)
+            out[name] = make_device(name, table, setup.machine, clock, setup.path)
         except RtecError as e:
             faults.append(str(e))
     faults += _role_faults(out, setup.file.role, str(setup.path))
@@ -100,22 +96,44 @@ def open_ports(setup: Setup, devices: Mapping[str, Any], stack: ExitStack) -> Po
         temperatures=tuple(devices[name] for name in role.temperatures),
         spindle=devices[role.spindle] if role.spindle else None,
         actuator=devices[role.actuator],
+        names={
+            "counts": (role.counts,),
+            "temperatures": role.temperatures,
+            "spindle": (role.spindle,) if role.spindle else (),
+            "output": (role.actuator,),
+        },
     )
 
 
-def _make(name: str, table: Mapping[str, Any], machine: Machine, clock: Clock, path: Path) -> Device:
+def make_device(name: str, table: Mapping[str, Any], machine: Machine, clock: Clock, path: Path) -> Device:
+    """Construct one device of the run file at `path`; it is not opened.
+
+    Raises:
+        ConfigError: its table is wrong; all faults.
+        DriverUnavailable: its driver, or a library that it needs, is not installed.
+    """
+    kind, options = device_options(name, table, path)
+    where = f"{path}: [device.{name}]"
+    try:
+        device: Device = kind(options, machine, clock, path.parent)
+    except RtecError as e:
+        raise type(e)("\n".join(f"{where} {line}" for line in str(e).splitlines())) from e
+    return device
+
+
+def device_options(name: str, table: Mapping[str, Any], path: Path) -> tuple[Any, BaseModel]:
+    """Driver class of a device of the run file at `path`, and its options, checked.
+
+    Raises:
+        ConfigError, DriverUnavailable: as `make_device`.
+    """
     where = f"{path}: [device.{name}]"
     driver = table.get("driver")
     if not isinstance(driver, str):
         raise ConfigError(f"{where} key 'driver' is missing; it names the driver")
     kind = driver_class(driver, where)
     options_model: type[BaseModel] = kind.options_model
-    options = validated(options_model, {k: v for k, v in table.items() if k != "driver"}, where)
-    try:
-        device: Device = kind(options, machine, clock, path.parent)
-    except RtecError as e:
-        raise ConfigError("\n".join(f"{where} {line}" for line in str(e).splitlines())) from e
-    return device
+    return kind, validated(options_model, {k: v for k, v in table.items() if k != "driver"}, where)
 
 
 def _role_faults(devices: Mapping[str, object], role: Roles, source: str) -> list[str]:

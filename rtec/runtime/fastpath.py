@@ -1,12 +1,13 @@
 """The fast path: the loop in a process of its own, writing into the ring that the supervisor made.
 
-It owns the count source and the actuator. It ends when its cycles are done, when the supervisor asks through the
-ring, or when the supervisor is gone; in each case the devices hold, then close.
+It owns the count source, the actuator and the kept state. It ends when its cycles are done, when the supervisor asks
+through the ring, or when the supervisor is gone; in each case the devices hold, then close.
 """
 
-import os
 import signal
-from contextlib import ExitStack
+import sys
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -14,92 +15,166 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.errors import RtecError
-from rtec.runtime.clock import RealClock
+from rtec.errors import DriverError, RtecError
+from rtec.runtime.between import Between
+from rtec.runtime.clock import Clock, RealClock
 from rtec.runtime.config import Setup, load_setup
 from rtec.runtime.devices import Ports, make_devices, open_ports
-from rtec.runtime.loop import Loop, Row, bind_rows
+from rtec.runtime.loop import Loop, bind_rows
+from rtec.runtime.ports import OneWay
 from rtec.runtime.realtime import prepare_process
-from rtec.runtime.records import MODE_HOLD, Commands, Samples
+from rtec.runtime.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
+from rtec.runtime.recover import Found, Start, allowed, recover
 from rtec.runtime.ring import Ring
+from rtec.runtime.state import Saved, StateWriter, newest, state_text, structure_of, units_of
+from rtec.runtime.state_files import StatePlaces, read_disk, state_memory
 from rtec.runtime.step import Step
 
-PARENT_CHECK_CYCLES = 256
 REHEARSAL_CYCLES = 100
+FIRST_TRIES = 5
+DISK_SLACK_S = 1.0
+"""The copy on disk is at most so much behind (`[run] flush_s` is at most that)."""
+SWITCH_INTERVAL_S = 5e-5
+"""Another thread of this process (one that opens a port again, one that makes a new step) gives way so soon."""
 
 Output = NDArray[np.int64]
 
 
-def fast_path(config: Path, ring_name: str, pipe: Connection, cycles: int | None) -> None:
+@dataclass(frozen=True)
+class Orders:
+    """What the supervisor tells its loop at the start.
+
+    Attributes:
+        config: the run file.
+        ring: name of the ring.
+        cycles: how many; None: until it is stopped.
+        places: where the state is kept.
+    """
+
+    config: Path
+    ring: str
+    cycles: int | None
+    places: StatePlaces
+
+
+def fast_path(told: Orders, pipe: Connection) -> None:
     """Run the loop; tell the supervisor through the pipe: ("ready", …), then ("done", …) or ("error", text)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # the order to resume is the supervisor's, and comes through the ring
     try:
-        pipe.send(("done", _run(config, ring_name, pipe, cycles)))
+        _tell(pipe, "done", _run(told, pipe))
     except RtecError as e:
-        pipe.send(("error", str(e)))
+        _tell(pipe, "error", str(e))
     finally:
         pipe.close()
 
 
-def read_ledger(ports: Ports, axes: int) -> Output:
-    """What the actuator says is applied already."""
-    output = np.zeros(axes, dtype=np.int64)
-    ports.actuator.read_output(output)
-    return output
+def _tell(pipe: Connection, kind: str, content: Any) -> None:
+    with suppress(BrokenPipeError, ConnectionResetError):  # the supervisor is gone: the loop notices that by itself
+        pipe.send((kind, content))
 
 
-def _run(config: Path, ring_name: str, pipe: Connection, cycles: int | None) -> dict[str, Any]:
-    setup = load_setup(config)
+def _run(told: Orders, pipe: Connection) -> dict[str, Any]:
+    setup = load_setup(told.config)
     clock = RealClock()
     step = Step(setup.step_settings())
     step.warm_up()
-    with Ring.attach(ring_name) as ring, ExitStack() as stack:
+    with ExitStack() as stack:
+        ring = stack.enter_context(Ring.attach(told.ring))
+        image = stack.enter_context(state_memory(told.places.memory, clock))
         rows = bind_rows(step, ring.slots)
         ports = open_ports(setup, make_devices(setup, clock), stack)
-        output = read_ledger(ports, len(step.layout.axes))
-        step.resume(output)
-        loop = Loop(step, ports, clock, setup.period_ns, rows, ring.ordered_mode)
-        warnings = _rehearse(setup, ports, output)
-        pipe.send(("ready", {"output": output.tolist(), "warnings": warnings}))
+        found = _found(told.places, image, setup, ports, step)
+        start = recover(step, found)
+        loop = Loop(step, ports, clock, setup.period_ns, rows, start.mode)
+        if start.waits:
+            loop.wait_for_order(start.waits)
+        if found.output is None:
+            loop.take_over(start.expected, allowed(step, DISK_SLACK_S))
+        warnings = _rehearse(setup, ports, found.output)
+        ring.orders.mode = start.mode
+        loop.keeper = StateWriter(image, step, MODES_BY_NAME[setup.file.run.mode], start.sequence)
+        between = Between(loop, ring, pipe, image, setup.file.run.rate_hz)
+        told_all = {**_ready(step, start, warnings), "one_way": isinstance(ports.actuator, OneWay)}
+        _tell(pipe, "ready", told_all)
         try:
-            loop.run(cycles, _after_cycle(loop, ring, os.getppid()))
+            loop.run(told.cycles, between)
         finally:
             ports.actuator.hold()
-        return summary(loop, step)
+        between.finish(in_order=bool(ring.stop_requested) or loop.stats.cycles == told.cycles)
+        return summary(loop)
 
 
-def _rehearse(setup: Setup, ports: Ports, output: Output) -> list[str]:
+def _found(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step) -> Found:
+    """Look at what there is: kept state, ledger, counts."""
+    saved: Saved | None = newest(image.tobytes())
+    new_boot, slack_s = False, 2.0 / setup.file.run.rate_hz
+    if saved is None and places.disk is not None:
+        (saved, new_boot), slack_s = read_disk(places.disk), DISK_SLACK_S
+    axes = len(step.layout.axes)
+    output, counts = np.zeros(axes, np.int64), np.zeros(axes, np.int64)
+    if saved is not None and saved.units == units_of(step) and isinstance(ports.actuator, OneWay):
+        ports.actuator.was_told(saved.output)
+    return Found(
+        saved=saved,
+        new_boot=new_boot,
+        slack_s=slack_s,
+        output=output if _tells(ports, output) else None,
+        counts=counts if _counted(ports, counts) else None,
+        start_mode=MODES_BY_NAME[setup.file.run.mode],
+    )
+
+
+def _tells(ports: Ports, output: Output) -> bool:
+    try:
+        ports.actuator.read_output(output)
+    except DriverError:
+        return False
+    return True
+
+
+def _counted(ports: Ports, counts: Output) -> bool:
+    for _ in range(FIRST_TRIES):
+        try:
+            ports.counts.read_counts(counts)
+        except DriverError:
+            continue
+        return True
+    return False
+
+
+def _ready(step: Step, start: Start, warnings: list[str]) -> dict[str, Any]:
+    return {
+        "output": start.output.tolist(),
+        "state": {"structure": structure_of(step).hex(), **state_text(step.state)},
+        "warnings": [*warnings, *start.notes, *([start.waits] if start.waits else [])],
+    }
+
+
+def _rehearse(setup: Setup, ports: Ports, output: Output | None) -> list[str]:
     """Go through the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
 
-    The step is a second one that holds what the actuator already has: nothing moves, nothing is recorded.
+    The step is a second one that holds what the actuator already has: nothing moves, nothing is recorded. An actuator
+    that has not told is commanded nothing before it does.
     """
     step = Step(setup.step_settings())
-    step.resume(output)
+    if output is not None:
+        step.resume(output)
     rows = bind_rows(step, [(Samples.empty(step.layout, 1), Commands.empty(step.layout, 1))])
     warnings = prepare_process(setup.file.realtime)
-    loop = Loop(step, ports, RealClock(), setup.period_ns, rows, MODE_HOLD)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    clock: Clock = RealClock()
+    loop = Loop(step, ports, clock, setup.period_ns, rows, MODE_HOLD)
+    if output is None:
+        loop.take_over(None)
     loop.run(REHEARSAL_CYCLES, lambda _: True)
     return warnings
 
 
-def _after_cycle(loop: Loop, ring: Ring, parent: int) -> Any:
-    stats = loop.stats
-
-    def go_on(row: Row) -> bool:
-        del row
-        ring.publish()
-        ring.deadline_misses = stats.misses
-        loop.mode = ring.ordered_mode
-        alive = stats.cycles % PARENT_CHECK_CYCLES != 0 or os.getppid() == parent
-        return alive and not ring.stop_requested
-
-    return go_on
-
-
-def summary(loop: Loop, step: Step) -> dict[str, Any]:
+def summary(loop: Loop) -> dict[str, Any]:
     """What the loop did, as plain data."""
-    stats = loop.stats
+    stats, step = loop.stats, loop.step
     return {
         "cycles": stats.cycles,
         "deadline_misses": stats.misses,
@@ -107,5 +182,7 @@ def summary(loop: Loop, step: Step) -> dict[str, Any]:
         "compute": stats.compute.summary(),
         "driver_errors": stats.driver_errors,
         "last_error": stats.last_error,
+        "devices": stats.failures(),
+        "takeovers": stats.takeovers,
         "output": dict(zip(step.layout.axes, step.output_of(step.state).tolist(), strict=True)),
     }

@@ -27,6 +27,8 @@ from rtec.runtime.records import Commands, Field, Samples
 __all__ = ["LogReader", "LogWriter"]
 
 _MAX_PLANS: Final = 256
+_MESSAGE: Final = b"\xff\xff\xff\xff"
+"""What every message of a stream begins with."""
 _NOTHING: Final = pa.py_buffer(b"")
 _Broken = (pa.ArrowException, OSError, EOFError, ValueError, TypeError, KeyError, OverflowError)
 
@@ -80,6 +82,21 @@ class LogReader:
         self._source.seek(self._ends[-1])
         return self._source.read(len(END_MARK) + 1) == END_MARK
 
+    @property
+    def damaged_bytes(self) -> int:
+        """Bytes behind the last readable row, where a whole batch follows them: damage, not a torn end; else 0."""
+        at = self._ends[-1] if self.torn_bytes else self.bytes  # looking for the ends has read all heads before
+        while (at := self._memory.find(_MESSAGE, at + 1)) >= 0:
+            if at % 8 == 0 and any(True for _ in self._batches(at)):
+                return self.bytes - self._ends[-1]
+        return 0
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """Instants of the first and the last row, monotonic clock; None without rows."""
+        last = self.rows - 1
+        return None if last < 0 else (self._time_ns(0), self._time_ns(last))
+
     def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[tuple[Samples, Commands]]:
         """Give the rows from `start` on, in blocks of `max_rows` at most, as views of the mapped file.
 
@@ -126,6 +143,10 @@ class LogReader:
             raise LogError(f"log {self.path}: cannot be opened: {error.strerror or error}") from error
         except ValueError as error:  # nothing to map
             raise LogError(f"log {self.path}: is empty") from error
+
+    def _time_ns(self, row: int) -> int:
+        samples, _ = next(self.blocks(1, row))
+        return int(samples.time_ns[0])
 
     def _index(self) -> None:
         """Find the end and row count of every batch not seen yet."""

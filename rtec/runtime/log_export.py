@@ -10,14 +10,15 @@ from typing import Any, Final, Protocol
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
-from numpy.typing import NDArray
 
 from rtec.errors import LogError
-from rtec.runtime.log import LogReader
-from rtec.runtime.log_format import columns_of, entry_names
-from rtec.runtime.records import Commands, Layout, Samples
+from rtec.runtime.log_open import Log
+from rtec.runtime.log_table import CHUNK_ROWS, flat_names, flatten
+from rtec.runtime.records import Commands, Samples
 
-_CHUNK_ROWS: Final = 131_072
+__all__ = ["export", "flat_names"]
+
+_UTC: Final = pa.timestamp("ns", tz="UTC")
 
 
 class _Sink(Protocol):
@@ -26,27 +27,14 @@ class _Sink(Protocol):
     def close(self) -> None: ...
 
 
-def flat_names(layout: Layout) -> list[str]:
-    """Column names of the table: `counts_X`, `degc_T_spindle`, `applied_um_X`, …; scalars keep their name.
-
-    Raises:
-        LogError: two columns would have the same name.
-    """
-    names: list[str] = []
-    for f in columns_of(layout):
-        names += [f.name] if f.width is None else [f"{f.name}_{entry}" for entry in entry_names(f, layout)]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise LogError(f"log: the names of axes and sensors give two columns {twice[0]!r}; it cannot be exported")
-    return names
-
-
-def export(reader: LogReader, out_path: Path, progress: Callable[[int], None] | None = None) -> int:
+def export(reader: Log, out_path: Path, progress: Callable[[int], None] | None = None, *, utc: bool = False) -> int:
     """Write all rows as a table; the file appears whole or not at all, and replaces one of that name.
 
     Args:
         reader: the log; it is streamed, memory does not grow with its length.
         out_path: ends in `.parquet` (keeps the header as metadata) or `.csv`.
         progress: told the number of rows done, from time to time.
+        utc: a first column `utc` with date and time of each row; for a `LogStretch`, which knows them.
 
     Returns:
         Rows written.
@@ -64,7 +52,7 @@ def export(reader: LogReader, out_path: Path, progress: Callable[[int], None] | 
         raise LogError(f"export to {out_path}: cannot be made: {error.strerror}") from error
     os.close(fd)
     try:
-        done = _write(reader, Path(part), progress)
+        done = _write(reader, Path(part), progress, utc)
         Path(part).chmod(0o644)
         Path(part).replace(out_path)
     except OSError as error:
@@ -75,13 +63,14 @@ def export(reader: LogReader, out_path: Path, progress: Callable[[int], None] | 
     return done
 
 
-def _write(reader: LogReader, part: Path, progress: Callable[[int], None] | None) -> int:
+def _write(reader: Log, part: Path, progress: Callable[[int], None] | None, utc: bool) -> int:
     names = flat_names(reader.layout)
-    empty = _flatten(Samples.empty(reader.layout, 0), Commands.empty(reader.layout, 0))
+    empty = flatten(Samples.empty(reader.layout, 0), Commands.empty(reader.layout, 0))
     types = [pa.from_numpy_dtype(column.dtype) for column in empty]
     metadata: dict[bytes | str, bytes | str] = {}
     metadata.update(reader.header)
-    schema = pa.schema(list(zip(names, types, strict=True)), metadata=metadata)
+    columns: list[tuple[str, pa.DataType]] = [("utc", _UTC)] if utc else []
+    schema = pa.schema([*columns, *zip(names, types, strict=True)], metadata=metadata)
     sink, done = _open(part, schema), 0
     try:
         for table in _tables(reader, schema):
@@ -102,22 +91,23 @@ def _open(part: Path, schema: pa.Schema) -> _Sink:
     return pyarrow.parquet.ParquetWriter(str(part), schema, compression="zstd")
 
 
-def _tables(reader: LogReader, schema: pa.Schema) -> Iterator[pa.Table]:
-    """Tables of about `_CHUNK_ROWS` rows, so that the row groups of Parquet do not depend on the flushes of the log."""
+def _tables(reader: Log, schema: pa.Schema) -> Iterator[pa.Table]:
+    """Tables of some `CHUNK_ROWS` rows, so that the row groups of Parquet do not depend on the flushes of the log."""
     batches: list[pa.RecordBatch] = []
-    for samples, commands in reader.blocks(_CHUNK_ROWS):
-        columns = [pa.array(column) for column in _flatten(samples, commands)]
+    for samples, commands in reader.blocks(CHUNK_ROWS):
+        columns: list[pa.Array[Any]] = [_utc(reader, samples)] if schema.names[0] == "utc" else []
+        columns += [pa.array(column) for column in flatten(samples, commands)]
         batches.append(pa.RecordBatch.from_arrays(columns, schema=schema))
-        if sum(batch.num_rows for batch in batches) >= _CHUNK_ROWS:
+        if sum(batch.num_rows for batch in batches) >= CHUNK_ROWS:
             yield pa.Table.from_batches(batches)
             batches = []
     if batches:
         yield pa.Table.from_batches(batches)
 
 
-def _flatten(samples: Samples, commands: Commands) -> list[NDArray[Any]]:
-    """Every column by itself, in the order of `flat_names`."""
-    flat: list[NDArray[Any]] = []
-    for array in (*samples.arrays().values(), *commands.arrays().values()):
-        flat += [array] if array.ndim == 1 else list(array.T)
-    return flat
+def _utc(reader: Log, samples: Samples) -> "pa.Array[Any]":
+    """Date and time of rows; empty where their file does not tell."""
+    offset_ns = getattr(reader, "offset_ns", None)
+    if offset_ns is None:
+        return pa.nulls(len(samples), _UTC)
+    return pa.array(samples.time_ns + offset_ns).cast(_UTC)

@@ -17,7 +17,7 @@ END_MARK: Final = b"\xff\xff\xff\xff\0\0\0\0"
 _MAX_NAMES: Final = 4096
 _UNITS: Final = {
     "time_ns": "ns",
-    "mode": "0 off, 1 on, 2 hold",
+    "mode": "0 off, 1 on, 2 hold, 3 taken over",
     "counts_time_ns": "ns",
     "counts": "counts",
     "degc": "degC",

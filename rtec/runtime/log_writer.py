@@ -1,5 +1,10 @@
-"""Writes a log; see `rtec.runtime.log` for the file."""
+"""Writes a log; see `rtec.runtime.log` for the file.
 
+As long as it is written the file is locked (`flock`), so that nobody packs or removes it meanwhile; the lock goes with
+the process, however that ends.
+"""
+
+import fcntl
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -46,8 +51,16 @@ class LogWriter:
             raise LogError(f"log {path}: exists already; a log is never overwritten, choose another name") from error
         except OSError as error:
             raise LogError(f"log {path}: cannot be made: {error.strerror}") from error
-        self._append(self._schema.serialize())
-        self._sync()
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX)  # nobody else holds an empty file for longer than a look at it
+            self._append(self._schema.serialize())
+            self._sync()
+        except LogError:  # a file without its header is no log
+            self._remove()
+            raise
+        except OSError as error:  # a file system without locks
+            self._remove()
+            raise LogError(f"log {path}: cannot be locked: {error.strerror}") from error
         _sync_folder(path)
 
     def write(self, samples: Samples, commands: Commands) -> None:
@@ -91,8 +104,11 @@ class LogWriter:
                 self._append(END_MARK)
                 self._sync()
         finally:
-            os.close(self._fd)
-            self._fd = -1
+            if self._fault and not self.rows:  # on a full disk each new try would leave an empty file behind
+                self._remove()
+            else:
+                os.close(self._fd)
+                self._fd = -1
 
     def __enter__(self) -> Self:
         return self
@@ -123,6 +139,12 @@ class LogWriter:
                 os.ftruncate(self._fd, self._end)
             self._fail(error)
         self._end += len(memoryview(message))
+
+    def _remove(self) -> None:
+        os.close(self._fd)
+        self._fd = -1
+        with suppress(OSError):
+            self.path.unlink()
 
     def _sync(self) -> None:
         try:

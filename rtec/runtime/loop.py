@@ -1,5 +1,10 @@
 """The loop: wait for the deadline, read, step, apply, record. Nothing else, and nothing allocated on the way.
 
+An order to resume (`Loop.order_resume`) goes to every device that takes one. From then on the correction is held and
+nothing is commanded until the actuator has told its ledger; that becomes the step's own, and the loop goes on from it.
+
+The state is kept (`rtec.runtime.state`) between the step and the command: what is kept is never behind the actuator.
+
 Deadlines are absolute, so jitter does not add up. A cycle that ends after the next deadline costs that deadline (a
 miss, counted) and the loop goes on with the next one that is still to come.
 """
@@ -13,9 +18,22 @@ from rtec.errors import DriverError
 from rtec.runtime.clock import Clock
 from rtec.runtime.devices import Ports
 from rtec.runtime.ports import FloatArray, IntArray
-from rtec.runtime.records import Commands, Samples
-from rtec.runtime.stats import LoopStats
+from rtec.runtime.records import MODE_HOLD, MODE_TAKEN_OVER, Commands, Samples
+from rtec.runtime.state import StateWriter
+from rtec.runtime.stats import LoopStats, Trouble
 from rtec.runtime.step import Step
+
+HOLDS = "the correction holds until it is ordered to resume"
+
+
+def lost(expected: IntArray, found: IntArray, allowed: IntArray) -> str:
+    """Say that an actuator's ledger is not the one that it should have; "" where it is near enough."""
+    if (np.abs(found - expected) <= allowed).all():
+        return ""
+    return (
+        f"the actuator has {found.tolist()}, the run before left {expected.tolist()}: it started anew, and its counts "
+        f"may mean something else now; {HOLDS}"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +58,29 @@ class Loop:
     """The loop over rows in a circle.
 
     Attributes:
+        step: the step that it runs.
         mode: MODE_ON, MODE_OFF or MODE_HOLD; read every cycle.
         stats: what it did so far.
+        keeper: keeps the state of every cycle; None: nobody does.
     """
 
-    def __init__(self, step: Step, ports: Ports, clock: Clock, period_ns: int, rows: Sequence[Row], mode: int) -> None:
-        self.mode = mode
+    def __init__(self, step: Step, ports: Ports, clock: Clock, period_ns: int, rows: list[Row], mode: int) -> None:
+        self.step, self.mode = step, mode
         self.stats = LoopStats.empty()
+        self.keeper: StateWriter | None = None
         self._ports, self._clock, self._period_ns, self._rows = ports, clock, period_ns, rows
+        self._resumable = ports.resumable()
+        self._counts_trouble = self._trouble("counts")
+        self._temperatures = [(s, self._trouble("temperatures", k)) for k, s in enumerate(ports.temperatures)]
+        self._spindle_trouble = self._trouble("spindle")
+        self._output_trouble = self._trouble("output")
+        self._waiting = Trouble(ports.name("output"), "state")
+        self.stats.troubles.append(self._waiting)
         layout = step.layout
+        self._ledger = np.zeros(len(layout.axes), dtype=np.int64)
+        self._resuming = False
+        self._expected: IntArray | None = None
+        self._allowed: IntArray | None = None
         self._counts = np.zeros(len(layout.axes), dtype=np.int64)
         self._degc = np.full(len(layout.sensors), np.nan)
         self._degc_time_ns = np.zeros(len(layout.sensors), dtype=np.int64)
@@ -74,24 +106,57 @@ class Loop:
                 self.stats.misses += lost
                 deadline_ns += lost * self._period_ns
 
+    def wait_for_order(self, why: str) -> None:
+        """Hold until the order to resume comes, whatever the mode; for a start that nobody can vouch for."""
+        self._waiting.failed(why)
+
+    def order_resume(self) -> None:
+        """Order all devices to go on after a reset or a lost position; before the next cycle, in the loop's thread."""
+        for device in self._resumable:
+            device.resume()
+        self._waiting.now = False
+        self.take_over(None)
+
+    def take_over(self, expected: IntArray | None, allowed: IntArray | None = None) -> None:
+        """Hold, and command nothing, until the actuator tells its ledger; go on from that one.
+
+        Args:
+            expected: what it should have; where it is further off than `allowed`, the order to resume is waited for.
+            allowed: by axis; both None: whatever it has is right.
+        """
+        self._resuming, self._expected, self._allowed = True, expected, allowed
+
+    @property
+    def waits(self) -> bool:
+        """Is an order to resume waited for, or not carried out yet?"""
+        return self._resuming or self._waiting.now or any(d.must_resume for d in self._resumable)
+
+    def go_on_with(self, step: Step, rows: list[Row]) -> list[Row]:
+        """Take another step, and rows bound to it in the same memory, from the next cycle on; give the old rows."""
+        old = self._rows
+        self.step, self._rows = step, rows
+        return old
+
     def cycle(self, row: Row, deadline_ns: int) -> int:
         """Do one cycle into a row; give the instant at which the command was out, ns."""
         clock, stats = self._clock, self.stats
         now_ns = clock.now_ns()
         self._read()
-        samples = row.samples
+        samples, resuming = row.samples, self._resuming
         samples.time_ns[0] = now_ns
-        samples.mode[0] = self.mode
+        samples.mode[0] = self._mode_while_resuming() if resuming else MODE_HOLD if self._waiting.now else self.mode
         samples.counts_time_ns[0] = self._counts_time_ns
         row.counts[:] = self._counts
         row.degc[:] = self._degc
         row.degc_time_ns[:] = self._degc_time_ns
         samples.spindle_rpm[0] = self._spindle_rpm
         row.step()
-        try:
-            self._ports.actuator.apply(row.output)
-        except DriverError as e:
-            self._failed(e)
+        if resuming and not self._resuming:  # taken over in this cycle: the device has it already, and the row says so
+            row.output[:] = self._ledger
+        if self.keeper is not None:
+            self.keeper.keep(samples, row.output, stats.cycles)
+        if not resuming:
+            self._apply(row.output)
         end_ns = clock.now_ns()
         stats.cycles += 1
         stats.wake_up.add(now_ns - deadline_ns)
@@ -105,20 +170,50 @@ class Loop:
         ports = self._ports
         try:
             self._counts_time_ns = ports.counts.read_counts(self._counts)
+            self._counts_trouble.now = False
         except DriverError as e:
-            self._failed(e)
-        for source in ports.temperatures:
+            self._counts_trouble.failed(str(e))
+        for source, trouble in self._temperatures:
             try:
                 source.read_temperatures(self._degc, self._degc_time_ns)
-            except DriverError as e:
-                self._failed(e)
+                trouble.now = False
+            except DriverError as e:  # what is good is in the arrays all the same
+                trouble.failed(str(e))
         if ports.spindle is not None:
             try:
                 self._spindle_rpm = ports.spindle.read_spindle()
+                self._spindle_trouble.now = False
             except DriverError as e:
                 self._spindle_rpm = float("nan")
-                self._failed(e)
+                self._spindle_trouble.failed(str(e))
 
-    def _failed(self, error: DriverError) -> None:
-        self.stats.driver_errors += 1
-        self.stats.last_error = str(error)
+    def _apply(self, output: IntArray) -> None:
+        try:
+            self._ports.actuator.apply(output)
+            self._output_trouble.now = False
+        except DriverError as e:
+            self._output_trouble.failed(str(e))
+
+    def _mode_while_resuming(self) -> int:
+        """Take over the ledger as soon as the actuator tells it; hold until then."""
+        try:
+            self._ports.actuator.read_output(self._ledger)
+        except DriverError as e:
+            self._output_trouble.failed(str(e))
+            return MODE_HOLD
+        self.step.resume(self._ledger)
+        self._resuming, self._output_trouble.now = False, False
+        if self._expected is not None and self._allowed is not None:
+            self._check_expected(self._expected, self._allowed)
+        self.stats.takeovers += 1
+        return MODE_TAKEN_OVER
+
+    def _check_expected(self, expected: IntArray, allowed: IntArray) -> None:
+        why = lost(expected, self._ledger, allowed)
+        if why:
+            self.wait_for_order(why)
+
+    def _trouble(self, does: str, k: int = 0) -> Trouble:
+        made = Trouble(self._ports.name(does, k), does)
+        self.stats.troubles.append(made)
+        return made

@@ -1,4 +1,4 @@
-"""What a driver can be: three small capabilities (seam 1 of the architecture).
+"""What a driver can be: a few small capabilities (seam 1 of the architecture).
 
 A device is one object with one or more of these. Constructing it validates its options and touches no
 hardware; entering it (`with`) opens; leaving holds, then closes. Nothing here blocks for longer than the
@@ -47,7 +47,11 @@ class TemperatureSource(Protocol):
     def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
         """Fill `degc` (°C) and `time_ns` (instant of acquisition), one entry a sensor, in the machine's order.
 
-        A sensor without a new reading keeps its old value and its old time; the guard judges the age.
+        A sensor without a new reading keeps its old value and its old time; the guard judges the age. What is good is
+        filled in first, then what is wrong is raised: the arrays hold after an error too.
+
+        Raises:
+            DriverError: what is wrong with some of the sensors, or with the device.
         """
         ...
 
@@ -82,10 +86,39 @@ class Actuator(Protocol):
     def read_output(self, output: IntArray) -> None:
         """Fill `output` with what the device itself says is applied (its own ledger), in the same units.
 
-        A device that cannot say fills in what it was last told.
+        A device that cannot say fills in what it was last told, and is a `OneWay` too.
+
+        Raises:
+            DriverUnavailable: it has not said yet.
         """
         ...
 
     def hold(self) -> None:
         """Keep the last output until told otherwise; called when the loop ends, however it ends."""
+        ...
+
+
+@runtime_checkable
+class OneWay(Protocol):
+    """An actuator that cannot say what it has, and keeps it while nobody is there: an offset register, a D/A."""
+
+    def was_told(self, output: IntArray) -> None:
+        """Learn at the start what an earlier run told it last; `read_output` says so from then on. Sends nothing."""
+        ...
+
+
+@runtime_checkable
+class Resumable(Protocol):
+    """Stops by itself where it would guess: a box that started anew, a position that was lost. Goes on when ordered."""
+
+    @property
+    def must_resume(self) -> str:
+        """Why it waits for an order to resume; "" where it does not. Looks at nothing but memory."""
+        ...
+
+    def resume(self) -> None:
+        """Take what the device says next as it stands: its counts, its ledger. Waits for nothing.
+
+        Whoever orders it takes over the ledger (`Actuator.read_output`) before the next command.
+        """
         ...

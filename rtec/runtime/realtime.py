@@ -9,6 +9,8 @@ from rtec.runtime.config import Realtime
 MCL_CURRENT_AND_FUTURE = 3
 PR_SET_TIMERSLACK = 29
 HOW = "see docs/real-time.md"
+WORKER_PRIORITY = 1
+"""Of drivers' threads: below every loop, above all that is not real time."""
 
 
 def prepare_process(wanted: Realtime) -> list[str]:
@@ -56,3 +58,12 @@ def _pin(cpu: int | None) -> bool:
     except (OSError, AttributeError):
         return False
     return True
+
+
+def prepare_worker() -> None:
+    """Give the calling thread the lowest real-time priority, where the system grants it.
+
+    A driver's thread in the loop's process is not urgent. But while it holds the interpreter the loop waits for it, and
+    if any ordinary program may keep it off the processor meanwhile, the loop waits for that program.
+    """
+    _fifo(WORKER_PRIORITY)

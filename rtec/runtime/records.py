@@ -17,6 +17,8 @@ MODE_ON = 1
 """Correction follows the model."""
 MODE_HOLD = 2
 """Correction stays where it is."""
+MODE_TAKEN_OVER = 3
+"""One row after an order to resume: held, and the ledger is what the device itself said, which stands in `output`."""
 MODES_BY_NAME = {"off": MODE_OFF, "on": MODE_ON, "hold": MODE_HOLD}
 
 
@@ -75,7 +77,7 @@ class Samples(_Block):
 
     Attributes:
         time_ns: the loop's instant, monotonic clock.
-        mode: MODE_OFF, MODE_ON or MODE_HOLD as ordered for this cycle.
+        mode: MODE_OFF, MODE_ON or MODE_HOLD as ordered for this cycle; MODE_TAKEN_OVER where the ledger was.
         counts_time_ns: instant at which the counts were latched.
         counts: raw counts after x4, (n, axes).
         degc: temperatures, °C, (n, sensors); NaN where a sensor has given none yet.

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 
 from rtec.errors import LogError
 from rtec.runtime.config import Setup
-from rtec.runtime.log import LogReader, LogWriter
-from rtec.runtime.records import Commands, Layout
+from rtec.runtime.log import LogWriter
+from rtec.runtime.log_open import Log, open_log
+from rtec.runtime.records import MODE_TAKEN_OVER, Commands, Layout, Samples
+from rtec.runtime.state import state_from_text, structure_of
 from rtec.runtime.step import Step
 
 MOST_DIFFERENCES = 20
@@ -39,6 +42,7 @@ class ReplayReport:
         differences: the first few of them.
         notes: ways in which the run file is not the one that the log was made with.
         torn_bytes: bytes behind the log's last whole batch.
+        unread: of a folder of logs, what could not be read, and why.
         out: where the commands were written.
     """
 
@@ -47,6 +51,7 @@ class ReplayReport:
     differences: list[Difference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     torn_bytes: int = 0
+    unread: list[str] = field(default_factory=list)
     out: Path | None = None
 
 
@@ -71,16 +76,16 @@ def replay_log(
     """
     step = Step(setup.step_settings())
     report = ReplayReport()
-    with LogReader(log) as reader:
+    with open_log(log) as reader:
         _check_layout(reader, step.layout, log)
         report.notes = _notes(reader.header, setup)
-        step.resume(_initial_output(reader.header, step.layout, log))
+        _begin_as(reader.header, step, log)
         total = reader.rows
         writer = None if out is None else LogWriter(out, step.layout, {**setup.log_header(), "replay_of": log.name})
         memory = Commands.empty(step.layout, BLOCK_ROWS)
         try:
             for samples, logged in reader.blocks(BLOCK_ROWS):
-                commands = step.run(samples, memory)
+                commands = _stepped(step, samples, logged, memory)
                 if check:
                     _compare(report, logged, commands)
                 if writer is not None:
@@ -96,7 +101,20 @@ def replay_log(
     return report
 
 
-def _check_layout(reader: LogReader, layout: Layout, log: Path) -> None:
+def _stepped(step: Step, samples: Samples, logged: Commands, memory: Commands) -> Commands:
+    """Step through rows; where the run took over a ledger from the device, take over the one that it logged."""
+    commands = memory.rows(0, len(samples))
+    starts = [0, *np.flatnonzero(samples.mode == MODE_TAKEN_OVER).tolist(), len(samples)]
+    for k, (start, stop) in enumerate(pairwise(starts)):
+        if k:
+            step.resume(logged.output[start])
+        step.run(samples.rows(start, stop), commands.rows(start, stop))
+        if k:
+            commands.output[start] = logged.output[start]
+    return commands
+
+
+def _check_layout(reader: Log, layout: Layout, log: Path) -> None:
     for what in ("axes", "sensors"):
         logged, wanted = getattr(reader.layout, what), getattr(layout, what)
         if logged != wanted:
@@ -110,6 +128,8 @@ def _notes(header: dict[str, str], setup: Setup) -> list[str]:
     """In words, which of machine, model and run file changed since the log was written."""
     now = setup.log_header()
     out = []
+    if "rows_lost_before" in header:
+        out.append("rows before this log were lost, so what the step remembered then is not known")
     for key, what in (
         ("machine_sha256", "machine"),
         ("model_sha256", "model"),
@@ -119,6 +139,19 @@ def _notes(header: dict[str, str], setup: Setup) -> list[str]:
         if header.get(key) != now[key]:
             out.append(f"the {what} is not the one that the log was made with")
     return out
+
+
+def _begin_as(header: dict[str, str], step: Step, log: Path) -> None:
+    """Put the step where it was before the log's first row: all of its memory, or at least its ledger."""
+    try:
+        told = json.loads(header.get("initial_state", "null"))
+    except ValueError:
+        told = None
+    state = state_from_text(told, step.state)
+    if state is not None and told.get("structure") == structure_of(step).hex():
+        step.restore(state)
+    else:
+        step.resume(_initial_output(header, step.layout, log))
 
 
 def _initial_output(header: dict[str, str], layout: Layout, log: Path) -> NDArray[np.int64]:

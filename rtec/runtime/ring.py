@@ -1,8 +1,9 @@
 """A ring of samples and commands in shared memory: the fast path writes, the supervisor drains.
 
 One slot a cycle, one producer, one consumer, each in a process of its own. Memory, in this order, each part on
-64-byte lines: constants, words that the producer writes, words that the consumer writes, the names of axes and
-sensors (JSON), then each field of `Samples` and `Commands` as one array of `capacity` slots.
+64-byte lines: constants, words that the producer writes, words that the consumer writes, orders among them
+(`rtec.runtime.orders`), a note in words (`rtec.runtime.note`), the names of axes and sensors (JSON), then each field
+of `Samples` and `Commands` as one array of `capacity` slots.
 
 No row is ever torn. The producer owns the slot of row `head` until `publish` moves `head`; so with head at h the
 rows h - capacity + 1 ... h - 1 are whole. The consumer copies rows, then reads `head` again and drops those that
@@ -33,14 +34,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import RtecError
+from rtec.runtime.note import NOTE_BYTES, Note
+from rtec.runtime.orders import OrderWords
 from rtec.runtime.records import Commands, Field, Layout, Samples
 
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
-_MAGIC: Final = int.from_bytes(b"rtecrng1", "little")
+_MAGIC: Final = int.from_bytes(b"rtecrng3", "little")
 _LINE: Final = 64
 _MAGIC_AT, _CAPACITY_AT, _NAMES_BYTES_AT = 0, 1, 2
 _HEAD_AT, _TAIL_AT = 8, 16
-_NAMES_OFFSET: Final = 3 * _LINE
+_NOTE_AT: Final = 13
+_ORDERS_AT: Final = slice(20, 23)
+_NOTE_OFFSET: Final = 3 * _LINE
+_NAMES_OFFSET: Final = _NOTE_OFFSET + NOTE_BYTES
 
 
 class _Word:
@@ -68,6 +74,8 @@ class Ring:
         name: what `attach` takes.
         layout: names of axes and sensors.
         capacity: slots; at most capacity - 1 rows wait.
+        orders: what the consumer's side orders.
+        note: what the producer tells in words; None once closed.
     """
 
     head = _Word(_HEAD_AT, "Rows published so far; the number of the row that the producer owns.")
@@ -75,18 +83,19 @@ class Ring:
     cycles = _Word(10, "Cycles done by the producer.")
     deadline_misses = _Word(11, "Cycles that ended after their deadline.")
     error_code = _Word(12, "Last error of the producer; 0 none. The meaning is the loop's.")
+    takeovers = _Word(14, "Orders to resume that the producer has carried out.")
+    reloads = _Word(15, "Generation of the last order to reload that the producer has carried out.")
     tail = _Word(_TAIL_AT, "Rows delivered or lost so far: the number of the next row to drain.")
     overruns = _Word(17, "Rows lost because the consumer was a whole ring behind.")
     consumer_heartbeat_ns = _Word(18, "Monotonic instant at which the consumer last showed life, ns.")
     stop_requested = _Word(19, "Not 0 when the consumer's side wants the producer to end.")
-    ordered_mode = _Word(20, "MODE_OFF, MODE_ON or MODE_HOLD as ordered by the consumer's side.")
 
     def __init__(self, name: str, fd: int, layout: Layout, capacity: int, *, owner: bool) -> None:
         self.name, self.layout, self.capacity = name, layout, capacity
         self._fd, self._owner_pid = fd, os.getpid() if owner else None
         offsets, size = _plan(layout, capacity)
         memory = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
-        self._words = np.frombuffer(memory, np.int64, _NAMES_OFFSET // 8)
+        self._words = np.frombuffer(memory, np.int64, _NOTE_OFFSET // 8)
         arrays = {f.name: _array(memory, f, capacity, at) for f, at in offsets}
         self._samples = Samples(**{f.name: arrays[f.name] for f in Samples.fields_of(layout)})
         self._commands = Commands(**{f.name: arrays[f.name] for f in Commands.fields_of(layout)})
@@ -94,6 +103,9 @@ class Ring:
         fence = threading.Lock()
         self._release, self._acquire = fence.release, fence.acquire
         self._acquire()
+        self.orders = OrderWords(self._words[_ORDERS_AT])
+        text = np.frombuffer(memory, np.uint8, NOTE_BYTES, _NOTE_OFFSET)
+        self.note: Note | None = Note(self._words[_NOTE_AT : _NOTE_AT + 1], text, self._barrier)
 
     @classmethod
     def create(cls, layout: Layout, capacity: int = 8192, name: str | None = None) -> Self:
@@ -188,9 +200,10 @@ class Ring:
             os.close(self._fd)
             self._fd = -1
         self.__dict__.pop("slots", None)
-        empty = np.zeros(_NAMES_OFFSET // 8, np.int64)
+        self.note = None
+        empty = np.zeros(_NOTE_OFFSET // 8, np.int64)
         empty[:] = self._words
-        self._words = empty
+        self._words, self.orders = empty, OrderWords(empty[_ORDERS_AT])
         self._samples, self._commands = Samples.empty(self.layout, 0), Commands.empty(self.layout, 0)
 
     def __enter__(self) -> Self:

@@ -1,6 +1,7 @@
 """Times of a loop in histograms of 1 µs, so that a week of cycles takes the memory of a minute."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +37,30 @@ class Histogram:
         return {**out, "max_us": self.largest_ns * 1e-3}
 
 
+@dataclass(slots=True)
+class Trouble:
+    """What goes wrong with one thing that one device does.
+
+    Attributes:
+        device: its name.
+        does: "counts", "temperatures", "spindle" or "output".
+        now: it failed the last time that it was asked.
+        times: cycles in which it failed.
+        reason: of the last time.
+    """
+
+    device: str
+    does: str
+    now: bool = False
+    times: int = 0
+    reason: str = ""
+
+    def failed(self, reason: str) -> None:
+        """Note a failure."""
+        self.now, self.reason = True, reason
+        self.times += 1
+
+
 @dataclass
 class LoopStats:
     """What a loop did.
@@ -45,18 +70,48 @@ class LoopStats:
         misses: deadlines that had passed before their cycle could begin.
         wake_up: from the deadline to the loop running.
         compute: from there to the command sent.
-        driver_errors: cycles in which a device failed.
-        last_error: its message.
+        troubles: what went wrong with the devices, one entry for everything that each of them does.
+        takeovers: orders to resume that were carried out.
     """
 
     cycles: int
     misses: int
     wake_up: Histogram
     compute: Histogram
-    driver_errors: int = 0
-    last_error: str = ""
+    troubles: list[Trouble] = field(default_factory=list)
+    takeovers: int = 0
 
     @classmethod
     def empty(cls) -> "LoopStats":
         """Before the first cycle."""
         return cls(0, 0, Histogram(), Histogram())
+
+    @property
+    def driver_errors(self) -> int:
+        """Failures of all devices together."""
+        return sum(t.times for t in self.troubles)
+
+    @property
+    def last_error(self) -> str:
+        """The last reason of every device that ever failed; empty where none did."""
+        return "; ".join(dict.fromkeys(t.reason for t in self.troubles if t.reason))
+
+    def reasons(self) -> dict[str, list[str]]:
+        """What is wrong now, by device; a reason that two of its doings share stands there once."""
+        out: dict[str, list[str]] = {}
+        for trouble in self._now():
+            texts = out.setdefault(trouble.device, [])
+            if trouble.reason not in texts:
+                texts.append(trouble.reason)
+        return out
+
+    def failures(self) -> dict[str, dict[str, object]]:
+        """What went wrong in the whole run, by device: how often, and the last reason of each of its doings."""
+        out: dict[str, dict[str, object]] = {}
+        for device in dict.fromkeys(t.device for t in self.troubles if t.times):
+            mine = [t for t in self.troubles if t.device == device and t.times]
+            out[device] = {"times": sum(t.times for t in mine), "last": {t.does: t.reason for t in mine}}
+        return out
+
+    def _now(self) -> Iterator[Trouble]:
+        return (t for t in self.troubles if t.now)

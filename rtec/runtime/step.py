@@ -10,20 +10,19 @@ from numpy.typing import NDArray
 
 from rtec.correction import guard, ledger
 from rtec.correction.guard import GuardSettings, Limits
-from rtec.correction.sinks import PulseSink, SinkScale
+from rtec.correction.sinks import SinkScale
 from rtec.effects import derived
-from rtec.errors import ConfigError, ModelError
-from rtec.machine import Machine
-from rtec.machine.machine import CONSTANT_CHANNELS
+from rtec.errors import ModelError
 from rtec.model import Model, elementary
 from rtec.model.build import build_module
-from rtec.model.codegen import EXTRA_ARRAYS, write_kernel
+from rtec.model.codegen import write_kernel
 from rtec.runtime.inputs import Inputs, loop_faults
 from rtec.runtime.kernel import StepSource, write_step
+from rtec.runtime.lags import lags_of, slots_to_carry
 from rtec.runtime.records import Commands, Layout, Samples
+from rtec.runtime.step_numbers import check_limits, numbers_of, times_of
 
 Array = NDArray[Any]
-NS = 1e9
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Step:
         self.settings = settings
         model = settings.model
         machine = model.machine
-        _check_limits(machine, settings.limits)
+        check_limits(machine, settings.limits)
         if faults := loop_faults(model):
             raise ModelError("\n".join(faults))
         self.layout = Layout(machine.axis_names, machine.sensor_names)
@@ -77,10 +76,12 @@ class Step:
         kernel = write_kernel(model)
         self.source: StepSource = write_step(machine, kernel, len(values))
         self._step: Callable[..., None] = build_module(self.source.text, [derived, elementary, guard, ledger]).step
-        self._numbers = _numbers(settings, self.source, values)
-        self._times = _times(settings, self.source)
+        self._numbers = numbers_of(settings, self.source, values)
+        self._times = times_of(settings, self.source)
         self.state = self.fresh_state()
         self.sensors = tuple(machine.sensor_names[i] for i in kernel.sensors)
+        self._uses_spindle = kernel.uses_spindle
+        self.lags = lags_of(model)
 
     def fresh_state(self) -> StepState:
         """Give the state before the first sample: no correction, no direction, no temperature history."""
@@ -111,17 +112,92 @@ class Step:
     def _constants(self) -> tuple[Array, Array]:
         return self._numbers, self._times
 
+    def constants(self, name: str) -> Array:
+        """The numbers of that name that the step works with, one an axis or sensor (`rtec.runtime.kernel`)."""
+        return self._numbers[self.source.numbers.at[name]].copy()
+
     def output_of(self, state: StepState) -> NDArray[np.int64]:
         """The ledger: absolute output of every axis."""
         return state.ints[self.source.ints.at["out"]]
 
     def resume(self, output: NDArray[np.int64]) -> None:
-        """Take over a ledger that the actuator already holds, so that starting again is no jump."""
+        """Take over a ledger that the actuator already holds, so that starting again is no jump; from rest."""
         self.state.ints[self.source.ints.at["out"]] = output
         per_um = self._numbers[self.source.numbers.at["per_um"]]
         now = self.state.floats[self.source.floats.at["now"]]
         active = per_um != 0.0
         now[active] = output[active] / per_um[active] + 0.0  # no -0, which a replay would tell from 0
+        self.state.floats[self.source.floats.at["speed"]] = 0.0
+
+    def restore(self, state: StepState) -> None:
+        """Take over the memory of a step of the same structure, to the last bit."""
+        self.state.floats[:] = state.floats
+        self.state.ints[:] = state.ints
+
+    def rest(self) -> None:
+        """Stop where the correction is: after a pause it starts from rest."""
+        self.state.floats[self.source.floats.at["speed"]] = 0.0
+
+    def forget_directions(self, axes: NDArray[np.bool_], counts: NDArray[np.int64] | None) -> None:
+        """Of these axes nobody knows which way they came: as before their first motion.
+
+        Args:
+            axes: which, (axes,).
+            counts: where they are now; None: wherever the next sample finds them.
+        """
+        at, floats = self.source.floats.at, self.state.floats
+        floats[at["d"]][axes] = 0.0
+        if "turn" in at:
+            floats[at["turn"]][axes] = np.inf
+        if counts is None:
+            self.state.ints[self.source.ints.at["started"]] = 0
+        else:
+            floats[at["extreme"]][axes] = counts[axes] / self.constants("counts_per_mm")[axes]
+
+    def all_numbers(self) -> tuple[Array, Array]:
+        """Everything that a reload can change without another text: limits, coefficients, ranges; and ages, ns."""
+        return self._numbers.copy(), self._times.copy()
+
+    def take_numbers(self, numbers: Array, times: Array) -> None:
+        """Go on with `all_numbers` of a step of the same text; the memory stays."""
+        self._numbers[:] = numbers
+        self._times[:] = times
+        self.look_anew()
+
+    def adopt(self, other: "Step", samples: Samples) -> None:
+        """Go on from where a step of another model is, on the same machine.
+
+        Ledger, correction and directions are the other's, and so is what lags of the same temperature remember; what
+        the other did not know begins as at a start, with this sample.
+        """
+        self.state.floats[:], self.state.ints[:] = 0.0, 0
+        self.bind(samples, Commands.empty(self.layout, len(samples)))()
+        for mine, theirs, array, source in (
+            (self.source.floats.at, other.source.floats.at, self.state.floats, other.state.floats),
+            (self.source.ints.at, other.source.ints.at, self.state.ints, other.state.ints),
+        ):
+            for name in (set(mine) & set(theirs)) - {"m", "u", "ready", "degc_at"}:
+                array[mine[name]] = source[theirs[name]]
+        if other.state.ints[other.source.ints.at["ready"]][0]:
+            pairs = slots_to_carry(other.lags, self.lags)
+            memory, before = self._memory, other._memory
+            for source_at, at in pairs:
+                memory[at] = before[source_at]
+        self.look_anew()
+
+    def look_anew(self) -> None:
+        """Let the next cycle work out the slow part with the numbers of now, whether a temperature is new or not."""
+        floats, ints = self.source.floats.at, self.source.ints.at
+        if self.sensors:
+            self.state.ints[ints["degc_at"]] = -1
+        elif self._uses_spindle:
+            self.state.floats[floats["u"]][len(self.layout.sensors)] = np.nan
+        else:
+            self.state.ints[ints["ready"]] = 0
+
+    @property
+    def _memory(self) -> NDArray[np.float64]:
+        return self.state.floats[self.source.floats.at["m"]]
 
     def warm_up(self) -> None:
         """Compile (or fetch from disk) before the first real cycle."""
@@ -130,70 +206,3 @@ class Step:
 
 def _arrays(samples: Samples, commands: Commands) -> list[Array]:
     return [*samples.arrays().values(), *commands.arrays().values()]
-
-
-def _check_limits(machine: Machine, limits: Mapping[str, Limits]) -> None:
-    compensated = [a.name for a in machine.axes if a.compensate]
-    if not compensated:
-        raise ConfigError(f"machine {machine.name!r}: no axis has compensate = true; there is nothing to correct")
-    missing = [name for name in compensated if name not in limits]
-    if missing:
-        raise ConfigError(
-            "\n".join(
-                f"[limits.{name}] is missing: axis {name} is compensated and needs warning_um, stop_um, slew_um_s "
-                "and acceleration_um_s2; nothing runs without limits"
-                for name in missing
-            )
-        )
-
-
-def _numbers(settings: StepSettings, source: StepSource, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    machine = settings.model.machine
-    out = np.zeros(source.numbers.size)
-
-    def put(name: str, numbers: Any) -> None:
-        out[source.numbers.at[name]] = numbers
-
-    put("p", values)
-    put("counts_per_mm", [a.counts_per_mm for a in machine.axes])
-    put("dead_band", [settings.model.dead_bands_mm[a.name] for a in machine.axes])
-    limits = [settings.limits.get(a.name) for a in machine.axes]
-    put("warning", [x.warning_um if x else 0.0 for x in limits])
-    put("stop", [x.stop_um if x else 0.0 for x in limits])
-    put("slew", [x.slew_um_s if x else 0.0 for x in limits])
-    put("acceleration", [x.acceleration_um_s2 if x else 0.0 for x in limits])
-    sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]
-    put("per_um", [s.units_per_um for s in sinks])
-    put("quantum", [s.quantum for s in sinks])
-    put("rate", [s.rate_per_s for s in sinks])
-    put("lowest", [s.low for s in sinks])
-    put("highest", [s.high for s in sinks])
-    ranges = settings.model.valid_range
-    everything = (-np.inf, np.inf)
-    axes = [ranges.get(a.channel, everything) for a in machine.axes]
-    slow = [ranges.get(name, everything) for name in machine.slow_channels]
-    pairs_of = {"q": axes, "u": slow, "s": [s.range_degc for s in machine.sensors]}
-    for name, of in EXTRA_ARRAYS.items():
-        if f"{name}_low" in source.numbers.at:
-            read = [of(a) if of(a) in settings.model.channels else "" for a in machine.axes]
-            pairs_of[name] = [ranges.get(channel, everything) for channel in read]
-    for name, pairs in pairs_of.items():
-        put(f"{name}_low", [low for low, _ in pairs])
-        put(f"{name}_high", [high for _, high in pairs])
-    put("constants", [getattr(settings.inputs, name) for name in CONSTANT_CHANNELS])
-    put("motion_filter", settings.inputs.motion_filter_s)
-    return out
-
-
-def _times(settings: StepSettings, source: StepSource) -> NDArray[np.int64]:
-    guards, machine = settings.guard, settings.model.machine
-    sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]
-    out = np.zeros(source.times.size, dtype=np.int64)
-    out[source.times.at["max_age"]] = [
-        round(guards.counts_max_age_s * NS),
-        round(guards.temperature_max_age_s * NS),
-    ]
-    out[source.times.at["fade"]] = round((guards.fade_after_s or 0.0) * NS)
-    out[source.times.at["longest"]] = round(settings.longest_cycle_s * NS)
-    out[source.times.at["period"]] = [round(s.period_s * NS) for s in sinks]
-    return out

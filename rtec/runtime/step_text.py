@@ -123,7 +123,7 @@ def step(
                     why |= 16
 
         # Hold, fade, off?
-        if order == 2:
+        if order >= 2:
             why |= 64
         elif order != 1:
             why |= 128

@@ -1,88 +1,66 @@
-"""The supervisor: starts the fast path, drains its ring into the log, shows what goes on, ends it in order."""
+"""The supervisor: starts the fast path, drains its ring, hands orders on, shows what goes on, ends it in order.
 
-import json
+It is a process beside the loop's. What it writes to disk a thread of its own writes (`rtec.runtime.disk_thread`), so
+that neither the loop nor an operator's order waits for a disk.
+"""
+
 import multiprocessing
+import os
 import platform
+import queue
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Final
 
-import numpy as np
-
-from rtec.correction.guard import REASONS, Flag
 from rtec.errors import DriverFault, LogError, RtecError
 from rtec.runtime.clock import RealClock, wall_clock_iso
 from rtec.runtime.config import Setup
-from rtec.runtime.fastpath import fast_path
+from rtec.runtime.disk_thread import MOST_SECONDS, DiskThread
+from rtec.runtime.events import Event, Events, events_path
+from rtec.runtime.fastpath import Orders, fast_path
 from rtec.runtime.log import LogWriter
+from rtec.runtime.log_keeper import Keeper
+from rtec.runtime.log_names import first_name
+from rtec.runtime.log_segment import time_header
+from rtec.runtime.notify import Notifier
+from rtec.runtime.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
+from rtec.runtime.recording import Begin, Recording
 from rtec.runtime.records import MODES_BY_NAME, Commands, Layout, Samples
+from rtec.runtime.reload_desk import ReloadDesk
 from rtec.runtime.ring import Ring
+from rtec.runtime.signals import signals, signals_wait
+from rtec.runtime.state_files import DiskState, read_memory, remove_memory, state_places
+from rtec.runtime.status import Report, Status
+from rtec.runtime.watch import Watch
 
-DRAIN_PERIOD_NS = 20_000_000
-STOP_TIMEOUT_S = 5.0
-RING_SECONDS = 4.0
+__all__ = ["Report", "Status", "Supervisor", "new_log_path"]
 
+DRAIN_PERIOD_NS: Final = 20_000_000
+STOP_TIMEOUT_S: Final = 5.0
+RING_SECONDS: Final = 6.0
+"""So long may the supervisor stand still before rows are lost."""
 
-@dataclass
-class Status:
-    """The newest row in words.
-
-    Attributes:
-        time_s: since the first row.
-        cycles, misses: of the loop.
-        requested_um, applied_um, output: by axis name.
-        flags: bits of `Flag`.
-        degc: by sensor name.
-    """
-
-    time_s: float = 0.0
-    cycles: int = 0
-    misses: int = 0
-    requested_um: dict[str, float] = field(default_factory=dict)
-    applied_um: dict[str, float] = field(default_factory=dict)
-    output: dict[str, int] = field(default_factory=dict)
-    flags: Flag = field(default_factory=lambda: Flag(0))
-    degc: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def reasons(self) -> list[str]:
-        """Why the correction is not simply the requested one."""
-        return [text for flag, text in REASONS.items() if flag in self.flags]
-
-
-@dataclass
-class Report:
-    """What a run came to.
-
-    Attributes:
-        summary: the fast path's own figures.
-        warnings: what the system did not grant, and what went wrong with the log.
-        log: where the log is.
-        overruns: rows that did not reach the log.
-        interrupted: ended by a signal.
-        status: the last row.
-        flags_seen: share of cycles that carried each flag, by the flag's name.
-        largest_um: largest applied correction by axis.
-    """
-
-    summary: dict[str, Any]
-    warnings: list[str]
-    log: Path | None
-    overruns: int
-    interrupted: bool
-    status: Status
-    flags_seen: dict[str, float]
-    largest_um: dict[str, float]
+Rows = Callable[[Samples, Commands], None]
 
 
 class Supervisor:
-    """Runs a setup on the real clock."""
+    """Runs a setup on the real clock.
+
+    The signals INT and TERM end the run in order; USR1 is the operator's order to resume.
+
+    Args:
+        setup: what runs.
+        log_path: a new file, the first of this run's log; None: no log.
+        on_status: told the newest status some 50 times a second, in the supervisor's thread: the place to look at
+            sockets, too.
+        on_start: told when the loop begins.
+        on_rows: told every row that passes.
+    """
 
     def __init__(
         self,
@@ -90,20 +68,63 @@ class Supervisor:
         log_path: Path | None,
         on_status: Callable[[Status], None] | None = None,
         on_start: Callable[[], None] | None = None,
+        on_rows: Rows | None = None,
     ) -> None:
-        self.setup = setup
         self.layout = Layout(setup.machine.axis_names, setup.machine.sensor_names)
-        self.log_path = log_path
-        self.status = Status()
         self.warnings: list[str] = []
-        self._on_status = on_status or (lambda _: None)
-        self._on_start = on_start or (lambda: None)
+        self._on_status, self._on_start = on_status or (lambda _: None), on_start or (lambda: None)
+        self._on_rows: Rows = on_rows or (lambda _samples, _commands: None)
         self._clock = RealClock()
-        self._first_ns: int | None = None
-        self._flag_counts = np.zeros(len(Flag), dtype=np.int64)
-        self._rows = 0
-        self._largest = np.zeros(len(self.layout.axes))
-        self._interrupted = False
+        self._notifier = Notifier.from_environment(os.environ, self._clock)
+        self._watch = Watch(self.layout)
+        self._recording = Recording(log_path, self._clock, self._new_log, self.warnings)
+        self.events = Events(events_path(log_path))
+        folder = setup.file.run.state_folder or setup.file.run.log_folder
+        self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
+        self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
+        self._reload = ReloadDesk(setup, self._places.memory, self._note)
+        self._interrupted, self._ended = False, False
+        self._disk: DiskThread | None = None
+
+    @property
+    def setup(self) -> Setup:
+        """What is in force: the newest that the loop has taken over."""
+        return self._reload.setup
+
+    @property
+    def status(self) -> Status:
+        """Of the newest row."""
+        trouble = "" if self._disk is None else self._disk.trouble
+        return replace(self._watch.status, reload=self._reload.text, log=trouble)
+
+    def order(self, order: Order, text: str = "", who: str = "local") -> str:
+        """Order something, from any thread; give an answer in words. Carried out within some 20 ms, while it runs.
+
+        What comes of RELOAD stands in the status (`reload`) when it is done; of RESUME, in `takeovers` and `devices`.
+
+        Args:
+            order: what.
+            text: what stands in the events with it; a mark needs one.
+            who: on whose behalf.
+
+        Raises:
+            OrderRefused: it cannot be carried out now.
+        """
+        text = text[:LONGEST_TEXT]
+        if order is Order.MARK and not text.strip():
+            raise OrderRefused("a mark needs a text")
+        if order is Order.RELOAD and self._reload.busy:
+            raise OrderRefused("an earlier order to reload is not done with yet; wait for it")
+        self._orders.put((order, text, who))
+        return f"{order} ordered"
+
+    def order_resume(self) -> None:
+        """Order the devices to go on after a reset or a lost position."""
+        self.order(Order.RESUME)
+
+    def end(self) -> None:
+        """End the run in order, as Ctrl-C does; from any thread."""
+        self._ended = True
 
     def run(self, duration_s: float | None) -> Report:
         """Run for so long, or until a signal.
@@ -114,13 +135,12 @@ class Supervisor:
         cycles = None if duration_s is None else max(1, round(duration_s * self.setup.file.run.rate_hz))
         capacity = max(64, round(RING_SECONDS * self.setup.file.run.rate_hz))
         context = multiprocessing.get_context("spawn")
-        with Ring.create(self.layout, capacity) as ring, _signals(self._on_signal):
-            ring.ordered_mode = MODES_BY_NAME[self.setup.file.run.mode]
-            here, there = context.Pipe(duplex=False)
-            process = context.Process(
-                target=fast_path, args=(self.setup.path, ring.name, there, cycles), name="rtec-loop", daemon=True
-            )
-            with _signals_wait():
+        with Ring.create(self.layout, capacity) as ring, signals(self._on_signal):
+            ring.orders.mode = MODES_BY_NAME[self.setup.file.run.mode]
+            here, there = context.Pipe()
+            told = Orders(self.setup.path, ring.name, cycles, self._places)
+            process = context.Process(target=fast_path, args=(told, there), name="rtec-loop", daemon=True)
+            with signals_wait():
                 process.start()
             there.close()
             try:
@@ -136,86 +156,112 @@ class Supervisor:
         ready = self._receive(pipe, process)
         ring.unlink()  # both sides have it: now it goes with the last of them, however that ends
         self.warnings += ready["warnings"]
-        with self._log(ready["output"]) as log:
+        self._recording.begin(Begin.at_start(ready["output"], ready["state"]))
+        with self._to_disk() as disk:
             self._on_start()
-            self._drain_until_done(ring, pipe, process, log)
+            self._until_done(ring, pipe, process, disk)
+            self._notifier.stopping()
             summary = self._receive(pipe, process)
-            while self._drain(ring, log):
+            while self._drain(ring, disk):
                 pass
+        self._tidy(ready["one_way"])
         return Report(
             summary=summary,
             warnings=self.warnings,
-            log=self.log_path,
-            overruns=ring.overruns,
+            log=self._recording.path,
+            overruns=ring.overruns + disk.missed,
             interrupted=self._interrupted,
             status=self.status,
-            flags_seen={
-                flag.name or str(flag): count / self._rows
-                for flag, count in zip(Flag, self._flag_counts.tolist(), strict=True)
-                if count
-            },
-            largest_um=dict(zip(self.layout.axes, self._largest.tolist(), strict=True)),
+            flags_seen=self._watch.flags_seen,
+            largest_um=self._watch.largest_um,
         )
 
-    def _drain_until_done(self, ring: Ring, pipe: Connection, process: Any, log: "_SafeLog") -> None:
+    def _until_done(self, ring: Ring, pipe: Connection, process: Any, disk: DiskThread) -> None:
         flush_ns = round(self.setup.file.run.flush_s * 1e9)
         next_flush = self._clock.now_ns() + flush_ns
         while not pipe.poll() and process.is_alive():
             now = self._clock.now_ns()
             ring.consumer_heartbeat_ns = now
-            if self._interrupted:
+            if self._interrupted or self._ended:
                 ring.stop_requested = 1
-            self._drain(ring, log)
+            self._carry_out(ring)
+            self._reload.send(ring, pipe)
+            self._drain(ring, disk)
             if now >= next_flush:
-                log.flush()
+                disk.flush()
                 next_flush = now + flush_ns
+            self._notifier.look(self.status)
             self._on_status(self.status)
             self._clock.sleep_until_ns(now + DRAIN_PERIOD_NS)
 
-    def _drain(self, ring: Ring, log: "_SafeLog") -> int:
+    def _drain(self, ring: Ring, disk: DiskThread) -> int:
         samples, commands = ring.drain()
+        self._reload.look(ring, disk)
         if len(samples):
-            log.write(samples, commands)
-            self._look(ring, samples, commands)
+            disk.write(samples, commands, ring.tail - len(samples))
+            self._watch.look(samples, commands, ring)
+            self._on_rows(samples, commands)
         return len(samples)
 
-    def _look(self, ring: Ring, samples: Samples, commands: Commands) -> None:
-        if self._first_ns is None:
-            self._first_ns = int(samples.time_ns[0])
-        self._rows += len(samples)
-        self._flag_counts += [np.count_nonzero(commands.flags & int(flag)) for flag in Flag]
-        self._largest = np.maximum(self._largest, np.abs(commands.applied_um).max(axis=0))
-        axes = self.layout.axes
-        self.status = Status(
-            time_s=(int(samples.time_ns[-1]) - self._first_ns) * 1e-9,
-            cycles=self._rows + ring.overruns,
-            misses=ring.deadline_misses,
-            requested_um=dict(zip(axes, commands.requested_um[-1].tolist(), strict=True)),
-            applied_um=dict(zip(axes, commands.applied_um[-1].tolist(), strict=True)),
-            output=dict(zip(axes, commands.output[-1].tolist(), strict=True)),
-            flags=Flag(int(commands.flags[-1])),
-            degc=dict(zip(self.layout.sensors, samples.degc[-1].tolist(), strict=True)),
-        )
+    def _carry_out(self, ring: Ring) -> None:
+        while not self._orders.empty():
+            order, text, who = self._orders.get()
+            if order in MODE_OF:
+                ring.orders.mode = MODE_OF[order]
+            elif order is Order.RESUME:
+                ring.orders.resumes += 1
+            elif order is Order.RELOAD:
+                self._reload.begin()
+            self._note(ring, str(order), text, who)
+
+    def _note(self, ring: Ring, what: str, text: str, who: str) -> None:
+        event = Event(ring.tail - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, who)
+        self.events.note(event)
+        if self._disk is not None:
+            self._disk.event(self.events, event)
 
     @contextmanager
-    def _log(self, output: list[int]) -> Iterator["_SafeLog"]:
-        if self.log_path is None:
-            yield _SafeLog(None, self.warnings)
-            return
+    def _to_disk(self) -> Iterator[DiskThread]:
+        state = None if self._places.disk is None else DiskState(self._places.disk)
+        most_rows = round(MOST_SECONDS * self.setup.file.run.rate_hz)
+        folder = log_folder(self.setup)
+        keeper = None if folder is None else Keeper(folder, self.setup.file.log, self._clock, self._note_of_disk)
+        with DiskThread(self._recording, state, lambda: read_memory(self._places.memory), most_rows, keeper) as disk:
+            self._disk = disk
+            yield disk
+
+    def _note_of_disk(self, what: str, text: str) -> None:
+        """Note what the thread that writes the log saw itself."""
+        event = Event(self._watch.rows - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, "rtec")
+        self.events.note(event)
+        if self._disk is not None:
+            self._disk.event(self.events, event)
+
+    def _tidy(self, one_way: bool) -> None:
+        """The run ended in order, and what the memory held is on disk, or the actuator knows it: nobody needs it."""
+        saved = read_memory(self._places.memory)
+        on_disk = self._places.disk is not None and not self._state_trouble()
+        if saved is not None and saved.clean and (on_disk or not one_way):
+            remove_memory(self._places.memory)
+
+    def _state_trouble(self) -> str:
+        return "" if self._disk is None else self._disk.state_trouble
+
+    def _new_log(self, path: Path, begin: Mapping[str, str]) -> LogWriter:
         header = {
             **self.setup.log_header(),
             "host": platform.node(),
             "python": platform.python_version(),
             "started": wall_clock_iso(),
-            "initial_output": json.dumps(output),
+            **time_header(self._clock),
+            **begin,
         }
-        with LogWriter(self.log_path, self.layout, header) as writer:
-            yield _SafeLog(writer, self.warnings)
+        return LogWriter(path, self.layout, header)
 
     def _receive(self, pipe: Connection, process: Any) -> Any:
         try:
             kind, content = pipe.recv()
-        except EOFError:
+        except (EOFError, ConnectionResetError):
             process.join(STOP_TIMEOUT_S)
             raise DriverFault(f"the loop's process ended without a word (exit code {process.exitcode})") from None
         if kind == "error":
@@ -223,75 +269,30 @@ class Supervisor:
         return content
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self._interrupted = True
+        del frame
+        if number == signal.SIGUSR1:
+            self._orders.put((Order.RESUME, "signal USR1", "signal"))
+        else:
+            self._interrupted = True
 
 
-class _SafeLog:
-    """A log whose failure is a warning: the correction goes on without it."""
-
-    def __init__(self, writer: LogWriter | None, warnings: list[str]) -> None:
-        self._writer, self._warnings = writer, warnings
-
-    def write(self, samples: Samples, commands: Commands) -> None:
-        """Hand rows on."""
-        self._try(lambda w: w.write(samples, commands))
-
-    def flush(self) -> None:
-        """Bring them to the disk."""
-        self._try(lambda w: w.flush())
-
-    def _try(self, action: Callable[[LogWriter], None]) -> None:
-        if self._writer is None:
-            return
-        try:
-            action(self._writer)
-        except LogError as e:
-            self._warnings.append(f"logging stopped, the correction went on: {e}")
-            self._writer = None
-
-
-@contextmanager
-def _signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Ctrl-C and a polite kill ask for an end in order; the previous handlers come back afterwards."""
-    previous = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, old in previous.items():
-            signal.signal(number, old)
-
-
-@contextmanager
-def _signals_wait() -> Iterator[None]:
-    """A child started meanwhile is deaf to Ctrl-C from its first instruction, until it says itself what to do with it.
-
-    Here a signal that comes meanwhile is handled afterwards.
-    """
-    resource_tracker.ensure_running()  # started by `Process.start` it would let the signals through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def log_folder(setup: Setup) -> Path | None:
+    """Folder of the logs of a run file; None: no log is asked for."""
+    folder = setup.file.run.log_folder
+    return None if folder is None else (setup.base / folder).resolve()
 
 
 def new_log_path(setup: Setup) -> Path | None:
-    """Name of the log of a run that starts now: by date and time, in the run file's log folder.
+    """Name of the log of a run that starts now: by number, date and time, in the run file's log folder.
 
     Raises:
         LogError: the folder cannot be made.
     """
-    if setup.file.run.log_folder is None:
+    folder = log_folder(setup)
+    if folder is None:
         return None
-    folder = (setup.base / setup.file.run.log_folder).resolve()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise LogError(f"{folder}: cannot be made: {e.strerror}") from e
-    stem = f"{setup.path.stem}-{wall_clock_iso().replace(':', '').replace('-', '')}"
-    path, k = folder / f"{stem}.arrows", 1
-    while path.exists():
-        k += 1
-        path = folder / f"{stem}-{k}.arrows"
-    return path
+    return first_name(folder, setup.path.stem, wall_clock_iso().replace(":", "").replace("-", ""))

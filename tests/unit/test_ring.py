@@ -155,7 +155,7 @@ def test_attached_ring_is_the_same_memory(ring: Ring) -> None:
         produce(ring, 3)
         assert_rows(other.drain(), [0, 1, 2])
         assert ring.tail == 3
-        words = ("stop_requested", "ordered_mode", "producer_heartbeat_ns", "consumer_heartbeat_ns", "cycles")
+        words = ("stop_requested", "reloads", "producer_heartbeat_ns", "consumer_heartbeat_ns", "cycles")
         for value, word in enumerate((*words, "deadline_misses", "error_code"), start=-3):
             setattr(other, word, value)
             assert getattr(ring, word) == value

@@ -1,0 +1,123 @@
+"""The bench: the all-simulated run, then the daemon behind real buses without and with correction, side by side."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtec.errors import ConfigError
+from rtec.runtime.hil import FaultOrder, HilOrder, SoakOrder, Tell
+from rtec.runtime.hil_result import Check, Comparison, Course, FaultFound, HilResult, SoakResult
+from rtec.runtime.records import MODE_OFF, MODE_ON
+from rtec_drivers.hil.bus_run import BusRun
+from rtec_drivers.hil.catalogue import FAULTS, Bus
+from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses
+from rtec_drivers.hil.findings import checks_of, faults_found, improvement_check, quiet_spans
+from rtec_drivers.hil.reference import simulated_run
+from rtec_drivers.hil.soak import RECOVER_S, soak
+from rtec_drivers.hil.track import Track, accuracy, directions, errors_um
+from rtec_drivers.hil.wiring import Wiring, read_wiring
+
+WORDS: Mapping[Bus, str] = {
+    "box": "RTEC box link, serial, over a pty",
+    "modbus": "Modbus RTU over a pty",
+    "can": "CAN by slcan over a pty",
+}
+
+
+class HilBench:
+    """Puts the simulated machine of a run file's `[hil]` behind the buses of its devices."""
+
+    def faults(self) -> Mapping[str, str]:
+        """All faults: name, and what it is."""
+        return {name: fault.what for name, fault in FAULTS.items()}
+
+    def run(self, order: HilOrder, tell: Tell) -> HilResult:
+        """Run all four: simulated and behind buses, off and on."""
+        wiring = read_wiring(order.config)
+        _check_faults(order.faults, wiring)
+        off_s = order.off_s or wiring.options.off_s
+        on_s = max([order.on_s or wiring.options.on_s, *(f.end_s + RECOVER_S for f in order.faults)])
+        _check_length(off_s, on_s, wiring)
+        every_ms = every_ms_of(on_s)
+        with ends_politely(), tempfile.TemporaryDirectory(prefix="rtec-hil-", ignore_cleanup_errors=True) as name:
+            folder = Path(name)
+            simulated = wiring.simulated(folder)
+            sim_off, sim_on = (
+                simulated_run(simulated, seconds, mode, every_ms, lambda a, b: tell("all simulated", a, b))
+                for seconds, mode in ((off_s, MODE_OFF), (on_s, MODE_ON))
+            )
+            off = run_on_buses(wiring, folder, "off", off_s, (), every_ms, tell)
+            on = run_on_buses(wiring, folder, "on", on_s, order.faults, every_ms, tell, order.keep)
+            return _result(wiring, order, off, on, (sim_off, sim_on))
+
+    def soak(self, order: SoakOrder, tell: Tell) -> SoakResult:
+        """Run for long, with faults by chance."""
+        return soak(order, tell)
+
+
+def _check_faults(faults: Sequence[FaultOrder], wiring: Wiring) -> None:
+    """Each must befall a bus that is there."""
+    there = set(wiring.buses.values())
+    absent = sorted({f.name for f in faults if FAULTS[f.name].bus not in there})
+    if absent:
+        raise ConfigError(
+            f"{wiring.path}: no device for {', '.join(absent)}; the run file has {', '.join(sorted(there))}"
+        )
+
+
+def _check_length(off_s: float, on_s: float, wiring: Wiring) -> None:
+    """There must be something left behind the time to settle."""
+    least_s = wiring.options.settle_s + 1.0
+    if min(off_s, on_s) < least_s:
+        raise ConfigError(
+            f"{wiring.path}: {min(off_s, on_s):g} s are too short: the first settle_s = {wiring.options.settle_s:g} s "
+            f"do not count; give at least {least_s:g} s"
+        )
+
+
+def _result(wiring: Wiring, order: HilOrder, off: BusRun, on: BusRun, simulated: tuple[Track, Track]) -> HilResult:
+    names = directions(on.setup.machine)
+    settle_s = wiring.options.settle_s
+    off_s, on_s = (run.report.summary["cycles"] / run.setup.file.run.rate_hz for run in (off, on))
+    found = faults_found(order.faults, on.logbook, on.track, on.watch, on_s, names)
+    calm = [(settle_s, off_s)]
+    quiet = quiet_spans(found, settle_s, on_s)
+    buses = Comparison(accuracy(off.track, names, calm), accuracy(on.track, names, quiet))
+    alike = Comparison(accuracy(simulated[0], names, calm), accuracy(simulated[1], names, quiet))
+    return HilResult(
+        machine=on.setup.machine.name,
+        rate_hz=on.setup.file.run.rate_hz,
+        off_s=off_s,
+        on_s=on_s,
+        wiring={name: WORDS[bus] for name, bus in wiring.buses.items()},
+        buses=buses,
+        simulated=alike,
+        off_timing=_timing(off),
+        on_timing=_timing(on),
+        faults=found,
+        checks=[*_checks(off, on, found), improvement_check(buses, alike, quiet)],
+        warnings=list(dict.fromkeys([*off.warnings, *on.warnings])),
+        course=_course(off.track, on.track, names),
+        log=on.log if order.keep else None,
+    )
+
+
+def _checks(off: BusRun, on: BusRun, found: Sequence[FaultFound]) -> list[Check]:
+    return [*checks_of("uncorrected", off, ()), *checks_of("corrected", on, found)]
+
+
+def _timing(run: BusRun) -> dict[str, Any]:
+    summary = run.report.summary
+    keys = ("cycles", "deadline_misses", "wake_up", "compute", "driver_errors")
+    return {**{k: summary[k] for k in keys}, "devices": summary.get("devices", {})}
+
+
+def _course(off: Track, on: Track, names: tuple[str, ...]) -> Course:
+    """Both on the corrected run's instants, as far as the uncorrected one goes."""
+    off_um = np.full((len(on.time_s), len(names)), np.nan)
+    for k, column in enumerate(errors_um(off, names).T):
+        off_um[:, k] = np.interp(on.time_s, off.time_s, column, right=np.nan)
+    return Course(names, on.time_s, off_um, errors_um(on, names))

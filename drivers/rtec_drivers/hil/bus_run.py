@@ -1,0 +1,39 @@
+"""One run of the daemon behind real buses, as it was found afterwards."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rtec.runtime.config import Setup
+from rtec.runtime.status import Report
+from rtec_drivers.hil.logbook import Logbook
+from rtec_drivers.hil.track import Track
+from rtec_drivers.hil.watch import Watch
+
+
+@dataclass(frozen=True)
+class BusRun:
+    """One run of the daemon behind real buses.
+
+    Attributes:
+        setup: its run file.
+        report: the daemon's own.
+        start_ns: when the machine began to live.
+        track: what the tip did.
+        logbook: what the log says.
+        log: the log.
+        found: what the far sides counted.
+        watch: what the daemon said.
+        warnings: what the system did not grant.
+    """
+
+    setup: Setup
+    report: Report
+    start_ns: int
+    track: Track
+    logbook: Logbook
+    log: Path
+    found: Mapping[str, Mapping[str, Any]]
+    watch: Watch
+    warnings: Sequence[str]

@@ -1,0 +1,162 @@
+"""The simulated machine as the far sides see it, and a book of what its tool tip did."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.sim.controller import COMMAND, MOTOR, READING, SLIDE
+from rtec.sim.machine import SimulatedMachine
+from rtec.sim.recording import recording_of
+from rtec_drivers.hil.track import Track
+
+TRACED = [COMMAND, MOTOR, SLIDE, READING]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Recorder:
+    """Keeps the machine's state at growing instants; the tip errors are worked out at the end, off the clock.
+
+    Args:
+        machine: whose.
+        every_ns: at most so often.
+    """
+
+    def __init__(self, machine: SimulatedMachine, every_ns: int) -> None:
+        self._machine, self._every_ns = machine, every_ns
+        self._start_ns = self._next_ns = machine.time_ns
+        self._times: list[int] = []
+        self._axes: list[Floats] = []
+        self._inserted: list[Ints] = []
+        self._seconds: list[int] = []
+        self._bodies: dict[int, Floats] = {}
+
+    def look(self) -> None:
+        """Keep the state of now, if it is time to."""
+        machine = self._machine
+        if machine.time_ns < self._next_ns:
+            return
+        self._next_ns = machine.time_ns + self._every_ns
+        second = machine.thermal.time_s
+        if second not in self._bodies:
+            self._bodies[second] = machine.thermal.body_degc.copy()
+        self._times.append(machine.time_ns)
+        self._axes.append(np.asarray(machine.save()["axes"], np.float64)[:, TRACED])
+        self._inserted.append(machine.inserted_counts)
+        self._seconds.append(second)
+
+    def track(self) -> Track:
+        """What the tip did. The machine's geometry is left at the last instant's temperatures."""
+        geometry, axes = self._machine.geometry, self._machine.machine.axes
+        per_mm = np.array([a.counts_per_mm for a in axes], np.float64)
+        states, times = np.stack(self._axes), np.array(self._times)
+        seconds = np.array(self._seconds)
+        tip_um = np.empty((len(times), 3))
+        for second, body_degc in self._bodies.items():
+            mine = seconds == second
+            geometry.set_temperatures(body_degc, float(second))
+            tip_um[mine] = recording_of(geometry, per_mm, states[mine], times[mine]).tip_error_um
+        return Track((times - self._start_ns) * 1e-9, states[:, :, 0].copy(), tip_um, np.stack(self._inserted))
+
+
+class Sensed:
+    """What the sensors read and how fast the spindle turns, in a file that two processes map.
+
+    Every number is one aligned word, so it is never torn; that they belong to one instant is not promised, as on a
+    real machine.
+
+    Args:
+        path: the file; made where it is not there.
+        sensors: how many.
+    """
+
+    def __init__(self, path: Path, sensors: int) -> None:
+        if not path.exists():
+            path.write_bytes(bytes(8 * (sensors + 1)))
+        self._words = np.memmap(path, np.float64, "r+", shape=(sensors + 1,))
+
+    def write(self, degc: Floats) -> None:
+        """Say what the sensors read now, °C."""
+        self._words[:-1] = degc
+
+    def degc(self, sensor: int) -> float:
+        """A sensor's temperature, °C."""
+        return float(self._words[sensor])
+
+    @property
+    def rpm(self) -> float:
+        """Spindle speed, 1/min, signed."""
+        return float(self._words[-1])
+
+    @rpm.setter
+    def rpm(self, value: float) -> None:
+        self._words[-1] = value
+
+
+class MachinePlant:
+    """The simulated machine at an encoder box: its time stands still until `start`, then follows the clock.
+
+    Attributes:
+        jump_counts: the box counts this much beside the truth.
+    """
+
+    def __init__(self, machine: SimulatedMachine, sensed: Sensed, every_ns: int) -> None:
+        self.machine, self.jump_counts = machine, 0
+        self.recorder = Recorder(machine, every_ns)
+        self._sensed, self._lead_ns = sensed, machine.time_ns
+        self._start_ns: int | None = None
+        self._second = -1
+        self._sense()
+
+    def start(self, now_ns: int) -> None:
+        """From now on the machine lives."""
+        self._start_ns = now_ns
+
+    def follow(self, now_ns: int) -> None:
+        """Let it live until now."""
+        if self._start_ns is None:
+            return
+        self.machine.advance_to(self._lead_ns + now_ns - self._start_ns)
+        self.recorder.look()
+        self._sense()
+
+    def counts(self, now_ns: int) -> list[int]:
+        """Raw counts of every axis, x4, as the box has them."""
+        self.follow(now_ns)
+        return [int(n) + self.jump_counts for n in self.machine.raw_counts]
+
+    def insert(self, ledger: list[int]) -> None:
+        """The controller sees this many counts more."""
+        self.machine.apply(np.array(ledger, np.int64))
+
+    def _sense(self) -> None:
+        self._sensed.rpm = self.machine.spindle_rpm
+        second = self.machine.thermal.time_s
+        if second != self._second:
+            self._second = second
+            self._sensed.write(self.machine.temperatures()[0])
+
+
+class InBoxOrder:
+    """A plant whose axes stand in the order of the box's inputs.
+
+    Args:
+        plant: in the machine's order.
+        order: for every input of the box the place of its axis.
+    """
+
+    def __init__(self, plant: MachinePlant, order: tuple[int, ...]) -> None:
+        self._plant, self._order = plant, order
+
+    def counts(self, now_ns: int) -> list[int]:
+        """Raw counts, input by input."""
+        counts = self._plant.counts(now_ns)
+        return [counts[axis] for axis in self._order]
+
+    def insert(self, ledger: list[int]) -> None:
+        """Hand the ledger on."""
+        own = [0] * len(ledger)
+        for value, axis in zip(ledger, self._order, strict=True):
+            own[axis] = value
+        self._plant.insert(own)

@@ -1,0 +1,50 @@
+"""The all-simulated run of the same machine and programme: the loop of `rtec run` on a virtual clock, no bus."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+from rtec.runtime.clock import VirtualClock
+from rtec.runtime.config import load_setup
+from rtec.runtime.devices import make_devices, open_ports
+from rtec.runtime.loop import Loop, Row, bind_rows
+from rtec.runtime.records import Commands, Samples
+from rtec.runtime.step import Step
+from rtec_drivers.hil.plant import Recorder
+from rtec_drivers.hil.track import Track
+from rtec_drivers.sim import SimDriver
+
+TOLD_CYCLES = 1000
+
+
+def simulated_run(config: Path, duration_s: float, mode: int, every_ms: int, tell: Callable[[int, int], None]) -> Track:
+    """Live through so long a time.
+
+    Args:
+        config: run file whose one device is the simulated machine.
+        duration_s: how long.
+        mode: MODE_ON or MODE_OFF.
+        every_ms: the tip is looked at this often.
+        tell: is told cycles done, of how many.
+    """
+    setup, clock = load_setup(config), VirtualClock(1_000_000_000)
+    step = Step(setup.step_settings())
+    devices = make_devices(setup, clock)
+    (device,) = devices.values()
+    if not isinstance(device, SimDriver):
+        raise TypeError("the all-simulated run has one device, the simulated machine")
+    rows = bind_rows(step, [(Samples.empty(step.layout, 1), Commands.empty(step.layout, 1))])
+    cycles = round(duration_s * setup.file.run.rate_hz)
+    recorder = Recorder(device.machine, every_ms * 1_000_000)
+    with ExitStack() as stack:
+        loop = Loop(step, open_ports(setup, devices, stack), clock, setup.period_ns, rows, mode)
+
+        def after(row: Row) -> bool:
+            del row
+            recorder.look()
+            if loop.stats.cycles % TOLD_CYCLES == 0:
+                tell(loop.stats.cycles, cycles)
+            return True
+
+        loop.run(cycles, after)
+    return recorder.track()

@@ -1,0 +1,174 @@
+"""Memory, files and threads of the daemon's processes over time, and where the loop's processor time went."""
+
+import multiprocessing
+import os
+from array import array
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from rtec.runtime.hil_result import Check, Deadlines, Resource
+from rtec.runtime.stats import Histogram
+from rtec.runtime.status import Status
+
+LOOP = "rtec-loop"
+PERIOD_S = 1.0
+MEMORY_SLACK = 0.5
+"""MiB that memory may differ by between two thirds of a run: the allocator's own play."""
+USUAL_PERCENT = 95.0
+OWN_SHARE = 0.5
+"""Lost deadlines are our own code's where the loop used this share of their time more processor time than usual."""
+ALLOWED_SHARE = 1e-4
+"""Of all cycles: the host of a virtual PC takes time away unseen, which then looks like processor time of our own."""
+LEAST_LOOKS = 90
+"""Seconds from which on it can be told whether memory grows: before that every program fills its own pools."""
+PROC = Path("/proc")
+UNITS = {"memory": "MiB", "files": "", "threads": ""}
+
+
+@dataclass(frozen=True)
+class Step:
+    """What the loop's process did between two looks.
+
+    Attributes:
+        cycles, misses: of the loop.
+        cpu_ns, waited_ns: of its thread: on a processor, and ready but without one.
+        workers_waited_ns: the same of its other threads, which may hold the interpreter meanwhile.
+    """
+
+    cycles: int
+    misses: int
+    cpu_ns: int
+    waited_ns: int
+    workers_waited_ns: int
+
+
+@dataclass
+class Series:
+    """One figure of one process over time, eight bytes a look: who watches memory must not grow himself."""
+
+    values: "array[float]" = field(default_factory=lambda: array("d"))
+
+    def thirds(self) -> tuple[float, float, float]:
+        """Largest of each third of the run."""
+        parts = np.array_split(np.array(self.values), 3)
+        first, middle, last = (float(p.max()) if len(p) else 0.0 for p in parts)
+        return first, middle, last
+
+
+class Resources:
+    """Looks at the daemon's two processes: the supervisor, which is this one, and the loop.
+
+    Memory is what belongs to the process alone (RssAnon): the ring and mapped files are not counted.
+    """
+
+    def __init__(self) -> None:
+        self._series: dict[tuple[str, str], Series] = {}
+        self._next_s = 0.0
+        self._loop: int | None = None
+        self._before: tuple[int, int, int, int, int] | None = None
+        self._lost: list[Step] = []
+        self._cycles = 0
+        self._cpu = Histogram()
+
+    def look(self, status: Status) -> None:
+        """Note what is so now; once a second for memory, files and threads."""
+        if self._loop is None:
+            self._loop = next((p.pid for p in multiprocessing.active_children() if p.name == LOOP), None)
+        self._look_at_time(status)
+        if status.time_s < self._next_s:
+            return
+        self._next_s = status.time_s + PERIOD_S
+        for name, pid in (("supervisor", os.getpid()), ("loop", self._loop)):
+            for what, value in _figures(pid).items():
+                self._series.setdefault((name, what), Series()).values.append(value)
+
+    def found(self) -> list[Resource]:
+        """Every figure: in the first, the second and the last third of the run."""
+        return [
+            Resource(process, what, UNITS[what], *series.thirds(), flat=_flat(what, series))
+            for (process, what), series in self._series.items()
+        ]
+
+    def deadlines(self, period_ns: float) -> Deadlines:
+        """Lost deadlines, and how many of them the loop's own code may have cost."""
+        usual_us = self._cpu.percentile_us(USUAL_PERCENT)
+        enough_ns = OWN_SHARE * period_ns
+        own = [s for s in self._lost if s.cpu_ns - usual_us * 1e3 * s.cycles > enough_ns * s.misses]
+        away = [s for s in self._lost if s not in own and s.waited_ns > enough_ns]
+        rest = [s for s in self._lost if s not in own and s not in away]
+        behind = [s for s in rest if s.workers_waited_ns > enough_ns]
+        lost, mine, taken, worker = (sum(s.misses for s in steps) for steps in (self._lost, own, away, behind))
+        return Deadlines(lost, mine, taken, worker, usual_us)
+
+    def checks(self, period_ns: float) -> list[Check]:
+        """What must be so."""
+        out = []
+        for what in UNITS:
+            mine = [r for r in self.found() if r.what == what]
+            text = "; ".join(f"{r.process} {r.middle:.4g} then {r.last:.4g} {r.unit}".strip() for r in mine)
+            judged = what != "memory" or self._looks() >= LEAST_LOOKS
+            words = text if judged else f"not judged in less than {LEAST_LOOKS} s: {text}"
+            out.append(Check(f"{what} flat", not judged or all(r.flat for r in mine), words))
+        return [*out, self._deadline_check(period_ns)]
+
+    def _deadline_check(self, period_ns: float) -> Check:
+        lost, cycles = self.deadlines(period_ns), int(self._cycles)
+        ours = lost.own + lost.behind_worker
+        text = (
+            f"{lost.lost} lost: in {lost.own} the loop itself used more processor time than usual, in "
+            f"{lost.behind_worker} one of its own threads was kept off the processor; allowed 1 in "
+            f"{1.0 / ALLOWED_SHARE:.0f} of {cycles} cycles"
+        )
+        return Check("no deadline lost to our own code", ours <= ALLOWED_SHARE * cycles, text)
+
+    def _looks(self) -> int:
+        return max((len(s.values) for s in self._series.values()), default=0)
+
+    def _look_at_time(self, status: Status) -> None:
+        """Processor time of the loop's thread since the last look, and how long it waited for a processor."""
+        if self._loop is None:
+            return
+        try:
+            threads = {int(t.name): _times(t) for t in (PROC / str(self._loop) / "task").iterdir()}
+        except (OSError, ValueError):  # it is just ending
+            return
+        cpu_ns, waited_ns = threads.pop(self._loop, (0, 0))
+        now = (status.cycles, status.misses, cpu_ns, waited_ns, sum(waited for _, waited in threads.values()))
+        if self._before is None:
+            self._before = now
+        if now[0] == self._before[0]:
+            return
+        step = Step(*(new - old for new, old in zip(now, self._before, strict=True)))
+        self._before = now
+        self._cycles += step.cycles
+        self._cpu.add(step.cpu_ns // step.cycles)
+        if step.misses:
+            self._lost.append(step)
+
+
+def _times(thread: Path) -> tuple[int, int]:
+    """On a processor, and ready but without one, ns."""
+    cpu_ns, waited_ns, _ = (thread / "schedstat").read_text().split()
+    return int(cpu_ns), int(waited_ns)
+
+
+def _figures(pid: int | None) -> dict[str, float]:
+    """Of one process; nothing where it is gone."""
+    if pid is None:
+        return {}
+    folder = PROC / str(pid)
+    try:
+        lines = (folder / "status").read_text().splitlines()
+        files = sum(1 for _ in (folder / "fd").iterdir())
+    except OSError:
+        return {}
+    words = {name: value.split()[0] for name, _, value in (line.partition(":") for line in lines) if value.split()}
+    return {"memory": int(words["RssAnon"]) / 1024.0, "files": files, "threads": int(words["Threads"])}
+
+
+def _flat(what: str, series: Series) -> bool:
+    """No larger in the last third than in the second."""
+    _, middle, last = series.thirds()
+    return last <= middle + (MEMORY_SLACK if what == "memory" else 0.0)

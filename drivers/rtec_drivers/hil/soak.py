@@ -1,0 +1,99 @@
+"""The long run: the whole bench with faults drawn by chance, watched for whatever only shows with time."""
+
+import random
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rtec.runtime.hil import FaultOrder, SoakOrder, Tell
+from rtec.runtime.hil_result import Check, SoakFault, SoakResult
+from rtec_drivers.hil.bus_run import BusRun
+from rtec_drivers.hil.catalogue import FAULTS, Bus
+from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses
+from rtec_drivers.hil.findings import checks_of
+from rtec_drivers.hil.logbook import held_spans
+from rtec_drivers.hil.resources import Resources
+from rtec_drivers.hil.wiring import read_wiring
+
+RECOVER_S = 8.0
+"""The run goes on for so long after the last fault."""
+LENGTH_S: dict[Bus, tuple[float, float]] = {"box": (0.3, 4.0), "modbus": (1.0, 10.0), "can": (1.0, 10.0)}
+PAUSE_S: dict[Bus, tuple[float, float]] = {"box": (4.0, 12.0), "modbus": (3.0, 12.0), "can": (3.0, 12.0)}
+FIRST_S = 4.0
+LINGERS_S = 20.0
+"""So long after a fault's end the correction may still be held for it: back-off, late answers, a full reopening."""
+SHORT_S = 0.5
+"""A hold shorter than this is a hiccup of this PC: the counts were stale for some cycles, and the guard saw it."""
+
+
+def draw_faults(buses: Sequence[Bus], duration_s: float, seed: int) -> list[FaultOrder]:
+    """Faults by chance: one at a time on each bus, on different buses at the same time too.
+
+    The first of each bus is its cable: what a reconnection needs once (a thread, a file) is there before anybody
+    counts threads and files. All others follow in an order by chance, then all again in another.
+    """
+    chance = random.Random(seed)  # noqa: S311 - a test's dice
+    out = []
+    for bus in sorted(set(buses)):
+        names = [name for name, fault in FAULTS.items() if fault.bus == bus]
+        at_s, bag = FIRST_S + chance.random(), [f"{bus}-unplugged"]
+        while True:
+            length_s = round(chance.uniform(*LENGTH_S[bus]), 2)
+            if at_s + length_s + RECOVER_S > duration_s:
+                break
+            out.append(FaultOrder(bag.pop(), round(at_s, 2), length_s))
+            at_s += length_s + chance.uniform(*PAUSE_S[bus])
+            bag = bag or chance.sample(names, len(names))
+    return sorted(out, key=lambda f: f.at_s)
+
+
+def soak(order: SoakOrder, tell: Tell) -> SoakResult:
+    """Run for as long as told, corrected, and judge."""
+    wiring = read_wiring(order.config)
+    duration_s = order.minutes * 60.0
+    faults = draw_faults(list(wiring.buses.values()), duration_s, order.seed)
+    every_ms = every_ms_of(duration_s)
+    with ends_politely(), tempfile.TemporaryDirectory(prefix="rtec-hil-", ignore_cleanup_errors=True) as name:
+        resources = Resources()
+        run = run_on_buses(wiring, Path(name), "on", duration_s, faults, every_ms, tell, order.keep, resources.look)
+        summary = run.report.summary
+        cycle_ns = 1e9 / run.setup.file.run.rate_hz
+        return SoakResult(
+            machine=run.setup.machine.name,
+            rate_hz=run.setup.file.run.rate_hz,
+            duration_s=summary["cycles"] / run.setup.file.run.rate_hz,
+            seed=order.seed,
+            faults=_counted(faults, run),
+            resources=resources.found(),
+            deadlines=resources.deadlines(cycle_ns),
+            timing={k: summary[k] for k in ("cycles", "deadline_misses", "wake_up", "compute", "driver_errors")},
+            checks=[*_checks(run, faults), *resources.checks(cycle_ns)],
+            warnings=list(dict.fromkeys(run.warnings)),
+            log=run.log if order.keep else None,
+        )
+
+
+def _counted(faults: Sequence[FaultOrder], run: BusRun) -> list[SoakFault]:
+    """How often each fault came, how often the daemon said so, and how soon at the latest."""
+    times = Counter(f.name for f in faults)
+    soon: dict[str, list[float]] = {name: [] for name in times}
+    for fault, told in zip(faults, run.watch.told, strict=True):
+        if np.isfinite(told.noticed_s):
+            soon[fault.name].append(told.noticed_s)
+    return [SoakFault(n, times[n], len(soon[n]), max(soon[n], default=float("nan"))) for n in sorted(times)]
+
+
+def _checks(run: BusRun, faults: Sequence[FaultOrder]) -> list[Check]:
+    spans = [s for s in held_spans(run.logbook, run.start_ns) if s[1] - s[0] > SHORT_S]
+    alone = [s for s in spans if not any(f.at_s - SHORT_S <= s[0] <= f.end_s + LINGERS_S for f in faults)]
+    at_end = bool(run.logbook.held[-1])
+    return [
+        *checks_of("soak", run, ()),
+        Check(
+            "soak: held only for faults", not alone, f"held {len(spans)} times, {len(alone)} of them without a fault"
+        ),
+        Check("soak: correction follows at the end", not at_end, "held" if at_end else "it follows the model"),
+    ]

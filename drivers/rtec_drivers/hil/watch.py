@@ -1,0 +1,91 @@
+"""Watches the daemon while faults come and go, and gives the operator's orders."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from rtec.runtime.clock import Clock
+from rtec.runtime.hil import FaultOrder
+from rtec.runtime.status import Status
+from rtec_drivers.hil.catalogue import FAULTS, Bus
+
+AFTER_S = 0.5
+"""The operator sees that a fault is over before the order to resume comes."""
+LATER_S = 3.0
+"""What is told so long after a fault's end may still be told for it."""
+
+
+@dataclass
+class Told:
+    """What the daemon said during one fault.
+
+    Attributes:
+        noticed_s: since its beginning, when it first said anything new; NaN: not yet.
+        texts: by device, the last that it said.
+    """
+
+    noticed_s: float = math.nan
+    texts: dict[str, str] = field(default_factory=dict)
+
+
+class Watch:
+    """Looks at every status.
+
+    Args:
+        faults: what was ordered.
+        buses: by device, its bus: what a device says of itself is put down to faults of its own bus.
+        clock: whose time `start_ns` is in.
+        tell: is told seconds done.
+
+    Attributes:
+        start_ns: when the corrected run began.
+        resume: gives the daemon the order to resume.
+        place: the bench's folder, which is left out of what was said.
+        faults: what was ordered.
+        told: one entry a fault.
+        unasked: the last that the daemon said of a device while its bus had no fault.
+    """
+
+    def __init__(
+        self,
+        faults: Sequence[FaultOrder],
+        buses: Mapping[str, Bus],
+        clock: Clock,
+        tell: Callable[[float], None],
+    ) -> None:
+        self.start_ns = 0
+        self._buses = buses
+        self.told = [Told() for _ in faults]
+        self.unasked: dict[str, str] = {}
+        self.faults, self._clock, self._tell = faults, clock, tell
+        self.resume: Callable[[], None] = lambda: None
+        self.place = ""
+        self._orders = sorted((f.end_s + AFTER_S for f in faults if FAULTS[f.name].needs_order), reverse=True)
+
+    def look(self, status: Status) -> None:
+        """Note what it says; order to resume when that is due."""
+        if not self.start_ns:
+            return
+        now_s = (self._clock.now_ns() - self.start_ns) * 1e-9
+        self._tell(now_s)
+        while self._orders and now_s >= self._orders[-1]:
+            self._orders.pop()
+            self.resume()
+        for device, reasons in status.devices.items():
+            text = "; ".join(reasons)
+            self._note(now_s, device, text.replace(self.place, "") if self.place else text)
+
+    def _note(self, now_s: float, device: str, text: str) -> None:
+        mine = [
+            k
+            for k, f in enumerate(self.faults)
+            if f.at_s <= now_s <= f.end_s + LATER_S and FAULTS[f.name].bus == self._buses.get(device)
+        ]
+        if not mine:
+            self.unasked[device] = text
+        for k in mine:
+            told = self.told[k]
+            if math.isnan(told.noticed_s):
+                told.noticed_s = now_s - self.faults[k].at_s
+            if now_s <= self.faults[k].end_s or device not in told.texts:
+                told.texts[device] = text

@@ -1,0 +1,149 @@
+"""From a run file with real devices to the same run file with the bench's ports, and to an all-simulated one."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tomli_w
+from pydantic import Field
+
+from rtec.errors import ConfigError
+from rtec.runtime.config import RunFile
+from rtec.tomlfile import nearest, read_toml, validated
+from rtec_drivers.hil.catalogue import BUS_OF_DRIVER, Bus
+from rtec_drivers.sim import SimOptions
+
+SENSED, TRACK = "sensed", "track.npz"
+
+
+class HilOptions(SimOptions):
+    """`[hil]` of a run file: the simulated machine behind the buses (options of the driver `sim`), and how long.
+
+    Attributes:
+        off_s, on_s: how long it runs without and with correction.
+        settle_s: this much at the beginning does not count: the correction is on its way there.
+        hold_after_ms, counts_per_s: of the simulated encoder box.
+    """
+
+    off_s: Annotated[float, Field(ge=1, le=1e6)] = 30.0
+    on_s: Annotated[float, Field(ge=1, le=1e6)] = 30.0
+    settle_s: Annotated[float, Field(ge=0, le=1e5)] = 4.0
+    hold_after_ms: Annotated[int, Field(ge=10, le=60_000)] = 100
+    counts_per_s: Annotated[int, Field(ge=100, le=10_000_000)] = 20_000
+
+    def sim(self) -> dict[str, Any]:
+        """The options of the driver `sim` among them."""
+        return {
+            k: v for k, v in self.model_dump(mode="json", exclude_none=True).items() if k in SimOptions.model_fields
+        }
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """A run file as the bench uses it.
+
+    Attributes:
+        path: the run file.
+        tables: what it says; paths are absolute.
+        options: its section `[hil]`.
+        buses: by the device's name, the bus that it is put behind.
+    """
+
+    path: Path
+    tables: Mapping[str, Any]
+    options: HilOptions
+    buses: Mapping[str, Bus]
+
+    def link(self, folder: Path, device: str) -> Path:
+        """Name of the port that a device finds its far side behind."""
+        return folder / f"port-{device}"
+
+    def with_ports(self, folder: Path, mode: str) -> Path:
+        """Write the run file with the bench's ports in place of its own; give its path."""
+        device = {name: dict(table) for name, table in self.tables["device"].items()}
+        for name, bus in self.buses.items():
+            _rewire(device[name], bus, str(self.link(folder, name)))
+        run = {**self.tables["run"], "mode": mode}
+        return _write(folder / f"{mode}.toml", {**self.tables, "run": run, "device": device})
+
+    def simulated(self, folder: Path) -> Path:
+        """Write the run file of the all-simulated run; give its path."""
+        roles = self.tables["role"]
+        role: dict[str, Any] = {"counts": "machine", "actuator": "machine", "temperatures": ["machine"]}
+        if "spindle" in roles:
+            role["spindle"] = "machine"
+        kept = {k: v for k, v in self.tables.items() if k != "hil"}
+        device = {"machine": {"driver": "sim", **self.options.sim()}}
+        return _write(folder / "simulated.toml", {**kept, "role": role, "device": device})
+
+
+def read_wiring(path: Path) -> Wiring:
+    """Read a run file for the bench.
+
+    Raises:
+        ConfigError: it has no section `[hil]`, or a device that has no far side here.
+    """
+    tables = read_toml(path)
+    if "hil" not in tables:
+        raise ConfigError(
+            f"{path}: [hil] is missing; it tells which simulated machine stands behind the buses: see configs/hil.toml"
+        )
+    validated(RunFile, tables, str(path))
+    base = path.parent.resolve()
+    tables = _absolute(tables, base)
+    options = validated(HilOptions, tables["hil"], f"{path}: [hil]")
+    if options.actuator != "pulse":
+        raise ConfigError(f"{path}: [hil] actuator: the encoder box inserts counts: 'pulse'")
+    return Wiring(path, tables, options, _buses(tables["device"], str(path)))
+
+
+def _buses(devices: Mapping[str, Mapping[str, Any]], source: str) -> dict[str, Bus]:
+    faults, out = [], dict[str, Bus]()
+    for name, table in devices.items():
+        driver = str(table.get("driver"))
+        if driver in BUS_OF_DRIVER:
+            out[name] = BUS_OF_DRIVER[driver]
+        else:
+            faults.append(
+                f"{source}: [device.{name}] driver {driver!r} has no far side in the bench"
+                f"{nearest(driver, BUS_OF_DRIVER)}"
+            )
+    boxes = [name for name, bus in out.items() if bus == "box"]
+    if not faults and len(boxes) != 1:
+        faults.append(f"{source}: the bench needs one encoder box (driver 'serial_box'); the run file has {len(boxes)}")
+    if faults:
+        raise ConfigError("\n".join(faults))
+    return out
+
+
+def _absolute(tables: dict[str, Any], base: Path) -> dict[str, Any]:
+    """Paths that start at the run file's folder as absolute ones; the log's folder is the bench's business."""
+    run = {k: v for k, v in tables["run"].items() if k != "log_folder"}
+    run |= {key: str(base / run[key]) for key in ("machine", "model") if key in run}
+    hil = {k: str(base / v) if k in ("truth", "program_file") else v for k, v in tables["hil"].items()}
+    device = {
+        name: {k: str(base / v) if k == "dbc" else v for k, v in table.items()}
+        for name, table in tables["device"].items()
+    }
+    return {**tables, "run": run, "hil": hil, "device": device}
+
+
+def _rewire(table: dict[str, Any], bus: Bus, port: str) -> None:
+    """Put the bench's port in the place of the real one; all else stays as it is."""
+    if bus == "box":
+        table.pop("usb_serial", None)
+        table["port"] = port
+    elif bus == "modbus":
+        serial = {k: v for k, v in table.get("serial", {}).items() if k != "usb_serial"}
+        table["serial"] = {**serial, "port": port}
+        table.pop("tcp", None)
+    else:
+        # An adapter on a pty needs no time to start; every other kind of interface is replaced by slcan.
+        table |= {"interface": "slcan", "channel": port, "settings": {"sleep_after_open": 0.0}}
+        table.setdefault("bitrate", 500_000)
+
+
+def _write(path: Path, tables: Mapping[str, Any]) -> Path:
+    path.write_text(tomli_w.dumps(dict(tables)), encoding="utf-8")
+    return path

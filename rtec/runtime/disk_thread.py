@@ -1,0 +1,148 @@
+"""Everything that the supervisor writes to disk, in a thread of its own: a disk that stalls keeps nobody waiting.
+
+Rows wait in memory, up to a number; what comes then is dropped and counted.
+"""
+
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final, Self
+
+from rtec.runtime.events import Event, Events
+from rtec.runtime.log_keeper import Keeper
+from rtec.runtime.recording import Begin, Recording
+from rtec.runtime.records import Commands, Samples
+from rtec.runtime.state import Saved
+from rtec.runtime.state_files import DiskState
+
+MOST_SECONDS: Final = 60.0
+END_S: Final = 5.0
+
+
+@dataclass(frozen=True)
+class _Rows:
+    samples: Samples
+    commands: Commands
+    first_row: int
+
+
+@dataclass(frozen=True)
+class _Do:
+    action: Callable[[], None]
+
+
+class DiskThread:
+    """Writes log and state; entering starts it, leaving writes what waits, for a few seconds at most.
+
+    Args:
+        recording: the log; used by this thread alone from now on, but for reading what it says.
+        state: the copy of the state; None: none is kept.
+        newest: gives the newest state.
+        most_rows: so many rows may wait.
+        keeper: begins new files and tidies the old ones; None: the log is one file.
+
+    Attributes:
+        dropped: rows that found no room.
+        state_trouble: why the state is not on disk; "" where it is.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        state: DiskState | None,
+        newest: Callable[[], Saved | None],
+        most_rows: int,
+        keeper: Keeper | None = None,
+    ) -> None:
+        self.recording, self.dropped, self.state_trouble = recording, 0, ""
+        self._state, self._newest, self._most_rows, self._keeper = state, newest, most_rows, keeper
+        self._jobs: queue.SimpleQueue[_Rows | _Do | None] = queue.SimpleQueue()
+        self._waiting = self._done = 0
+        self._thread = threading.Thread(target=self._work, name="rtec-disk", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._jobs.put(None)
+        self._thread.join(END_S)
+        if self._thread.is_alive():
+            self.recording.warnings.append("the disk did not answer at the end: the last rows may not be in the log")
+
+    @property
+    def missed(self) -> int:
+        """Rows that are in no log."""
+        return self.dropped + self.recording.missed
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the disk now; "" where all is well."""
+        waiting = self._waiting - self._done
+        slow = f"the disk is slow: {waiting} rows wait" if waiting > self._most_rows // 4 else ""
+        kept = "" if self._keeper is None else self._keeper.trouble
+        return "; ".join(text for text in (self.recording.trouble, slow, self.state_trouble, kept) if text)
+
+    def write(self, samples: Samples, commands: Commands, first_row: int) -> None:
+        """Hand rows on; they are not changed afterwards by whoever gave them."""
+        if self._waiting - self._done + len(samples) > self._most_rows:
+            self.dropped += len(samples)
+            return
+        self._waiting += len(samples)
+        self._jobs.put(_Rows(samples, commands, first_row))
+
+    def flush(self) -> None:
+        """Bring everything that was handed on to the disk, the state too."""
+        self._jobs.put(_Do(self._flush))
+
+    def cut(self, begin: Begin) -> None:
+        """Let a new file of the log begin at that row."""
+        self._jobs.put(_Do(lambda: self.recording.cut(begin)))
+
+    def event(self, events: Events, event: Event) -> None:
+        """Write one down."""
+        self._jobs.put(_Do(lambda: self._event(events, event)))
+
+    def _event(self, events: Events, event: Event) -> None:
+        try:
+            events.write(event)
+        except OSError as e:
+            self.recording.warnings.append(f"{events.path}: an event could not be written ({event.what}): {e.strerror}")
+
+    def _flush(self) -> None:
+        self.recording.flush()
+        self._keep_state()
+
+    def _keep_state(self) -> None:
+        saved = self._newest() if self._state is not None else None
+        if self._state is None or saved is None:
+            return
+        try:
+            self._state.write(saved)
+            self.state_trouble = ""
+        except OSError as e:
+            if not self.state_trouble:
+                self.recording.warnings.append(f"state {self._state.path}: cannot be written: {e.strerror}")
+            self.state_trouble = f"the state is not on disk: {e.strerror}"
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            if isinstance(job, _Rows):
+                self.recording.write(job.samples, job.commands, job.first_row)
+                self._done += len(job.samples)
+            else:
+                job.action()
+            if self.recording.wants_to_try_again() and (saved := self._newest()) is not None:
+                self.recording.cut(Begin.behind(saved))
+            if self._keeper is not None:
+                self._keeper.look(self.recording, self._newest)
+        self.recording.close()
+        if self._keeper is not None:
+            self._keeper.close()
+        self._keep_state()
+        if self._state is not None:
+            self._state.close()

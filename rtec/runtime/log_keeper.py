@@ -1,0 +1,154 @@
+"""Keeps the logs of a running daemon in order: a new file when one is large or old, tidying in a process of its own.
+
+Called from the thread that writes the log. Nothing here waits: a new file is ordered (`Recording.cut`), and the
+process that packs and removes (`rtec.runtime.log_tidy`) is only started and looked at.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from rtec.runtime.clock import Clock
+from rtec.runtime.log_names import WRITTEN, log_files
+from rtec.runtime.log_segment import both_clocks
+from rtec.runtime.log_settings import LogTable
+from rtec.runtime.recording import Begin, Recording
+from rtec.runtime.state import Saved
+
+LOOK_NS: Final = 1_000_000_000
+TIDY_NS: Final = 60_000_000_000
+"""The first time so long after the start, which has better to do; then as often, where there is something new."""
+TIDY_ANYWAY_NS: Final = 3600_000_000_000
+STEP_NS: Final = 500_000_000
+END_S: Final = 2.0
+
+Tell = Callable[[str, str], None]
+"""Told what happened, in a word and in a sentence; stands in the events."""
+
+
+class Keeper:
+    """For the logs in one folder.
+
+    Args:
+        folder: of the logs; a file elsewhere is left as it is.
+        rules: of the run file.
+        clock: monotonic.
+        tell: for the events.
+        clocks: gives monotonic and wall clock at one instant, ns.
+
+    Attributes:
+        trouble: why logs are not packed or removed; "" where they are.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        rules: LogTable,
+        clock: Clock,
+        tell: Tell,
+        clocks: Callable[[Clock], tuple[int, int]] = both_clocks,
+    ) -> None:
+        self._folder, self._rules, self._clock, self._tell, self._clocks = folder, rules, clock, tell, clocks
+        self.trouble = ""
+        now = clock.now_ns()
+        self._next_look_ns, self._next_tidy_ns, self._tidy_anyway_ns = now, now + TIDY_NS, now + TIDY_ANYWAY_NS
+        self._path: Path | None = None
+        self._begun_ns, self._offset_ns = now, 0
+        self._ordered = False
+        self._tidier: subprocess.Popen[bytes] | None = None
+        self._known: frozenset[Path] = frozenset()
+
+    def look(self, recording: Recording, newest: Callable[[], Saved | None]) -> None:
+        """Order a new file, or start tidying, where it is time."""
+        now = self._clock.now_ns()
+        if now < self._next_look_ns or recording.path is None or recording.path.parent != self._folder:
+            return
+        self._next_look_ns = now + LOOK_NS
+        if recording.path != self._path:
+            self._begin(recording.path, now)
+        if not self._ordered and not recording.trouble and self._is_time(recording.path, now):
+            self._order(recording, newest)
+        self._tidy(recording.path, now)
+
+    def close(self) -> None:
+        """End the process that tidies; it is taken up again in the next run."""
+        if self._tidier is None:
+            return
+        self._tidier.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._tidier.communicate(timeout=END_S)
+            return
+        self._tidier.kill()
+        self._tidier.communicate()
+
+    def _begin(self, path: Path, now: int) -> None:
+        self._path, self._begun_ns, self._ordered = path, now, False
+        monotonic_ns, wall_ns = self._clocks(self._clock)
+        self._offset_ns = wall_ns - monotonic_ns
+
+    def _is_time(self, path: Path, now: int) -> bool:
+        monotonic_ns, wall_ns = self._clocks(self._clock)
+        step_ns = wall_ns - monotonic_ns - self._offset_ns
+        if abs(step_ns) > STEP_NS:
+            self._offset_ns += step_ns
+            self._tell("clock step", f"the date and time of this computer was set by {step_ns * 1e-9:+.3f} s")
+            return True
+        if now - self._begun_ns >= self._rules.segment_s * 1e9:
+            return True
+        with suppress(OSError):
+            return path.stat().st_size >= self._rules.segment_mb * 1e6
+        return False
+
+    def _order(self, recording: Recording, newest: Callable[[], Saved | None]) -> None:
+        saved = newest()
+        if saved is not None:
+            recording.cut(Begin.behind(saved))
+            self._ordered = True
+
+    def _tidy(self, path: Path, now: int) -> None:
+        if self._tidier is not None:
+            if self._tidier.poll() is None:
+                return
+            self._take_in(self._tidier)
+            self._tidier = None
+        if now < self._next_tidy_ns:
+            return
+        self._next_tidy_ns = now + TIDY_NS
+        closed = frozenset(p for p in log_files(self._folder) if p.suffix == WRITTEN and p != path)
+        if closed <= self._known and now < self._tidy_anyway_ns:
+            return
+        self._known, self._tidy_anyway_ns = closed, now + TIDY_ANYWAY_NS
+        self._start()
+
+    def _start(self) -> None:
+        wanted = "pack" if self._rules.pack else "leave"
+        command = [
+            sys.executable,
+            "-m",
+            "rtec.runtime.log_tidy",
+            str(self._folder),
+            str(self._rules.disk_share),
+            wanted,
+        ]
+        try:
+            self._tidier = subprocess.Popen(  # noqa: S603 (our own module)
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            )
+        except OSError as error:
+            self.trouble = f"logs are not packed: {error.strerror}"
+
+    def _take_in(self, ended: "subprocess.Popen[bytes]") -> None:
+        out, err = ended.communicate()
+        try:
+            found = json.loads(out)
+            troubles, removed = [str(t) for t in found["troubles"]], [str(r) for r in found["removed"]]
+        except (ValueError, KeyError, TypeError):
+            last = (err.decode(errors="replace").strip().splitlines() or [f"status {ended.returncode}"])[-1]
+            troubles, removed = [f"tidying the logs failed: {last}"], []
+        self.trouble = "; ".join(troubles)
+        if removed:
+            self._tell("logs removed", f"for their disk space: {', '.join(removed)}")

@@ -1,0 +1,148 @@
+"""Many files of a folder as one log: a stretch of time, over however many files and starts it goes.
+
+Monotonic time begins anew with every start of the computer; rows are in the order of the files, which their names
+give. A damaged file costs its own rows, and is told in `troubles`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from rtec.errors import LogError
+from rtec.runtime.log_names import log_files
+from rtec.runtime.log_open import open_log
+from rtec.runtime.log_segment import Segment, look_at
+from rtec.runtime.log_table import Block
+from rtec.runtime.log_time import utc_text
+from rtec.runtime.records import Layout
+
+Told = Callable[[int, int], None]
+
+
+def segments_of(
+    path: Path, from_ns: int | None = None, to_ns: int | None = None, progress: Told | None = None
+) -> list[Segment]:
+    """The files of a folder that have rows in a stretch of date and time, oldest first; a file stands for itself.
+
+    Args:
+        path: folder, or one log.
+        from_ns, to_ns: ns since 1970 UTC, `to_ns` not included; None: no bound.
+        progress: told files done, and files in all.
+    """
+    paths = log_files(path) if path.is_dir() else [path]
+    found = []
+    for k, each in enumerate(paths):
+        found.append(look_at(each))
+        if progress is not None:
+            progress(k + 1, len(paths))
+    return [segment for segment in found if segment.overlaps(from_ns, to_ns)]
+
+
+class LogStretch:
+    """Reads the rows of files one after the other.
+
+    Attributes:
+        path: where the files are.
+        header: of the first file, and the names of all (`segments`).
+        layout: names of axes and sensors, the same in all files.
+        bytes: of all files.
+        troubles: what could not be read, so far.
+        offset_ns: wall clock minus monotonic clock of the block given last; None where its file does not say.
+    """
+
+    def __init__(self, path: Path, segments: Iterable[Segment], from_ns: int | None, to_ns: int | None) -> None:
+        """Look at the heads of all files.
+
+        Raises:
+            LogError: no file of them can be read, or their axes or sensors differ.
+        """
+        self.path, self._from_ns, self._to_ns = path, from_ns, to_ns
+        self.troubles: list[str] = []
+        self.offset_ns: int | None = None
+        self._segments = [s for s in segments if s.rows]
+        self.bytes = sum(s.bytes for s in self._segments)
+        self.troubles += [s.why for s in segments if s.why and not s.rows]
+        if not self._segments:
+            raise LogError(f"log {path}: no rows {self._bounds()}" + "".join(f"\n{text}" for text in self.troubles))
+        self.header, self.layout = self._heads()
+
+    @property
+    def rows(self) -> int:
+        """Rows of all files, those outside the stretch too."""
+        return sum(s.rows for s in self._segments)
+
+    @property
+    def torn_bytes(self) -> int:
+        """0: a torn end is told of its file alone."""
+        return 0
+
+    @property
+    def complete(self) -> bool:
+        """Was there nothing that could not be read?"""
+        return not self.troubles
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """None: the files need not be of one start of the computer."""
+        return None
+
+    def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[Block]:
+        """Rows of the stretch in blocks of `max_rows` at most; `start` is not used but as 0."""
+        del start
+        for segment in self._segments:
+            self.offset_ns = segment.offset_ns
+            try:
+                with open_log(segment.path) as log:
+                    for samples, commands in log.blocks(max_rows):
+                        first, stop = self._within(segment, samples.time_ns)
+                        if first < stop:
+                            yield samples.rows(first, stop), commands.rows(first, stop)
+            except LogError as error:
+                self.troubles.append(str(error))
+            else:
+                self.troubles += [segment.why] if segment.why else []
+
+    def refresh(self) -> None:
+        """Do nothing: the stretch is what it was when it was chosen."""
+
+    def close(self) -> None:
+        """Do nothing: files are open only while they are read."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _within(self, segment: Segment, time_ns: "np.ndarray[tuple[int, ...], np.dtype[np.int64]]") -> tuple[int, int]:
+        """Rows of a block that lie in the stretch; all, where the file does not tell its date."""
+        if segment.offset_ns is None:
+            return 0, len(time_ns)
+        bounds = [None if b is None else b - segment.offset_ns for b in (self._from_ns, self._to_ns)]
+        first = 0 if bounds[0] is None else int(np.searchsorted(time_ns, bounds[0]))
+        stop = len(time_ns) if bounds[1] is None else int(np.searchsorted(time_ns, bounds[1]))
+        return first, stop
+
+    def _heads(self) -> tuple[dict[str, str], Layout]:
+        found: tuple[dict[str, str], Layout] | None = None
+        for segment in self._segments:
+            with open_log(segment.path) as log:
+                if found is None:
+                    found = {**log.header, "segments": ", ".join(s.path.name for s in self._segments)}, log.layout
+                elif found[1] != log.layout:
+                    raise LogError(
+                        f"log {segment.path}: its axes and sensors are not those of {self._segments[0].path.name}; "
+                        "choose a shorter stretch with --from and --to"
+                    )
+        assert found is not None  # noqa: S101 (there is a segment)
+        return found
+
+    def _bounds(self) -> str:
+        parts = [f"from {utc_text(self._from_ns)}"] if self._from_ns is not None else []
+        parts += [f"to {utc_text(self._to_ns)}"] if self._to_ns is not None else []
+        return " ".join(parts) or "in it"

@@ -1,0 +1,217 @@
+"""The log of a run, in one file or several: a new one where a reload began, and after rows were lost.
+
+A disk that fails costs the rows that could not be written, never the correction: that is told, tried again every few
+seconds, and told when it goes on. Every file can be replayed by itself: its header holds the step's whole memory as
+it was before the file's first row.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from rtec.errors import LogError
+from rtec.runtime.clock import Clock
+from rtec.runtime.records import Commands, Samples
+from rtec.runtime.state import Saved, state_text
+
+RETRY_NS: Final = 5_000_000_000
+
+
+class Writer(Protocol):
+    """What a recording needs of a log: `rtec.runtime.log.LogWriter` is one.
+
+    Attributes:
+        rows: rows in the file.
+    """
+
+    rows: int
+
+    def write(self, samples: Samples, commands: Commands) -> None:
+        """Take rows; raises LogError."""
+        ...
+
+    def flush(self) -> None:
+        """Put them on disk; raises LogError."""
+        ...
+
+    def close(self) -> None:
+        """End the file; raises LogError."""
+        ...
+
+
+@dataclass(frozen=True)
+class Begin:
+    """Where a file begins.
+
+    Attributes:
+        row: its first row.
+        header: what it says of its beginning.
+    """
+
+    row: int
+    header: Mapping[str, str]
+
+    @classmethod
+    def at_start(cls, output: list[int], state: Mapping[str, Any]) -> "Begin":
+        """The first file of a run; `state` as the fast path told it."""
+        return cls(0, {"initial_output": json.dumps(output), "initial_state": json.dumps(state)})
+
+    @classmethod
+    def behind(cls, saved: Saved) -> "Begin":
+        """A file whose first row follows the one that a state was kept of."""
+        state = {"structure": saved.structure.hex(), **state_text(saved.state)}
+        header = {"initial_output": json.dumps(saved.output.tolist()), "initial_state": json.dumps(state)}
+        return cls(saved.row + 1, {**header, "first_row": str(saved.row + 1)})
+
+
+Open = Callable[[Path, Mapping[str, str]], Writer]
+
+
+@dataclass
+class Recording:
+    """Rows on their way to the disk.
+
+    Attributes:
+        path: the newest file; None: nothing is recorded.
+        clock: for trying again.
+        open_writer: makes a file, given its path and what it says of its beginning.
+        warnings: what a user is told, added to.
+        trouble: what is wrong now; "" where all is well.
+        missed: rows that are in no file.
+    """
+
+    path: Path | None
+    clock: Clock
+    open_writer: Open
+    warnings: list[str] = field(default_factory=list)
+    trouble: str = ""
+    missed: int = 0
+    _writer: Writer | None = None
+    _given: int = 0
+    _from: int = 0
+    _next: int = 0
+    _pending: Begin | None = None
+    _inexact: bool = False
+    _retry_ns: int = 0
+    _missed_before: int = 0
+
+    def begin(self, begin: Begin) -> None:
+        """Make the first file.
+
+        Raises:
+            LogError: it cannot be made: a run that cannot be logged from the start is not begun.
+        """
+        if self.path is not None:
+            self._writer = self.open_writer(self.path, begin.header)
+            self._from = self._next = begin.row
+
+    def write(self, samples: Samples, commands: Commands, first_row: int) -> None:
+        """Record rows; `first_row` is the number of the first of them."""
+        stop = first_row + len(samples)
+        if self._pending is not None and stop > self._pending.row:
+            at = max(0, self._pending.row - first_row)
+            self._put(samples.rows(0, at), commands.rows(0, at), first_row)
+            self._change(self._pending)
+            self._put(samples.rows(at, len(samples)), commands.rows(at, len(samples)), first_row + at)
+        else:
+            self._put(samples, commands, first_row)
+
+    def flush(self) -> None:
+        """Bring them to the disk."""
+        self._try(lambda w: w.flush())
+
+    def cut(self, begin: Begin) -> None:
+        """Let a new file begin at that row, which is still to come."""
+        if self.path is not None:
+            self._pending = begin
+
+    def wants_to_try_again(self) -> bool:
+        """Is it time for a new file, after a failure or a gap? `cut` says where it may begin."""
+        if self.path is None or self._pending is not None:
+            return False
+        return self._inexact if self._writer is not None else self.clock.now_ns() >= self._retry_ns
+
+    def close(self) -> None:
+        """End the file."""
+        self._try(lambda w: w.close())
+        self._writer = None
+
+    def _put(self, samples: Samples, commands: Commands, first_row: int) -> None:
+        skip = min(len(samples), max(0, self._from - first_row))
+        if self._writer is not None and first_row + skip > self._next:
+            self._end_at_gap(first_row + skip, first_row + skip - self._next)
+        self._next = max(self._next, first_row + len(samples))
+        if self._writer is None:
+            self.missed += len(samples) if self.path is not None else 0
+        elif len(samples) > skip:
+            self._given += len(samples) - skip
+            self._try(lambda w: w.write(samples.rows(skip, len(samples)), commands.rows(skip, len(samples))))
+
+    def _end_at_gap(self, row: int, lost_rows: int) -> None:
+        """Rows are missing: what follows cannot be replayed from this file's beginning, and goes into another.
+
+        Nobody knows the step's memory at this row, so the other can be read but not checked; the next one can.
+        """
+        self.warnings.append(f"{lost_rows} rows came too fast and are in no log; a new file begins behind them")
+        self._change(Begin(row, {"first_row": str(row), "rows_lost_before": str(lost_rows)}))
+        self._inexact = True
+
+    def _tell_stop(self, why: str) -> None:
+        if not self.trouble:
+            self.warnings.append(f"logging stopped, the correction went on: {why}")
+        self.trouble = f"logging stopped: {why}"
+
+    def _change(self, begin: Begin) -> None:
+        """End this file, begin the next."""
+        if self.path is None:
+            return
+        self._pending, self._inexact = None, False
+        had_failed = bool(self.trouble)
+        self._try(lambda w: w.close())
+        self._writer = None
+        path = free_path(self.path)
+        try:
+            self._writer = self.open_writer(path, begin.header)
+            self._from = self._next = begin.row
+            self._given = 0
+        except LogError as e:
+            self._fail(e)
+            return
+        self.path = path
+        if had_failed:
+            self.warnings.append(f"logging goes on in {path}; {self.missed - self._missed_before} rows are in no log")
+        self.trouble, self._missed_before = "", self.missed
+
+    def _try(self, action: Callable[[Writer], None]) -> None:
+        if self._writer is None:
+            return
+        try:
+            action(self._writer)
+        except LogError as e:
+            self._fail(e)
+
+    def _fail(self, error: LogError) -> None:
+        self._tell_stop(f"{error}; tried again every {RETRY_NS // 1_000_000_000} s")
+        self._retry_ns = self.clock.now_ns() + RETRY_NS
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            self.missed += self._given - writer.rows  # what it held back
+            try:
+                writer.close()
+            except LogError:
+                return  # told already
+
+
+def free_path(path: Path) -> Path:
+    """The next free name behind this one: `run.arrows`, `run-2.arrows`, `run-3.arrows`."""
+    stem, k = path.stem, 1
+    head, _, tail = stem.rpartition("-")
+    if head and tail.isdigit() and len(tail) < len("20260101"):
+        stem, k = head, int(tail)
+    while True:
+        k += 1
+        candidate = path.with_name(f"{stem}-{k}{path.suffix}")
+        if not candidate.exists():
+            return candidate

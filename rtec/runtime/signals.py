@@ -1,0 +1,35 @@
+"""What the signals of a daemon mean while it runs, and how a child is started deaf to them."""
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from types import FrameType
+from typing import Final
+
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+
+
+@contextmanager
+def signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Hand them all to the handler; the previous handlers come back afterwards."""
+    previous = {number: signal.signal(number, handler) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, old in previous.items():
+            signal.signal(number, old)
+
+
+@contextmanager
+def signals_wait() -> Iterator[None]:
+    """A child started meanwhile is deaf to Ctrl-C from its first instruction, until it says itself what to do with it.
+
+    Here a signal that comes meanwhile is handled afterwards.
+    """
+    resource_tracker.ensure_running()  # started by `Process.start` it would let the signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,204 @@
+"""The loop's state as it is kept: an image of three slots that is whole at every instant, whatever is cut off when.
+
+Slots 0 and 1 are written in turns, slot 2 when something began anew (a reload). Each is a row of 64-bit words:
+what it is, ledger, counts, the step's memory, and a CRC-32 of all that. A slot that was not written to its end
+does not fit its CRC; the other of the two then still holds the cycle before. The loop writes it every cycle *before*
+the command goes out: after a kill the ledger is what the actuator was told last, or what it was just to be told.
+"""
+
+import hashlib
+import zlib
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import ModelError
+from rtec.runtime.records import Samples
+from rtec.runtime.step import Step, StepState
+
+SLOT_BYTES: Final = 32_768
+SLOTS: Final = 3
+IMAGE_BYTES: Final = SLOTS * SLOT_BYTES
+SNAPSHOT: Final = 2
+_MAGIC: Final = int.from_bytes(b"rtecsta1", "little")
+_WORD: Final = 8
+_HEAD: Final = 18
+(_AT_MAGIC, _AT_SEQUENCE, _AT_ROW, _AT_TIME, _AT_MODE, _AT_START_MODE, _AT_CLEAN, _AT_WAITS) = range(8)
+(_AT_AXES, _AT_INTS, _AT_FLOATS) = range(8, 11)
+_AT_STRUCTURE: Final = slice(11, 15)
+_AT_UNITS: Final = slice(15, 18)
+
+
+@dataclass(frozen=True)
+class Saved:
+    """One slot, read and found whole.
+
+    Attributes:
+        sequence: how many were written before.
+        row: number of the cycle's row in the ring.
+        time_ns: the cycle's instant, monotonic clock.
+        mode: as it was ordered.
+        start_mode: the mode that the run file began with.
+        clean: the run ended in order.
+        waits: it was waiting for an order to resume.
+        output: ledger, in the sink's units, by axis.
+        counts: raw counts, by axis.
+        structure: of the step whose memory this is (`structure_of`).
+        units: what output and counts are counted in (`units_of`).
+        state: the step's memory.
+        words: the slot itself.
+    """
+
+    sequence: int
+    row: int
+    time_ns: int
+    mode: int
+    start_mode: int
+    clean: bool
+    waits: bool
+    output: NDArray[np.int64]
+    counts: NDArray[np.int64]
+    structure: bytes
+    units: bytes
+    state: StepState
+    words: bytes
+
+
+def structure_of(step: Step) -> bytes:
+    """32 bytes that tell whether memory of one step means the same to another: text of the step, names, units."""
+    told = hashlib.sha256(step.source.text.encode())
+    told.update(units_of(step))
+    return told.digest()
+
+
+def units_of(step: Step) -> bytes:
+    """24 bytes that tell whether ledger and counts of one step mean the same to another."""
+    told = hashlib.sha256(repr(step.layout.axes).encode())
+    for name in ("counts_per_mm", "per_um", "quantum"):
+        told.update(step.constants(name).tobytes())
+    return told.digest()[:24]
+
+
+class StateWriter:
+    """Keeps the state of one step in an image; a call writes some hundred bytes and waits for nothing.
+
+    Attributes:
+        sequence: slots written so far, by whoever wrote this image.
+        start_mode: the mode of the run file.
+        waits: the loop waits for an order to resume.
+
+    Args:
+        image: `IMAGE_BYTES` bytes, shared or not.
+        step: whose memory is kept.
+        start_mode: the mode of the run file.
+        sequence: where an earlier writer of this image ended.
+
+    Raises:
+        ModelError: the step's memory does not fit.
+    """
+
+    def __init__(self, image: NDArray[np.uint8], step: Step, start_mode: int, sequence: int = 0) -> None:
+        self.sequence, self.start_mode, self.waits = sequence, start_mode, False
+        axes, state = len(step.layout.axes), step.state
+        words = _HEAD + 2 * axes + state.ints.size + state.floats.size
+        if (words + 1) * _WORD > SLOT_BYTES:
+            raise ModelError(f"the step needs {words} words of memory; at most {SLOT_BYTES // _WORD - 1} can be kept")
+        self._state = state
+        self._slots = [_Slot(image, k, axes, state.ints.size, state.floats.size) for k in range(SLOTS)]
+        self._head = head = np.zeros(_HEAD, np.int64)
+        head[_AT_MAGIC], head[_AT_START_MODE] = _MAGIC, start_mode
+        head[_AT_AXES], head[_AT_INTS], head[_AT_FLOATS] = axes, state.ints.size, state.floats.size
+        head[_AT_STRUCTURE] = np.frombuffer(structure_of(step), np.int64)
+        head[_AT_UNITS] = np.frombuffer(units_of(step), np.int64)
+
+    def keep(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
+        """Keep what this cycle came to."""
+        self.sequence += 1
+        self._write(self._slots[self.sequence & 1], samples, output, row, 0)
+
+    def snapshot(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
+        """Keep it in the third slot: the state in which something begins anew behind this row."""
+        self._write(self._slots[SNAPSHOT], samples, output, row, 0)
+
+    def finish(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
+        """The same for the last time: the run ended in order."""
+        self.sequence += 1
+        self._write(self._slots[self.sequence & 1], samples, output, row, 1)
+
+    def _write(self, slot: "_Slot", samples: Samples, output: NDArray[np.int64], row: int, clean: int) -> None:
+        head = self._head
+        head[_AT_SEQUENCE], head[_AT_ROW] = self.sequence, row
+        head[_AT_TIME], head[_AT_MODE] = samples.time_ns[0], samples.mode[0]
+        head[_AT_CLEAN], head[_AT_WAITS] = clean, self.waits
+        slot.head[:] = head
+        slot.output[:] = output
+        slot.counts[:] = samples.counts[0]
+        slot.ints[:] = self._state.ints
+        slot.floats[:] = self._state.floats
+        slot.crc[0] = zlib.crc32(slot.body)
+
+
+class _Slot:
+    """Views of one slot of an image; making them changes nothing in it."""
+
+    def __init__(self, image: NDArray[np.uint8], k: int, axes: int, ints: int, floats: int) -> None:
+        sizes = (_HEAD, axes, axes, ints, floats)
+        used = sum(sizes)
+        words = image[k * SLOT_BYTES : k * SLOT_BYTES + (used + 1) * _WORD].view(np.int64)
+        self.head, self.output, self.counts, self.ints, rest = np.split(words[:used], np.cumsum(sizes)[:-1])
+        self.floats = rest.view(np.float64)
+        self.crc = words[used:]
+        self.body = memoryview(words[:used]).cast("B")  # type: ignore[arg-type]
+
+
+def read_slot(image: bytes, k: int) -> Saved | None:
+    """Give a slot; None where it is not whole."""
+    words = np.frombuffer(image[k * SLOT_BYTES : (k + 1) * SLOT_BYTES].ljust(SLOT_BYTES, b"\0"), np.int64)
+    axes, ints, floats = (int(words[at]) for at in (_AT_AXES, _AT_INTS, _AT_FLOATS))
+    if words[_AT_MAGIC] != _MAGIC or min(axes, ints, floats) < 0 or max(axes, ints, floats) >= words.size:
+        return None
+    ends = np.cumsum([_HEAD, axes, axes, ints, floats])
+    used = int(ends[-1])
+    if used >= words.size or zlib.crc32(words[:used].tobytes()) != words[used]:
+        return None
+    head, output, counts, its, rest = (part.copy() for part in np.split(words[:used], ends[:-1]))
+    return Saved(
+        sequence=int(head[_AT_SEQUENCE]),
+        row=int(head[_AT_ROW]),
+        time_ns=int(head[_AT_TIME]),
+        mode=int(head[_AT_MODE]),
+        start_mode=int(head[_AT_START_MODE]),
+        clean=bool(head[_AT_CLEAN]),
+        waits=bool(head[_AT_WAITS]),
+        output=output,
+        counts=counts,
+        structure=head[_AT_STRUCTURE].tobytes(),
+        units=head[_AT_UNITS].tobytes(),
+        state=StepState(rest.view(np.float64), its),
+        words=words[: used + 1].tobytes(),
+    )
+
+
+def newest(image: bytes) -> Saved | None:
+    """Give the younger of the first two slots that are whole; None where neither is."""
+    whole = [saved for k in range(2) if (saved := read_slot(image, k)) is not None]
+    return max(whole, key=lambda saved: saved.sequence, default=None)
+
+
+def state_text(state: StepState) -> dict[str, Any]:
+    """A step's memory as plain data, to the last bit; for the header of a log."""
+    return {"floats": [x.hex() for x in state.floats.tolist()], "ints": state.ints.tolist()}
+
+
+def state_from_text(text: Any, like: StepState) -> StepState | None:
+    """Read `state_text` again; None where it is none, or of another size than `like`."""
+    try:
+        floats = np.array([float.fromhex(x) for x in text["floats"]])
+        ints = np.array([int(x) for x in text["ints"]], np.int64)
+    except (TypeError, ValueError, KeyError, OverflowError):
+        return None
+    if floats.shape != like.floats.shape or ints.shape != like.ints.shape:
+        return None
+    return StepState(floats, ints)

@@ -1,0 +1,219 @@
+"""Where the loop's state is kept: memory that outlives the process, and a copy on disk that outlives the power.
+
+The memory is a file in a file system that is memory (/dev/shm, or the run-time folder that systemd gives), so that
+the loop never waits for a disk: writing to a mapped file on disk can stop for as long as the disk likes. The file's
+lock belongs to the loop's process; a second loop for the same run file is refused.
+"""
+
+import fcntl
+import hashlib
+import mmap
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import RtecError
+from rtec.runtime.clock import Clock
+from rtec.runtime.state import IMAGE_BYTES, SLOT_BYTES, SNAPSHOT, Saved, newest, read_slot
+
+_SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
+_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+_TRIES: Final = 5
+_LOCK_TRIES: Final = 40
+_LOCK_PERIOD_NS: Final = 50_000_000
+
+
+@dataclass(frozen=True)
+class StatePlaces:
+    """Files of one run file's state.
+
+    Attributes:
+        memory: in memory.
+        disk: on disk; None: nothing is kept over a power cut.
+    """
+
+    memory: Path
+    disk: Path | None
+
+
+def state_places(config: Path, folder: Path | None) -> StatePlaces:
+    """Give the places of a run file's state.
+
+    Args:
+        config: the run file.
+        folder: for the copy on disk, where systemd gives none (STATE_DIRECTORY).
+    """
+    name = hashlib.sha256(str(config.resolve()).encode()).hexdigest()[:16]
+    # Not "rtec-": those are rings, and go with their owner.
+    memory = Path(_given("RUNTIME_DIRECTORY") or _SHM) / f"rtec.{os.geteuid()}.{name}.state"
+    given = _given("STATE_DIRECTORY")
+    kept = Path(given) if given else folder
+    return StatePlaces(memory, None if kept is None else kept / f"{config.stem}.state")
+
+
+def _given(variable: str) -> str:
+    """What systemd says; the first of several folders."""
+    return os.environ.get(variable, "").split(":", maxsplit=1)[0]
+
+
+@contextmanager
+def state_memory(path: Path, clock: Clock) -> Iterator[NDArray[np.uint8]]:
+    """The image, mapped and locked; made where it is not there.
+
+    Raises:
+        RtecError: another loop has it, it is somebody else's file, or there is no room.
+    """
+    fd = _locked(path, clock)
+    try:
+        # Not closed by hand: it stays mapped until the last view of it is gone.
+        yield np.frombuffer(mmap.mmap(fd, IMAGE_BYTES, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE), np.uint8)
+    finally:
+        _remove_empty(path)
+        with suppress(OSError):  # the mapping has a descriptor of its own, which would keep the lock
+            fcntl.flock(fd, fcntl.LOCK_UN)
+        os.close(fd)
+
+
+def _remove_empty(path: Path) -> None:
+    """A start that failed before anything was kept leaves nothing behind."""
+    if newest(_bytes(path)) is None:
+        path.unlink(missing_ok=True)
+
+
+def _open(path: Path) -> int:
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise RtecError(f"state {path}: cannot be made: {error.strerror}") from error
+    try:
+        if os.fstat(fd).st_uid != os.geteuid():
+            raise RtecError(f"state {path}: belongs to somebody else; remove it")
+        os.posix_fallocate(fd, 0, IMAGE_BYTES)
+    except OSError as error:
+        os.close(fd)
+        raise RtecError(f"state {path}: no room for {IMAGE_BYTES} bytes: {error.strerror}") from error
+    except RtecError:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _locked(path: Path, clock: Clock) -> int:
+    """Open and lock; a loop that is just ending gets two seconds for it."""
+    for _ in range(_LOCK_TRIES):
+        fd = _open(path)
+        if _take(fd, path):
+            return fd
+        os.close(fd)
+        clock.sleep_until_ns(clock.now_ns() + _LOCK_PERIOD_NS)
+    raise RtecError(f"another rtec runs with this run file ({path} is in use): end that one first")
+
+
+def _take(fd: int, path: Path) -> bool:
+    """Take the lock of a file that still has its name."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return os.path.samestat(os.fstat(fd), path.stat())
+    except (BlockingIOError, FileNotFoundError):
+        return False
+
+
+def read_memory(path: Path) -> Saved | None:
+    """The newest state in memory, read while somebody may be writing; None where there is none."""
+    for _ in range(_TRIES):
+        if (saved := newest(_bytes(path))) is not None:
+            return saved
+    return None
+
+
+def read_snapshot(path: Path) -> Saved | None:
+    """The third slot; None where it is not whole."""
+    return read_slot(_bytes(path), SNAPSHOT)
+
+
+def remove_memory(path: Path) -> None:
+    """Remove the file, unless another loop has it by now."""
+    with suppress(OSError):
+        fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+        try:
+            if _take(fd, path):
+                path.unlink()
+        finally:
+            os.close(fd)
+
+
+class DiskState:
+    """The copy on disk: two slots in turns, each brought to the disk before the other is touched.
+
+    Args:
+        path: the file; made at the first `write`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._fd = self._next = -1
+        self._marked = False
+
+    def write(self, saved: Saved) -> None:
+        """Put a state on disk.
+
+        Raises:
+            OSError: it cannot be written; what was there before is still there.
+        """
+        if self._fd < 0:
+            self._open()
+        os.pwrite(self._fd, saved.words, self._next * SLOT_BYTES)
+        os.fdatasync(self._fd)
+        if not self._marked:  # behind the first slot of this start, never before it
+            os.pwrite(self._fd, boot_id(), SNAPSHOT * SLOT_BYTES)
+            self._marked = True
+        self._next = 1 - self._next
+
+    def _open(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        try:
+            os.posix_fallocate(fd, 0, IMAGE_BYTES)  # so that a full disk stops nothing later
+        except OSError:
+            os.close(fd)
+            raise
+        self._fd, self._next = fd, _older(_bytes(self.path))
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+def read_disk(path: Path) -> tuple[Saved | None, bool]:
+    """Give the newest state on disk, and whether this computer was started anew since: then no instant is of use."""
+    image = _bytes(path)
+    mark = boot_id()
+    at = SNAPSHOT * SLOT_BYTES
+    return newest(image), image[at : at + len(mark)] != mark
+
+
+def boot_id() -> bytes:
+    """Changes with every start of the computer; zeros where the system does not say."""
+    with suppress(OSError):
+        return _BOOT_ID.read_bytes().strip()[:36]
+    return b"\0" * 36
+
+
+def _older(image: bytes) -> int:
+    """The slot to write next: one that is not whole, else the older."""
+    sequences = [-1 if (saved := read_slot(image, k)) is None else saved.sequence for k in range(2)]
+    return sequences.index(min(sequences))
+
+
+def _bytes(path: Path) -> bytes:
+    with suppress(OSError):
+        return path.read_bytes()
+    return b""

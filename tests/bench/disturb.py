@@ -1,0 +1,110 @@
+"""Deadlines that the loop misses at 1 kHz: quiet, with the supervisor stopped, with a log disk that stalls."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rtec.runtime.clock import RealClock
+from rtec.runtime.config import Setup
+from rtec.runtime.supervisor import Supervisor
+from tests import setups
+from tests.bench.table import Row
+
+SECONDS = 10.0
+DISTURBED_S = 5.0
+BEFORE_S = 2.0
+TURNS = 2
+SLACK_MISSES = 5
+"""What two quiet runs differ by on a computer that does other things too."""
+
+Facts = dict[str, Any]
+
+
+def rows() -> list[Row]:
+    """All figures of this file; each the better of two runs, in turns with the quiet one."""
+    runs: dict[str, Callable[[Path], Facts]] = {
+        "quiet": _quiet,
+        f"supervisor stopped for {DISTURBED_S:g} s": _stopped,
+        f"log disk stalled for {DISTURBED_S:g} s": _stalled,
+    }
+    found: dict[str, list[Facts]] = {name: [] for name in runs}
+    for _ in range(TURNS):
+        for name, run in runs.items():
+            with tempfile.TemporaryDirectory() as folder:
+                found[name].append(run(Path(folder)))
+    best = {name: min(facts, key=lambda f: f["deadline_misses"]) for name, facts in found.items()}
+    quiet = best["quiet"]["deadline_misses"]
+    return [_row(name, facts, quiet) for name, facts in best.items()]
+
+
+def _row(name: str, facts: Facts, quiet: int) -> Row:
+    misses, cycles = facts["deadline_misses"], facts["cycles"]
+    value = f"{misses} of {cycles}, wake-up p99.9 {facts['wake_up']['p99_9_us']:.0f} µs"
+    against = f"quiet: {quiet}; rows not logged: {facts['rows_not_logged']}"
+    if name == "quiet":
+        return Row(f"deadlines missed, {name}", value, None, against, "", True)
+    ratio = (misses + 1) / (quiet + 1)
+    met = misses <= quiet + SLACK_MISSES
+    return Row(f"deadlines missed, {name}", value, ratio, against, f"≤ quiet + {SLACK_MISSES}", met)
+
+
+def _quiet(folder: Path) -> Facts:
+    return _here(setups.setup(folder), folder)
+
+
+def _here(setup: Setup, folder: Path) -> Facts:
+    report = Supervisor(setup, folder / "bench.arrows").run(SECONDS)
+    return {**report.summary, "rows_not_logged": report.overruns}
+
+
+def _stopped(folder: Path) -> Facts:
+    """The whole supervisor stands still, by SIGSTOP; its loop is another process."""
+    config = setups.write(folder, setups.tables(folder))
+    command = [sys.executable, "-m", "rtec.cli.main", "run", str(config), "--json", "--duration", str(SECONDS)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        process.stderr.readline()  # it says when the loop begins
+        _after(BEFORE_S)
+        os.kill(process.pid, signal.SIGSTOP)
+        _after(DISTURBED_S)
+        os.kill(process.pid, signal.SIGCONT)
+        told, _ = process.communicate()
+    facts: Facts = json.loads(told)
+    return facts
+
+
+def _stalled(folder: Path) -> Facts:
+    """The disk takes five seconds over one write."""
+    setup = setups.setup(folder)
+    with _slow_disk():
+        return _here(setup, folder)
+
+
+@contextmanager
+def _slow_disk() -> Iterator[None]:
+    real, stalled = os.fdatasync, threading.Event()
+
+    def fdatasync(fd: int) -> None:
+        if threading.current_thread().name == "rtec-disk" and not stalled.is_set():
+            stalled.set()
+            _after(DISTURBED_S)
+        real(fd)
+
+    os.fdatasync = fdatasync  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        os.fdatasync = real
+
+
+def _after(seconds: float) -> None:
+    clock = RealClock()
+    clock.sleep_until_ns(clock.now_ns() + round(seconds * 1e9))
