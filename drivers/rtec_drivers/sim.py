@@ -72,6 +72,7 @@ class SimDriver:
     """
 
     options_model = SimOptions
+    IN_LOOP = True  # the machine is one object, in the time of one clock, wherever its sensors are asked for
     EXAMPLE = """\
 [device.machine]
 driver = "sim"

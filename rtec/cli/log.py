@@ -1,7 +1,6 @@
-"""`rtec log`: look into a log, follow it, turn it into a table."""
+"""`rtec log`: find logs by time, look into one, follow it, turn them into a table."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,97 +9,126 @@ import typer
 from rtec.runtime.clock import Clock, RealClock
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+    from rtec.runtime.log_open import Log
+    from rtec.runtime.log_segment import Segment
 
-    from rtec.runtime.log import LogReader
-    from rtec.runtime.records import Commands, Layout, Samples
-
-app = typer.Typer(no_args_is_help=True, help="Look into a log, follow it while it grows, turn it into a table.")
+app = typer.Typer(
+    no_args_is_help=True, help="Find logs by time, look into one, follow it while it grows, turn them into a table."
+)
 
 _FOLLOW_NS = 250_000_000
-_MODES = {0: "off", 1: "on", 2: "hold"}
 _clock: Clock = RealClock()
 _Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log written by `rtec run`.", show_default=False)]
+_Logs = Annotated[Path, typer.Argument(metavar="LOG", help="A log, or the folder of all of them.", show_default=False)]
+_Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+_From = Annotated[
+    str | None,
+    typer.Option("--from", metavar="TIME", help="From this date and time on, as 2026-03-09T14:30; add Z for UTC."),
+]
+_To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Before this date and time.")]
+
+
+@app.command("list")
+def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: _Json = False) -> None:
+    """Which files hold a stretch of time: of each its dates, rows and size, and whether it is whole.
+
+    Files are in the order in which they were written, whatever the clock on the wall did meanwhile. A damaged file is
+    shown, costs its own rows alone, and gives status 1.
+
+    Example: rtec log list logs --from 2026-03-09T06:00 --to 2026-03-09T14:00
+    """
+    from rtec.cli.log_screen import print_segments
+
+    segments = _segments(logs, from_, to)
+    if as_json:
+        typer.echo(json.dumps([_segment_facts(s) for s in segments]))
+    else:
+        print_segments(segments)
+    if any(s.state == "damaged" for s in segments):
+        raise typer.Exit(1)
 
 
 @app.command()
-def info(
-    log: _Log,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
-) -> None:
+def info(log: _Log, as_json: _Json = False) -> None:
     """What is in a log: versions and hashes, axes and sensors, rows, duration, and whether its end is whole.
 
     Example: rtec log info run.arrows --json
     """
-    from rtec.runtime.log import LogReader
+    from rtec.cli.log_screen import print_facts
+    from rtec.runtime.log_open import open_log
 
-    with LogReader(log) as reader:
+    with open_log(log) as reader:
         facts = _facts(reader)
     if as_json:
         typer.echo(json.dumps(facts))
         return
-    table = _table(["", ""], header=False)
-    for name, value in facts.items():
-        if isinstance(value, dict):
-            for key, text in value.items():
-                table.add_row(key, _shown(text))
-        else:
-            table.add_row(name, _shown(value))
-    _console().print(table)
+    print_facts(facts)
 
 
 @app.command()
 def export(
-    log: _Log,
+    log: _Logs,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Table to write: NAME.parquet or NAME.csv.")],
+    from_: _From = None,
+    to: _To = None,
+    utc: Annotated[
+        bool, typer.Option("--utc", help="A first column `utc` with the date and time of each row.")
+    ] = False,
 ) -> None:
-    """Turn a log into a table with one column a number: counts_X, degc_T_spindle, applied_um_X, ...
+    """Turn a log, or a stretch of time of a folder, into a table: counts_X, degc_T_spindle, applied_um_X, ...
 
     The table appears whole or not at all. Parquet (zstd) keeps the header of the log; CSV has columns only.
 
     Example: rtec log export run.arrows run.parquet
+
+    Example: rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc
     """
     from rtec.cli.progress import bar
-    from rtec.runtime.log import LogReader
     from rtec.runtime.log_export import export as export_log
 
-    with LogReader(log) as reader, bar(out.name) as progress:
+    with _opened(log, from_, to, utc) as reader, bar(out.name) as progress:
         total = reader.rows
-        rows = export_log(reader, out, lambda done: progress(done, total))
+        rows = export_log(reader, out, lambda done: progress(done, total), utc=utc)
     typer.echo(f"{rows} rows written to {out}")
+    for text in getattr(reader, "troubles", []):
+        typer.echo(f"not in it: {text}", err=True)
+    if getattr(reader, "troubles", []):
+        raise typer.Exit(1)
 
 
 @app.command()
 def tail(
-    log: _Log,
+    log: _Logs,
     n: Annotated[int, typer.Option("-n", "--lines", min=0, help="Rows from the end.")] = 20,
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on as the log grows, until Ctrl-C.")] = False,
     degc: Annotated[bool, typer.Option("--degc", help="Show the temperatures too.")] = False,
 ) -> None:
     """Show the last rows of a log: per axis the counts, the requested and applied correction, and the output.
 
+    Of a folder, those of its newest file; with `--follow` those of the files after it, too.
+
     Example: rtec log tail run.arrows -n 5 --follow
     """
-    from rtec.runtime.log import LogReader
+    from rtec.cli.log_screen import print_rows
+    from rtec.runtime.log_names import newest_log
+    from rtec.runtime.log_open import open_log
 
+    path: Path | None = newest_log(log)
     try:
-        with LogReader(log) as reader:
-            first = max(0, reader.rows - n)
-            _print_rows(reader, first, degc=degc, header=True)
-            while follow:
-                first = reader.rows
-                _clock.sleep_until_ns(_clock.now_ns() + _FOLLOW_NS)
-                reader.refresh()
-                _print_rows(reader, first, degc=degc, header=False)
+        header = True
+        while path is not None:
+            with open_log(path) as reader:
+                print_rows(reader, max(0, reader.rows - n) if header else 0, degc=degc, header=header)
+                header = False
+                path = _follow(reader, log, degc=degc) if follow else None
     except KeyboardInterrupt:
         raise typer.Exit(130) from None
 
 
-def _facts(reader: "LogReader") -> dict[str, Any]:
+def _facts(reader: "Log") -> dict[str, Any]:
     """The content of `info`; these names are the keys of its JSON."""
     rows = reader.rows
-    first_ns, last_ns = (_time_ns(reader, 0), _time_ns(reader, rows - 1)) if rows else (0, 0)
+    first_ns, last_ns = reader.span_ns or (0, 0)
     return {
         "log": str(reader.path),
         "header": reader.header,
@@ -114,73 +142,53 @@ def _facts(reader: "LogReader") -> dict[str, Any]:
     }
 
 
-def _time_ns(reader: "LogReader", row: int) -> int:
-    samples, _ = next(reader.blocks(1, start=row))
-    return int(samples.time_ns[0])
+def _follow(reader: "Log", logs: Path, *, degc: bool) -> Path:
+    """Print what is appended, until the next file begins; give that."""
+    from rtec.cli.log_screen import print_rows
+    from rtec.runtime.log_names import next_log
+
+    while True:
+        first = reader.rows
+        _clock.sleep_until_ns(_clock.now_ns() + _FOLLOW_NS)
+        following = next_log(logs, reader.path)  # looked for first: once it is there, this one has all its rows
+        reader.refresh()
+        print_rows(reader, first, degc=degc, header=False)
+        if following is not None:
+            return following
 
 
-def _shown(value: object) -> str:
-    if isinstance(value, list):
-        return ", ".join(map(str, value)) or "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.3f}" if isinstance(value, float) else str(value)
+def _segments(logs: Path, from_: str | None, to: str | None) -> "list[Segment]":
+    from rtec.cli.progress import bar
+    from rtec.runtime.log_stretch import segments_of
+    from rtec.runtime.log_time import instant_ns
+
+    bounds = [None if text is None else instant_ns(text) for text in (from_, to)]
+    with bar(logs.name) as progress:
+        return segments_of(logs, bounds[0], bounds[1], progress)
 
 
-def _print_rows(reader: "LogReader", first: int, *, degc: bool, header: bool) -> None:
-    """Print all rows from `first` on; without new rows only the heading, if wanted."""
-    table = _table(_headings(reader.layout, degc=degc), header=header)
-    for block in reader.blocks(start=first):
-        for cells in _cells(*block, degc=degc):
-            table.add_row(*cells)
-    if header or table.row_count:
-        _console().print(table)
+def _opened(logs: Path, from_: str | None, to: str | None, utc: bool) -> "Log":
+    """One file as it is; else a stretch."""
+    from rtec.runtime.log_open import open_log
+    from rtec.runtime.log_stretch import LogStretch
+    from rtec.runtime.log_time import instant_ns
+
+    if not logs.is_dir() and from_ is None and to is None and not utc:
+        return open_log(logs)
+    bounds = [None if text is None else instant_ns(text) for text in (from_, to)]
+    return LogStretch(logs, _segments(logs, from_, to), bounds[0], bounds[1])
 
 
-def _headings(layout: "Layout", *, degc: bool) -> list[str]:
-    titles = ("counts {}", "requested {} µm", "applied {} µm", "output {}")
-    per_axis = [title.format(axis) for axis in layout.axes for title in titles]
-    temperatures = [f"{sensor} °C" for sensor in layout.sensors] if degc else []
-    return ["time s", "mode", *per_axis, *temperatures, "flags"]
+def _segment_facts(segment: "Segment") -> dict[str, Any]:
+    """A file in `list`; these names are the keys of its JSON."""
+    from rtec.runtime.log_time import utc_text
 
-
-def _cells(samples: "Samples", commands: "Commands", *, degc: bool) -> Iterator[list[str]]:
-    for i in range(len(samples)):
-        mode = int(samples.mode[i])
-        cells = [f"{samples.time_ns[i] * 1e-9:.6f}", _MODES.get(mode, str(mode))]
-        per_axis = zip(
-            samples.counts[i], commands.requested_um[i], commands.applied_um[i], commands.output[i], strict=True
-        )
-        for counts, requested_um, applied_um, output in per_axis:
-            cells += [str(counts), f"{requested_um:.3f}", f"{applied_um:.3f}", str(output)]
-        temperatures = [f"{t:.3f}" for t in samples.degc[i]] if degc else []
-        yield [*cells, *temperatures, _flags(int(commands.flags[i]))]
-
-
-def _flags(bits: int) -> str:
-    from rtec.correction.guard import Flag
-
-    return ",".join(f.name.lower() for f in Flag if bits & f and f.name) or "-"
-
-
-def _table(headings: list[str], *, header: bool) -> "Table":
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, show_header=header, pad_edge=False)
-    *headings, last = headings
-    for heading in headings:
-        # As wide as usual values, so that the rows that follow later stand below the first ones.
-        width = max(12, len(heading)) if heading else None
-        # Text: a sensor name with brackets is no markup.
-        table.add_column(Text(heading), justify="right" if heading else "left", min_width=width, no_wrap=bool(heading))
-    table.add_column(Text(last), no_wrap=bool(last))
-    return table
-
-
-def _console() -> "Console":
-    """A console that never folds a table when its output goes to a file or a program."""
-    from rich.console import Console
-
-    console = Console(markup=False, highlight=False)
-    return console if console.is_terminal else Console(markup=False, highlight=False, width=100_000)
+    return {
+        "log": str(segment.path),
+        "state": segment.state,
+        "from": None if segment.from_ns is None else utc_text(segment.from_ns),
+        "to": None if segment.to_ns is None else utc_text(segment.to_ns),
+        "rows": segment.rows,
+        "bytes": segment.bytes,
+        "why": segment.why,
+    }

@@ -12,18 +12,24 @@ from rtec import __version__
 from rtec.cli import (
     ballbar,
     compare,
+    ctl,
     demo,
     diagnose,
+    doctor,
+    drivers,
     effects,
     fit,
     grid,
+    hil,
     import_,
+    keys,
     log,
     plan,
     procedures,
     replay,
     run,
     simulate,
+    status,
 )
 from rtec.errors import RtecError
 
@@ -47,7 +53,10 @@ app.command("import")(import_.import_)
 app.command()(simulate.simulate)
 app.command()(fit.fit)
 app.command()(effects.effects)
+app.command()(drivers.drivers)
+app.command()(doctor.doctor)
 app.command()(compare.compare)
+app.command()(hil.hil)
 for _command in (diagnose.diagnose, diagnose.add, diagnose.improve, diagnose.history):
     app.command()(_command)
 app.command()(plan.plan)
@@ -55,6 +64,9 @@ for _procedure in (procedures.iso230, procedures.straightness, procedures.parall
     app.command()(_procedure)
 for _instrument in (ballbar.ballbar, grid.grid):
     app.command()(_instrument)
+app.command("status")(status.status)
+app.add_typer(ctl.app, name="ctl")
+app.add_typer(keys.app, name="keys")
 app.add_typer(log.app, name="log")
 
 

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -18,6 +18,17 @@ def plan(
         typer.Option(help="What is to be found: scale:EXX,backlash:EXX,axis_expansion:EXX:sensor=T_bed."),
     ] = None,
     model: Annotated[Path | None, typer.Option(metavar="MODEL", help="The effects of this model instead.")] = None,
+    rivals: Annotated[
+        str | None, typer.Option(help="Rank tests by how well they tell these effects from each other.")
+    ] = None,
+    ball_bar: Annotated[
+        Literal["linear", "non-linear"] | None,
+        typer.Option("--ball-bar", help="The parameters of `rtec ballbar`: straight guides, or bent ones."),
+    ] = None,
+    centre: Annotated[
+        Literal["shared", "each"],
+        typer.Option(help="Ball bar: the table-side ball stays from test to test, or each test has its own."),
+    ] = "shared",
     noise: Annotated[float, typer.Option(min=1e-4, help="White noise of a reading, µm or µrad.")] = 0.5,
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for tests to add.")] = True,
     report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write report.html and result.json here.")] = None,
@@ -26,14 +37,18 @@ def plan(
     """Say which parameters a set of tests separates, which stay confounded, and what test to add.
 
     Nothing needs to have been measured: a planned test is a TOML file with [measurement] and [setup] as beside a
-    measurement, and [targets] and [[phase]] as `rtec simulate --settings` takes them.
+    measurement, and [targets], [path] and [[phase]] as `rtec simulate --settings` takes them.
 
     Example: `rtec plan configs/machines/turning-centre.toml laser-x.toml --effects scale:EXX,guide_curvature:EBX`
+
+    `rtec plan machine.toml circle-ccw.toml circle-cw.toml --ball-bar non-linear`
+
+    `rtec plan machine.toml laser-x.csv --rivals backlash:EXX,servo_lag:EXX`
     """
     from rtec.cli.progress import stages
     from rtec.cli.show import show_page
-    from rtec.diagnosis.plan import propose, separation
-    from rtec.diagnosis.plan_tests import extra_tests, load_test, thinned, wanted_effects
+    from rtec.diagnosis.plan_answer import Question, answer
+    from rtec.diagnosis.plan_tests import load_test, thinned
     from rtec.machine import load_machine
     from rtec.report.plan import plan_page
     from rtec.report.procedures import plain, write_page
@@ -42,22 +57,9 @@ def plan(
     with stages() as stage:
         stage("reading the tests", 0, 1)
         given = [thinned(load_test(t, known)) for t in tests]
-        asked = wanted_effects(effects, model, given, known)
-        sizes = {m.name: noise for m in given}
-        found = separation(asked, given, sizes)
-        proposals = []
-        if suggest and (not found.complete or found.condition > 30.0):
-            stage("looking for tests to add", 0, 1)
-            proposals = propose(asked, given, extra_tests(known), sizes)
-    page = plan_page(found, proposals, [m.name for m in given])
-    facts = found.facts() | {
-        "tests": [m.name for m in given],
-        "proposals": [
-            {"test": p.test.name, "hours": p.test.hours, "rank": p.after.rank, "gained": list(p.gained),
-             "condition_number": p.after.condition}
-            for p in proposals
-        ],
-    }  # fmt: skip
+        question = Question(effects, model, ball_bar, rivals, centre, noise, suggest)
+        found = answer(known, given, question, stage)
+    page, facts = plan_page(found), found.facts()
     written = write_page(page, facts, report) if report else None
     if as_json:
         typer.echo(json.dumps(plain(facts), indent=2, ensure_ascii=False))

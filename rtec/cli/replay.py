@@ -16,7 +16,8 @@ MORE = "and {} rows more"
 def replay(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="Run file: machine, model, limits.")],
     log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="A log of `rtec run` (.arrows), or a logic-analyser capture (.sr).")
+        Path,
+        typer.Argument(metavar="LOG", help="A log of `rtec run`, a folder of logs, or a capture (.sr)."),
     ],
     check: Annotated[
         bool,
@@ -30,7 +31,8 @@ def replay(
 ) -> None:
     """Run a log, or a logic-analyser capture, through the same step as the daemon, as fast as it goes.
 
-    A log gives its commands anew, into a new log; with `--check` they are compared with those that were sent. A
+    A log gives its commands anew, into a new log; with `--check` they are compared with those that were sent. Of a
+    folder every log is checked, each from its own beginning; a log that is packed (.parquet) is as good. A
     capture (sigrok `.sr`) gives a capture with corrected A/B lines that sigrok opens, and a table of counts; the run
     file's `[capture]` section names the channels.
 
@@ -47,16 +49,16 @@ def replay(
             raise ConfigError("--check compares with logged commands; a capture has none, leave it out")
         _capture(setup, log, out, as_json)
     else:
-        _log(setup, log, out, check, as_json)
+        _log(setup, log, out, check or log.is_dir(), as_json)
 
 
 def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool) -> None:
     from rtec.cli.progress import bar
-    from rtec.runtime.replay import replay_log
+    from rtec.runtime.log_replay import replay_logs
 
-    target = out or (None if check else log.with_name(f"{log.stem}.replay.arrows"))
+    target = out or (None if check or log.is_dir() else log.with_name(f"{log.stem}.replay.arrows"))
     with bar(log.name) as progress:
-        report = replay_log(setup, log, target, check, progress)
+        report = replay_logs(setup, log, target, check, progress)
     if as_json:
         facts = dataclasses.asdict(report) | {"out": str(report.out) if report.out else None, "checked": check}
         typer.echo(json.dumps(facts, indent=2))
@@ -74,7 +76,9 @@ def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool
             typer.echo(f"{report.rows} commands checked: {verdict}")
         if report.out:
             typer.echo(f"{report.rows} commands written to {report.out}")
-    if report.different:
+        for text in report.unread:
+            typer.echo(f"not checked: {text}")
+    if report.different or report.unread:
         raise typer.Exit(1)
 
 

@@ -38,11 +38,15 @@ def run(
         _dry_run(setup, as_json)
         return
     from rtec.cli.run_screen import Screen, show_report
+    from rtec.runtime.clock import RealClock
+    from rtec.runtime.control import Control
     from rtec.runtime.supervisor import Supervisor, new_log_path
 
     path = log or new_log_path(setup)
     with Screen(setup, duration, path, quiet=as_json) as screen:
-        report = Supervisor(setup, path, screen.update, screen.started).run(duration)
+        supervisor = Supervisor(setup, path, screen.update, screen.started)
+        with Control(setup, supervisor, RealClock()):
+            report = supervisor.run(duration)
     if as_json:
         typer.echo(json.dumps(_facts(report), indent=2))
     else:

@@ -43,6 +43,8 @@ BESIDE = 3
 ADEQUATE, LEAST = 0.95, 0.7
 """An effect that explains this share of what the best shape explains describes it, though the shape be likelier; and
 one below the least describes nothing."""
+LITTLE = 0.25
+"""A fall of the mean square on runs left out below this is little."""
 MOSTLY = 0.5
 """Two effects that only help together must take away at least this share of the mean square on runs left out."""
 MOST = 14
@@ -111,7 +113,9 @@ class _Search:
         best = tried[0] if tried else None
         accepted = best is not None and self._accepts(best, p)
         named, share, unknown = self._adequate(best if accepted else None)
-        pair = None if accepted and named else self._pair(tried)
+        # One that brings next to nothing alone, and is named for what it does beside another, is half of a pair.
+        half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
+        pair = None if accepted and named and not half else self._pair(tried)
         if pair is not None:
             numbers = [t.number for t in pair]
             tried = [*pair, *(t for t in tried if t.number not in numbers)]

@@ -12,6 +12,7 @@ from rtec.correction.sinks import PulseSink, Sink
 from rtec.errors import ConfigError, RtecError
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
+from rtec.runtime.control_settings import ControlTable
 from rtec.runtime.inputs import Inputs, loop_faults
 from rtec.runtime.log_settings import LogTable
 from rtec.runtime.step import StepSettings
@@ -103,6 +104,7 @@ class RunFile(Strict):
     output: dict[str, Sink] = Field(default_factory=dict)
     realtime: Realtime = Field(default_factory=Realtime)
     log: LogTable = Field(default_factory=LogTable)
+    control: ControlTable = Field(default_factory=ControlTable)
     capture: CaptureTable | None = None
     hil: dict[str, Any] | None = None
 

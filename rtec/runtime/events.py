@@ -36,15 +36,21 @@ class Events:
 
     Args:
         path: the file, appended to; None: they are only kept.
+
+    Attributes:
+        newest: the last of them.
+        total: how many there were.
     """
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self.newest: deque[Event] = deque(maxlen=REMEMBERED)
+        self.total = 0
 
     def note(self, event: Event) -> None:
         """Keep it in memory."""
         self.newest.append(event)
+        self.total += 1
 
     def write(self, event: Event) -> None:
         """Write it to the file.

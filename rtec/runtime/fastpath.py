@@ -6,8 +6,9 @@ through the ring, or when the supervisor is gone; in each case the devices hold,
 
 import signal
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from rtec.runtime.config import Setup, load_setup
 from rtec.runtime.devices import Ports, make_devices, open_ports
 from rtec.runtime.loop import Loop, bind_rows
 from rtec.runtime.ports import OneWay
+from rtec.runtime.published import Published
 from rtec.runtime.realtime import prepare_process
 from rtec.runtime.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
 from rtec.runtime.recover import Found, Start, allowed, recover
@@ -29,6 +31,7 @@ from rtec.runtime.ring import Ring
 from rtec.runtime.state import Saved, StateWriter, newest, state_text, structure_of, units_of
 from rtec.runtime.state_files import StatePlaces, read_disk, state_memory
 from rtec.runtime.step import Step
+from rtec.runtime.workers import worker_ports
 
 REHEARSAL_CYCLES = 100
 FIRST_TRIES = 5
@@ -49,18 +52,21 @@ class Orders:
         ring: name of the ring.
         cycles: how many; None: until it is stopped.
         places: where the state is kept.
+        workers: memory of the devices that a worker reads, by device.
     """
 
     config: Path
     ring: str
     cycles: int | None
     places: StatePlaces
+    workers: Mapping[str, Published] = field(default_factory=dict)
 
 
 def fast_path(told: Orders, pipe: Connection) -> None:
     """Run the loop; tell the supervisor through the pipe: ("ready", …), then ("done", …) or ("error", text)."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # the order to resume is the supervisor's, and comes through the ring
     try:
         _tell(pipe, "done", _run(told, pipe))
@@ -84,7 +90,8 @@ def _run(told: Orders, pipe: Connection) -> dict[str, Any]:
         ring = stack.enter_context(Ring.attach(told.ring))
         image = stack.enter_context(state_memory(told.places.memory, clock))
         rows = bind_rows(step, ring.slots)
-        ports = open_ports(setup, make_devices(setup, clock), stack)
+        here = make_devices(setup, clock)  # all of them, so that all faults of the run file are told together
+        ports = open_ports(setup, {**here, **worker_ports(told.workers, setup.machine, clock)}, stack)
         found = _found(told.places, image, setup, ports, step)
         start = recover(step, found)
         loop = Loop(step, ports, clock, setup.period_ns, rows, start.mode)

@@ -167,7 +167,7 @@ class Deadlines:
     Attributes:
         lost: all of them.
         own: while the loop used clearly more processor time than usual: our own code may be the cause.
-        taken_away: while the loop was ready to run and another process, or the host, had its processor.
+        taken_away: while another process had its processor, or the host took it away, as far as the host tells.
         behind_worker: the loop waited, with a processor at hand, while another thread of its process had none: that one
             may have held the interpreter.
         usual_cpu_us: processor time of a cycle; 19 in 20 stretches of 20 ms need no more.

@@ -110,4 +110,5 @@ def _utc(reader: Log, samples: Samples) -> "pa.Array[Any]":
     offset_ns = getattr(reader, "offset_ns", None)
     if offset_ns is None:
         return pa.nulls(len(samples), _UTC)
-    return pa.array(samples.time_ns + offset_ns).cast(_UTC)
+    found: pa.Array[Any] = pa.array(samples.time_ns + offset_ns).cast(_UTC)
+    return found

@@ -5,11 +5,11 @@ process that packs and removes (`rtec.runtime.log_tidy`) is only started and loo
 """
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen, TimeoutExpired
 from typing import Final
 
 from rtec.runtime.clock import Clock
@@ -59,7 +59,7 @@ class Keeper:
         self._path: Path | None = None
         self._begun_ns, self._offset_ns = now, 0
         self._ordered = False
-        self._tidier: subprocess.Popen[bytes] | None = None
+        self._tidier: Popen[bytes] | None = None
         self._known: frozenset[Path] = frozenset()
 
     def look(self, recording: Recording, newest: Callable[[], Saved | None]) -> None:
@@ -79,7 +79,7 @@ class Keeper:
         if self._tidier is None:
             return
         self._tidier.terminate()
-        with suppress(subprocess.TimeoutExpired):
+        with suppress(TimeoutExpired):
             self._tidier.communicate(timeout=END_S)
             return
         self._tidier.kill()
@@ -135,13 +135,13 @@ class Keeper:
             wanted,
         ]
         try:
-            self._tidier = subprocess.Popen(  # noqa: S603 (our own module)
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            self._tidier = Popen(  # noqa: S603 (our own module)
+                command, stdin=DEVNULL, stdout=PIPE, stderr=PIPE
             )
         except OSError as error:
             self.trouble = f"logs are not packed: {error.strerror}"
 
-    def _take_in(self, ended: "subprocess.Popen[bytes]") -> None:
+    def _take_in(self, ended: "Popen[bytes]") -> None:
         out, err = ended.communicate()
         try:
             found = json.loads(out)

@@ -27,10 +27,14 @@ class Notifier:
         address: path of the socket, or its abstract name behind an `@`; "": nobody asks.
         watchdog_ns: longest time between two signs of life; 0: nobody asks for them.
         clock: monotonic.
+
+    Attributes:
+        asked: whether a service manager listens.
     """
 
     def __init__(self, address: str, watchdog_ns: int, clock: Clock) -> None:
         self._address = "\0" + address[1:] if address.startswith("@") else address
+        self.asked = bool(address)
         self._clock, self._period_ns = clock, watchdog_ns // _PARTS
         self._ready = False
         self._cycles, self._text = -1, ""
@@ -50,8 +54,9 @@ class Notifier:
         now = self._clock.now_ns()
         if not self._ready and status.cycles and not status.flags & NOT_GOOD:
             self._ready = self._send(f"READY=1\nSTATUS={_words(status)}")
-        if self._period_ns and status.cycles != self._cycles and now >= self._next_life_ns and self._send("WATCHDOG=1"):
-            self._cycles, self._next_life_ns = status.cycles, now + self._period_ns
+        lives, self._cycles = status.cycles != self._cycles, status.cycles
+        if self._period_ns and lives and now >= self._next_life_ns and self._send("WATCHDOG=1"):
+            self._next_life_ns = now + self._period_ns
         if now >= self._next_text_ns:
             self._next_text_ns = now + STATUS_NS
             self._tell(_words(status))

@@ -37,6 +37,7 @@ from rtec.runtime.signals import signals, signals_wait
 from rtec.runtime.state_files import DiskState, read_memory, remove_memory, state_places
 from rtec.runtime.status import Report, Status
 from rtec.runtime.watch import Watch
+from rtec.runtime.workers import Workers
 
 __all__ = ["Report", "Status", "Supervisor", "new_log_path"]
 
@@ -51,7 +52,8 @@ Rows = Callable[[Samples, Commands], None]
 class Supervisor:
     """Runs a setup on the real clock.
 
-    The signals INT and TERM end the run in order; USR1 is the operator's order to resume.
+    The signals INT and TERM end the run in order; so does HUP, the end of the terminal, but where a service manager
+    looks after the daemon it is the order to reload. USR1 is the operator's order to resume.
 
     Args:
         setup: what runs.
@@ -122,6 +124,14 @@ class Supervisor:
         """Order the devices to go on after a reset or a lost position."""
         self.order(Order.RESUME)
 
+    def note(self, what: str, text: str) -> None:
+        """Put something that rtec saw itself into the events; from any thread."""
+        self._note_of_disk(what, text)
+
+    def recent_events(self, most: int) -> tuple[int, list[Event]]:
+        """How many events there were, and the newest of them; from any thread."""
+        return self.events.total, list(self.events.newest)[-most:]
+
     def end(self) -> None:
         """End the run in order, as Ctrl-C does; from any thread."""
         self._ended = True
@@ -135,16 +145,17 @@ class Supervisor:
         cycles = None if duration_s is None else max(1, round(duration_s * self.setup.file.run.rate_hz))
         capacity = max(64, round(RING_SECONDS * self.setup.file.run.rate_hz))
         context = multiprocessing.get_context("spawn")
-        with Ring.create(self.layout, capacity) as ring, signals(self._on_signal):
+        workers = Workers(self.setup, self._clock, lambda text: self._note_of_disk("worker", text))
+        with Ring.create(self.layout, capacity) as ring, signals(self._on_signal), workers:
             ring.orders.mode = MODES_BY_NAME[self.setup.file.run.mode]
             here, there = context.Pipe()
-            told = Orders(self.setup.path, ring.name, cycles, self._places)
+            told = Orders(self.setup.path, ring.name, cycles, self._places, workers.memories)
             process = context.Process(target=fast_path, args=(told, there), name="rtec-loop", daemon=True)
             with signals_wait():
                 process.start()
             there.close()
             try:
-                return self._supervise(ring, here, process)
+                return self._supervise(ring, here, process, workers)
             finally:
                 ring.stop_requested = 1
                 process.join(STOP_TIMEOUT_S)
@@ -152,14 +163,16 @@ class Supervisor:
                     process.kill()
                     process.join()
 
-    def _supervise(self, ring: Ring, pipe: Connection, process: Any) -> Report:
+    def _supervise(self, ring: Ring, pipe: Connection, process: Any, workers: Workers) -> Report:
+        while not pipe.poll(DRAIN_PERIOD_NS * 1e-9) and process.is_alive():
+            workers.look(again=False)
         ready = self._receive(pipe, process)
         ring.unlink()  # both sides have it: now it goes with the last of them, however that ends
         self.warnings += ready["warnings"]
         self._recording.begin(Begin.at_start(ready["output"], ready["state"]))
         with self._to_disk() as disk:
             self._on_start()
-            self._until_done(ring, pipe, process, disk)
+            self._until_done(ring, pipe, process, disk, workers)
             self._notifier.stopping()
             summary = self._receive(pipe, process)
             while self._drain(ring, disk):
@@ -176,7 +189,7 @@ class Supervisor:
             largest_um=self._watch.largest_um,
         )
 
-    def _until_done(self, ring: Ring, pipe: Connection, process: Any, disk: DiskThread) -> None:
+    def _until_done(self, ring: Ring, pipe: Connection, process: Any, disk: DiskThread, workers: Workers) -> None:
         flush_ns = round(self.setup.file.run.flush_s * 1e9)
         next_flush = self._clock.now_ns() + flush_ns
         while not pipe.poll() and process.is_alive():
@@ -184,6 +197,7 @@ class Supervisor:
             ring.consumer_heartbeat_ns = now
             if self._interrupted or self._ended:
                 ring.stop_requested = 1
+            workers.look()
             self._carry_out(ring)
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
@@ -231,7 +245,7 @@ class Supervisor:
             yield disk
 
     def _note_of_disk(self, what: str, text: str) -> None:
-        """Note what the thread that writes the log saw itself."""
+        """Note what the thread that writes the log, or who keeps the workers, saw itself."""
         event = Event(self._watch.rows - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, "rtec")
         self.events.note(event)
         if self._disk is not None:
@@ -272,14 +286,19 @@ class Supervisor:
         del frame
         if number == signal.SIGUSR1:
             self._orders.put((Order.RESUME, "signal USR1", "signal"))
+        elif number == signal.SIGHUP and self._notifier.asked:
+            self._orders.put((Order.RELOAD, "signal HUP", "signal"))
         else:
             self._interrupted = True
 
 
 def log_folder(setup: Setup) -> Path | None:
-    """Folder of the logs of a run file; None: no log is asked for."""
+    """Folder of the logs of a run file, else the one that systemd gives (LOGS_DIRECTORY); None: no log is asked for."""
     folder = setup.file.run.log_folder
-    return None if folder is None else (setup.base / folder).resolve()
+    if folder is None:
+        given = os.environ.get("LOGS_DIRECTORY", "").split(":", maxsplit=1)[0]
+        return Path(given).resolve() if given else None
+    return (setup.base / folder).resolve()
 
 
 def new_log_path(setup: Setup) -> Path | None:

@@ -6,14 +6,16 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from tests.bench import boxlink, cycle, diagnose, fit, quadrature, startup, wakeup
+from tests.bench import boxlink, cycle, diagnose, disturb, fit, logs, quadrature, startup, wakeup
 from tests.bench.table import Row
 
 PARTS = {
     "boxlink": boxlink.rows,
     "cycle": cycle.rows,
     "diagnose": diagnose.rows,
+    "disturb": disturb.rows,
     "fit": fit.rows,
+    "logs": logs.rows,
     "quadrature": quadrature.rows,
     "startup": startup.rows,
     "wakeup": wakeup.rows,

@@ -10,12 +10,13 @@ from rtec.runtime.hil_result import WITHIN, Check, Comparison, FaultFound
 from rtec.runtime.replay import replay_log
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS
-from rtec_drivers.hil.logbook import Logbook
+from rtec_drivers.hil.logbook import Logbook, held_spans
 from rtec_drivers.hil.track import Track, errors_um, inside
 from rtec_drivers.hil.watch import Watch
 
 AT_END_S = 0.05
 """Held so near to the end is held for good, as far as this run can tell."""
+HICCUP_S = 0.1
 LEAST_QUIET_S = 5.0
 """Less time without faults says nothing about accuracy."""
 ROUNDING = 1e-6
@@ -35,12 +36,12 @@ def faults_found(
 ) -> list[FaultFound]:
     """What each of them did until the next one behind its end; those that overlap share what was held."""
     seconds, error = logbook.seconds(watch.start_ns), np.abs(errors_um(track, names))
-    period_s = on_s / max(1, len(seconds))
+    period_s, spans = on_s / max(1, len(seconds)), held_spans(logbook, watch.start_ns)
     out = []
     for k, order in enumerate(faults):
         until_s = min([f.at_s for f in faults if f.at_s > order.end_s] + [on_s])
         mine = inside(seconds, [(order.at_s, until_s)])
-        recovered_s = _recovered_s(seconds[mine & logbook.held], order, until_s)
+        recovered_s = _recovered_s(spans, order, until_s)
         meanwhile = inside(track.time_s, [(order.at_s, order.end_s + (recovered_s if recovered_s > 0.0 else 0.0))])
         during = inside(seconds, [(order.at_s, order.end_s)])
         told = watch.told[k]
@@ -59,12 +60,19 @@ def faults_found(
     return out
 
 
-def _recovered_s(held_at: "np.ndarray[tuple[int], np.dtype[np.float64]]", order: FaultOrder, until_s: float) -> float:
-    """From the fault's end until the last instant held; 0 where none is behind its end, NaN where it never ends."""
-    if not len(held_at) or held_at[-1] <= order.end_s:
+def _recovered_s(spans: Spans, order: FaultOrder, until_s: float) -> float:
+    """From the fault's end until the last instant held; 0 where none is behind its end, NaN where it never ends.
+
+    A hold for some cycles that begins behind the fault's end is a hiccup of this PC.
+    """
+    behind = [
+        min(high, until_s)
+        for low, high in spans
+        if high > order.end_s and low < until_s and (low <= order.end_s or high - low > HICCUP_S)
+    ]
+    if not behind:
         return 0.0
-    last_s = float(held_at[-1])
-    return math.nan if last_s > until_s - AT_END_S else last_s - order.end_s
+    return math.nan if max(behind) > until_s - AT_END_S else max(behind) - order.end_s
 
 
 def quiet_spans(found: Sequence[FaultFound], settle_s: float, on_s: float) -> list[tuple[float, float]]:

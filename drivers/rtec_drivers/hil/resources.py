@@ -35,6 +35,8 @@ class Step:
         cycles, misses: of the loop.
         cpu_ns, waited_ns: of its thread: on a processor, and ready but without one.
         workers_waited_ns: the same of its other threads, which may hold the interpreter meanwhile.
+        stolen_ns: taken from this virtual PC by its host, of all processors, in steps of 10 ms; the kernel counts it as
+            the thread's own time where it hits one.
     """
 
     cycles: int
@@ -42,6 +44,12 @@ class Step:
     cpu_ns: int
     waited_ns: int
     workers_waited_ns: int
+    stolen_ns: int
+
+    @property
+    def own_ns(self) -> int:
+        """Processor time of the loop's thread without what the host took."""
+        return max(0, self.cpu_ns - self.stolen_ns)
 
 
 @dataclass
@@ -67,10 +75,10 @@ class Resources:
         self._series: dict[tuple[str, str], Series] = {}
         self._next_s = 0.0
         self._loop: int | None = None
-        self._before: tuple[int, int, int, int, int] | None = None
+        self._before: tuple[int, int, int, int, int, int] | None = None
         self._lost: list[Step] = []
         self._cycles = 0
-        self._cpu = Histogram()
+        self._cpu, self._workers = Histogram(), Histogram()
 
     def look(self, status: Status) -> None:
         """Note what is so now; once a second for memory, files and threads."""
@@ -94,13 +102,18 @@ class Resources:
     def deadlines(self, period_ns: float) -> Deadlines:
         """Lost deadlines, and how many of them the loop's own code may have cost."""
         usual_us = self._cpu.percentile_us(USUAL_PERCENT)
-        enough_ns = OWN_SHARE * period_ns
-        own = [s for s in self._lost if s.cpu_ns - usual_us * 1e3 * s.cycles > enough_ns * s.misses]
-        away = [s for s in self._lost if s not in own and s.waited_ns > enough_ns]
-        rest = [s for s in self._lost if s not in own and s not in away]
-        behind = [s for s in rest if s.workers_waited_ns > enough_ns]
-        lost, mine, taken, worker = (sum(s.misses for s in steps) for steps in (self._lost, own, away, behind))
-        return Deadlines(lost, mine, taken, worker, usual_us)
+        usual_wait_us = self._workers.percentile_us(USUAL_PERCENT)
+        lost, own, behind, away = 0, 0, 0, 0
+        for step in self._lost:
+            lost += step.misses
+            enough_ns = OWN_SHARE * period_ns * step.misses
+            if step.own_ns - usual_us * 1e3 * step.cycles > enough_ns:
+                own += step.misses
+            elif step.stolen_ns > 0 or step.waited_ns > enough_ns:
+                away += step.misses
+            elif step.workers_waited_ns - usual_wait_us * 1e3 * step.cycles > enough_ns:
+                behind += step.misses
+        return Deadlines(lost, own, away, behind, usual_us)
 
     def checks(self, period_ns: float) -> list[Check]:
         """What must be so."""
@@ -135,7 +148,8 @@ class Resources:
         except (OSError, ValueError):  # it is just ending
             return
         cpu_ns, waited_ns = threads.pop(self._loop, (0, 0))
-        now = (status.cycles, status.misses, cpu_ns, waited_ns, sum(waited for _, waited in threads.values()))
+        workers_ns = sum(waited for _, waited in threads.values())
+        now = (status.cycles, status.misses, cpu_ns, waited_ns, workers_ns, _stolen_ns())
         if self._before is None:
             self._before = now
         if now[0] == self._before[0]:
@@ -144,8 +158,15 @@ class Resources:
         self._before = now
         self._cycles += step.cycles
         self._cpu.add(step.cpu_ns // step.cycles)
+        self._workers.add(step.workers_waited_ns // step.cycles)
         if step.misses:
             self._lost.append(step)
+
+
+def _stolen_ns() -> int:
+    """What the host took from this PC since it started, of all processors together; 0 where it does not tell."""
+    words = (PROC / "stat").read_text().split(maxsplit=9)
+    return int(words[8]) * 1_000_000_000 // os.sysconf("SC_CLK_TCK")
 
 
 def _times(thread: Path) -> tuple[int, int]:

@@ -1,0 +1,122 @@
+"""`rtec hil`: the daemon against a simulated machine behind real buses."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rtec.report.html import Page
+    from rtec.runtime.hil import Bench, HilOrder, SoakOrder
+
+
+def hil(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="CONFIG", help="Run file with a section [hil].", show_default=False)
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="NAME@30s[+10s]",
+            help="Make this happen, seconds after the correction goes on; repeatable. `list` tells them all.",
+            show_default=False,
+        ),
+    ] = None,
+    off_s: Annotated[
+        float | None, typer.Option("--off", min=1.0, max=1e6, help="Seconds uncorrected; else as the run file says.")
+    ] = None,
+    on_s: Annotated[
+        float | None, typer.Option("--on", min=1.0, max=1e6, help="Seconds corrected; longer where faults need it.")
+    ] = None,
+    soak: Annotated[
+        float | None,
+        typer.Option(
+            "--soak", metavar="MINUTES", min=0.5, max=1e6, help="Instead: run corrected for so long, faults by chance."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults of --soak.")] = 1,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="DIR", help="Write figure, report.html, result.json and the log here."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+) -> None:
+    """Run the daemon against simulated hardware: a machine behind real serial, Modbus and CAN lines, on the real clock.
+
+    The devices of the run file stay as they are, but for their ports: behind those stand an encoder box, Modbus slaves
+    and a CAN adapter in processes of their own. The machine runs uncorrected, then corrected, beside the all-simulated
+    run of the same machine and programme; some 80 seconds. With --soak: for long, faults by chance. Needs no hardware.
+
+    Exit status 1: a check failed (ledger, log, no jump, recovery, improvement within 10 % of the all-simulated run;
+    with --soak also memory, files, threads, deadlines).
+
+    Example: `rtec hil configs/hil.toml --fault modbus-silent@8s+8s --fault box-unplugged@24s+2s --report out/hil`
+    """
+    from rtec.runtime.hil import HilOrder, SoakOrder, load_bench, parse_fault
+
+    bench = load_bench()
+    if "list" in (fault or ()):
+        _list(bench, as_json)
+        return
+    if config is None:
+        raise typer.BadParameter("which run file? For example configs/hil.toml", param_hint="CONFIG")
+    known = bench.faults()
+    if soak is not None:
+        if fault or off_s or on_s:
+            raise typer.BadParameter("draws its own faults and has no uncorrected part", param_hint="--soak")
+        _soak(bench, SoakOrder(config, soak, seed, report), as_json)
+        return
+    faults = [parse_fault(text, known) for text in fault or ()]
+    _run(bench, HilOrder(config, off_s, on_s, faults, report), as_json)
+
+
+def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:
+    """Uncorrected, then corrected."""
+    from rtec.cli.progress import stages
+    from rtec.report.hil import hil_facts, hil_page
+
+    with stages() as stage:
+        found = bench.run(order, stage)
+    page = hil_page(found, figures=order.keep is not None)
+    _show(page, hil_facts(found), order.keep, as_json, found.passed)
+
+
+def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
+    """For long."""
+    from rtec.cli.progress import stages
+    from rtec.report.soak import soak_facts, soak_page
+
+    with stages() as stage:
+        found = bench.soak(order, stage)
+    _show(soak_page(found), soak_facts(found), order.keep, as_json, found.passed)
+
+
+def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, passed: bool) -> None:
+    from rtec.cli.show import show_page
+    from rtec.report.procedures import write_page
+
+    path = write_page(page, facts, folder) if folder else None
+    if as_json:
+        typer.echo(json.dumps(facts | {"report": str(path) if path else None}, indent=2, ensure_ascii=False))
+    else:
+        show_page(page)
+        if path:
+            typer.echo(f"Report: {path}")
+    if not passed:
+        raise typer.Exit(1)
+
+
+def _list(bench: "Bench", as_json: bool) -> None:
+    """Tell all faults."""
+    from rtec.cli.show import show_page
+    from rtec.report.html import Page, Section, Table
+
+    known = bench.faults()
+    if as_json:
+        typer.echo(json.dumps(dict(known), indent=2, ensure_ascii=False))
+        return
+    text = ("NAME@30s lasts 5 s, NAME@30s+10s ten; seconds count from when the correction goes on.",)
+    table = Table(("fault", "what happens"), list(known.items()), words=(0, 1))
+    show_page(Page("Faults", "What `rtec hil --fault` can make happen.", (), [Section("Faults", text, table)]))

@@ -1,0 +1,143 @@
+"""What `rtec hil` tells: accuracy beside the all-simulated run, timing, what each fault did, what must be so."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from operator import attrgetter
+from typing import Any
+
+from rtec.report.hil_figure import tip_errors
+from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.procedures import number, plain
+from rtec.runtime.hil_result import Accuracy, FaultFound, HilResult
+
+NOT_YET = "never"
+
+
+def hil_facts(found: HilResult) -> Any:
+    """The result as JSON holds it; the course is the figure's."""
+    facts = plain(
+        {f.name: getattr(found, f.name) for f in dataclasses.fields(found) if f.name not in ("course", "log")}
+    )
+    facts["buses"]["factor"], facts["simulated"]["factor"] = plain([found.buses.factor, found.simulated.factor])
+    facts["factor_ratio"] = plain(found.buses.factor / found.simulated.factor)
+    return facts | {"passed": found.passed, "log": str(found.log) if found.log else None}
+
+
+def hil_page(found: HilResult, figures: bool = True) -> Page:
+    """The report; without figures for the terminal."""
+    lead = (
+        f"{found.machine}: {found.buses.factor:.1f} times more accurate with correction behind real buses, "
+        f"{found.simulated.factor:.1f} times all simulated."
+    )
+    sections = [_accuracy(found), _timing(found)]
+    if found.faults:
+        sections.append(_faults(found))
+    sections.append(_checks(found))
+    if found.warnings:
+        sections.append(Section("Said by the system", found.warnings))
+    if figures:
+        sections.insert(0, _figure(found))
+    numbers = [
+        ("uncorrected, rms", f"{found.buses.off.rms_um:.1f} µm"),
+        ("corrected, rms", f"{found.buses.on.rms_um:.1f} µm"),
+        ("checks passed", f"{sum(c.passed for c in found.checks)} of {len(found.checks)}"),
+    ]
+    return Page("Hardware in the loop", lead, numbers, sections)
+
+
+def _accuracy(found: HilResult) -> Section:
+    together = ", ".join(found.course.directions)
+    wires = "; ".join(f"{device}: {bus}" for device, bus in found.wiring.items())
+    rows = [_row(f"{together} together, rms", _of(found, attrgetter("rms_um")))]
+    rows += [_row(f"{d}, rms", _of(found, partial(_rms_in, d))) for d in found.course.directions]
+    rows.append(_row("largest", _of(found, attrgetter("largest_um"))))
+    head = ("tool-tip error, µm", "buses: off", "on", "factor", "simulated: off", "on", "factor")
+    text = (
+        f"Behind real buses ({wires}), and the same machine and programme without any bus on a virtual clock. "
+        f"{found.off_s:g} s off, {found.on_s:g} s on; without the time to settle and without that of faults.",
+    )
+    return Section("Accuracy", text, Table(head, rows))
+
+
+def _of(found: HilResult, pick: Callable[[Accuracy], float]) -> list[float]:
+    return [pick(a) for c in (found.buses, found.simulated) for a in (c.off, c.on)]
+
+
+def _rms_in(direction: str, accuracy: Accuracy) -> float:
+    return accuracy.axis_rms_um[direction]
+
+
+def _row(name: str, um: Sequence[float]) -> tuple[str, ...]:
+    buses_off, buses_on, off, on = um
+    return (
+        name,
+        number(buses_off),
+        number(buses_on),
+        number(buses_off / buses_on, 1) if buses_on else number(math.nan),
+        number(off),
+        number(on),
+        number(off / on, 1) if on else number(math.nan),
+    )
+
+
+def _timing(found: HilResult) -> Section:
+    rows = [_timing_row("off", found.off_timing), _timing_row("on", found.on_timing)]
+    head = ("", "wake-up p50, µs", "p99", "max", "cycle p50, µs", "p99", "max", "deadlines missed", "of cycles")
+    text = [
+        f"The loop at {found.rate_hz:g} Hz. A cycle asks the box, waits for its answer, works out the correction and "
+        "commands it.",
+        *_device_lines("off", found.off_timing),
+        *_device_lines("on", found.on_timing),
+    ]
+    return Section("Timing", text, Table(head, rows))
+
+
+def _timing_row(name: str, of: Mapping[str, Any]) -> tuple[str, ...]:
+    times = [f"{of[key][p]:.0f}" for key in ("wake_up", "compute") for p in ("p50_us", "p99_us", "max_us")]
+    return (name, *times, str(of["deadline_misses"]), str(of["cycles"]))
+
+
+def _device_lines(mode: str, of: Mapping[str, Any]) -> list[str]:
+    return [f"{mode}: device {name} failed in {f['times']} cycles" for name, f in of["devices"].items()]
+
+
+def _faults(found: HilResult) -> Section:
+    head = ("fault", "at, s", "for, s", "told after, s", "held for, s", "follows again after, s", "largest error, µm")
+    text = [f"{f.order.name}: {f.what}. {_told(f)}" for f in found.faults]
+    return Section("Faults", text, Table(head, [_fault_row(f) for f in found.faults]))
+
+
+def _told(fault: FaultFound) -> str:
+    if not fault.told:
+        return "The daemon had nothing to say."
+    return "Told: " + "; ".join(f"{device}: {text}" for device, text in fault.told.items()) + "."
+
+
+def _fault_row(fault: FaultFound) -> tuple[str, ...]:
+    return (
+        fault.order.name,
+        number(fault.order.at_s, 1),
+        number(fault.order.length_s, 1),
+        NOT_YET if math.isnan(fault.noticed_s) else number(fault.noticed_s),
+        number(fault.held_s),
+        NOT_YET if math.isnan(fault.recovered_s) else number(fault.recovered_s),
+        number(fault.largest_um, 1),
+    )
+
+
+def _checks(found: HilResult) -> Section:
+    rows = [("yes" if c.passed else "NO", c.name, c.found) for c in found.checks]
+    return Section("What must be so", (), Table(("is so", "what", "found"), rows, words=(0, 1, 2)))
+
+
+def _figure(found: HilResult) -> Section:
+    course = found.course
+    png = tip_errors(
+        course.time_s,
+        [(d, course.off_um[:, k], course.on_um[:, k]) for k, d in enumerate(course.directions)],
+        [(f.order.name, f.order.at_s, f.order.end_s) for f in found.faults],
+    )
+    shows = "Tool-tip error over time, uncorrected and corrected, behind real buses; faults shaded."
+    return Section("Tool-tip error over time", (), None, Figure("tip-error.png", png, shows))

@@ -1,0 +1,177 @@
+"""Control and telemetry: a thread in the supervisor's process that answers clients and publishes the status.
+
+The loop is another process; all that it ever sees of this are the orders that the supervisor hands on. A client can be
+slow, dead, or talk nonsense: nothing here waits for it, keeps more than a few messages for it, or reads faster than
+some thousand messages a second.
+"""
+
+import os
+import pwd
+import threading
+from contextlib import suppress
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zmq
+
+from rtec.runtime.clock import Clock, wall_clock_iso
+from rtec.runtime.config import Setup
+from rtec.runtime.control_desk import Daemon, Desk, Peer
+from rtec.runtime.control_lines import Incoming, local_socket, network_socket, receive, send
+from rtec.runtime.control_message import TOPIC, answer
+from rtec.runtime.control_places import ORDERS, STATUS, LocalSocket, listen, socket_path
+from rtec.runtime.control_zap import Door
+from rtec.runtime.keys import CLIENTS, AllowList, read_server
+
+AT_ONCE: Final = 50
+BREATH_NS: Final = 10_000_000
+"""Rest after so many messages at once: the supervisor's own work comes first."""
+END_S: Final = 2.0
+
+
+class Control:
+    """Entering opens the sockets and starts the thread, leaving ends both.
+
+    Args:
+        setup: what runs; its `[control]` says where.
+        daemon: the supervisor.
+        clock: monotonic.
+
+    Raises:
+        RtecError: on entering: a socket cannot be had, or keys cannot be read.
+    """
+
+    def __init__(self, setup: Setup, daemon: Daemon, clock: Clock) -> None:
+        self._setup, self._table, self._clock = setup, setup.file.control, clock
+        self.desk = Desk(daemon, clock, _origin(setup))
+        self._daemon = daemon
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="rtec-control", daemon=True)
+        self._locals: list[LocalSocket] = []
+        self._routers: list[Any] = []
+        self._publishers: list[Any] = []
+        self._door: Door | None = None
+        self._allowed: AllowList | None = None
+        self._told = ""
+
+    def __enter__(self) -> Self:
+        self._context = zmq.Context(io_threads=1)
+        try:
+            if self._table.local:
+                self._open_local()
+            if self._table.keys is not None:
+                self._open_network()
+        except BaseException:
+            self._close()
+            raise
+        if self._routers or self._publishers:
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(END_S)
+        if self._thread.is_alive():  # it still uses the sockets; they go with the process
+            return
+        self._close()
+
+    def _open_local(self) -> None:
+        for suffix, kind, sockets in ((ORDERS, zmq.ROUTER, self._routers), (STATUS, zmq.PUB, self._publishers)):
+            local = listen(socket_path(self._setup.path, suffix), self._table.access)
+            self._locals.append(local)
+            sockets.append(local_socket(self._context, kind, local))
+
+    def _open_network(self) -> None:
+        assert self._table.keys is not None
+        folder = self._setup.base / self._table.keys
+        pair, self._allowed = read_server(folder), AllowList(folder / CLIENTS)
+        self._door = Door(self._context, self._allowed)
+        if self._table.tcp is not None:
+            self._routers.append(network_socket(self._context, zmq.ROUTER, self._table.tcp, pair))
+        if self._table.tcp_status is not None:
+            self._publishers.append(network_socket(self._context, zmq.PUB, self._table.tcp_status, pair))
+
+    def _close(self) -> None:
+        self._context.destroy(linger=0)
+        for local in self._locals:
+            local.remove()
+            os.close(local.fd)
+        self._locals = []
+
+    def _work(self) -> None:
+        poller = zmq.Poller()
+        for socket in (*self._routers, *([self._door.socket] if self._door else [])):
+            poller.register(socket, zmq.POLLIN)
+        period_ns = round(1e9 / self._table.status_hz)
+        next_ns = self._clock.now_ns()
+        while not self._stop.is_set():
+            left_ms = max(0, (next_ns - self._clock.now_ns()) // 1_000_000)
+            ready = dict(poller.poll(min(left_ms + 1, 100)))
+            if self._door is not None and self._door.socket in ready:
+                self._let_in()
+            if any([self._answer(socket) == AT_ONCE for socket in self._routers if socket in ready]):
+                self._clock.sleep_until_ns(self._clock.now_ns() + BREATH_NS)
+            if self._clock.now_ns() >= next_ns:
+                self._publish()
+                next_ns = max(next_ns + period_ns, self._clock.now_ns())
+
+    def _let_in(self) -> None:
+        assert self._door is not None
+        self._door.serve()
+        for address in self._door.turned_away:
+            self.desk.tally.not_let_in += 1
+            self.desk.refusal(f"{address}: its key is not on the list")
+
+    def _answer(self, socket: Any) -> int:
+        """Answer what waits at a socket, up to a number; give how many."""
+        for k in range(AT_ONCE):
+            if (incoming := receive(socket)) is None:
+                return k
+            peer = self._peer(socket, incoming)
+            if peer is None:
+                self.desk.tally.not_let_in += 1
+                send(socket, incoming.line, b"", answer(None, {"refused": "this key is not on the list any more"}))
+            else:
+                send(socket, incoming.line, b"", self.desk.answer(incoming.content, peer))
+        return AT_ONCE
+
+    def _peer(self, socket: Any, incoming: Incoming) -> Peer | None:
+        if self._table.local and socket is self._routers[0]:
+            return Peer(_user(incoming.address), "operate", b"local " + incoming.line)
+        found = self._allowed.find(incoming.key) if self._allowed is not None else None
+        return None if found is None else Peer(found[0], found[1], incoming.key.encode() + incoming.line)
+
+    def _publish(self) -> None:
+        if self._allowed is not None and self._allowed.trouble != self._told:
+            self._told = self._allowed.trouble
+            self._daemon.note("control", self._told or "the list of clients can be read again")
+        if not self._publishers:
+            return
+        message = answer(None, self.desk.status())
+        for socket in self._publishers:
+            send(socket, TOPIC, message)
+
+
+def _user(address: str) -> str:
+    """Name of the user at the other end of a local socket; libzmq tells ":uid:gid:pid"."""
+    parts = address.split(":")
+    with suppress(ValueError, KeyError, IndexError):
+        return pwd.getpwuid(int(parts[-3])).pw_name
+    return "local"
+
+
+def _origin(setup: Setup) -> dict[str, Any]:
+    from rtec import __version__
+
+    return {
+        "rtec_version": __version__,
+        "config": str(setup.path.resolve()),
+        "machine": setup.machine.name,
+        "axes": list(setup.machine.axis_names),
+        "rate_hz": setup.file.run.rate_hz,
+        "pid": os.getpid(),
+        "started": wall_clock_iso(),
+    }

@@ -1,0 +1,94 @@
+"""What a daemon's status means, for people: the rows of its tables, and its lines of text."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+STANDS_S: Final = 1.0
+"""A row that is older: the loop stands."""
+_MODES: Final = {
+    "on": "on: the correction follows the model",
+    "off": "off: the correction goes to nothing, or has gone there",
+    "hold": "hold: the correction stays where it is",
+    "": "starting",
+}
+
+
+def well(found: Mapping[str, Any]) -> bool:
+    """Is nothing wrong that somebody has to look at?"""
+    return not troubles(found)
+
+
+def axis_rows(found: Mapping[str, Any]) -> list[list[str]]:
+    """Of each axis: name, requested and applied correction, output, raw counts."""
+    status = found["status"]
+    return [
+        [
+            axis,
+            _um(status["requested_um"][axis]),
+            _um(status["applied_um"][axis]),
+            f"{status['output'][axis]:+d}",
+            f"{status['counts'][axis]:d}",
+        ]
+        for axis in status["applied_um"]
+    ]
+
+
+def input_rows(found: Mapping[str, Any]) -> list[list[str]]:
+    """Of each input: name, value, age."""
+    status = found["status"]
+    rows = [["counts", "", f"{1e3 * status['counts_age_s']:.2f} ms"]]
+    for sensor, degc in status["degc"].items():
+        value = "not read" if degc is None else f"{degc:.2f} °C"
+        rows.append([sensor, value, _age(status["degc_age_s"][sensor]) if degc is not None else ""])
+    rpm = status["spindle_rpm"]
+    return [*rows, ["spindle", "not known" if rpm is None else f"{rpm:.0f} rpm", ""]]
+
+
+def headline(found: Mapping[str, Any]) -> list[str]:
+    """Sentences above the tables."""
+    status = found["status"]
+    return [
+        f"{found['machine']}, model {found['model']}, {found['config']}",
+        f"mode {_MODES.get(status['mode'], status['mode'])}",
+    ]
+
+
+def footer(found: Mapping[str, Any]) -> list[str]:
+    """Sentences below the tables."""
+    status = found["status"]
+    hours = status["time_s"] / 3600
+    lasted = f"{hours:.1f} h" if hours >= 1 else f"{status['time_s']:.0f} s"
+    lines = [f"{status['cycles']} cycles in {lasted}, {status['misses']} deadlines missed"]
+    if found["model_left_um"] is not None:
+        lines.append(f"measurements that the model was fitted to: {found['model_left_um']:.2f} µm are left (noise, 1 σ)")
+    if status["reload"]:
+        lines.append(status["reload"])
+    control = found["control"]
+    bad = control["refused"] + control["malformed"] + control["not_let_in"]
+    if bad:
+        lines.append(
+            f"control: {control['refused']} requests refused, {control['malformed']} not understood, "
+            f"{control['not_let_in']} not let in"
+        )
+    return lines
+
+
+def troubles(found: Mapping[str, Any]) -> list[str]:
+    """What is wrong, a line each."""
+    status = found["status"]
+    lines = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
+    if status["log"]:
+        lines.append(f"log: {status['log']}")
+    if status["overruns"]:
+        lines.append(f"{status['overruns']} rows did not reach the log")
+    if found["status_age_s"] is not None and found["status_age_s"] > STANDS_S:
+        lines.append(f"the loop stands: its newest row is {found['status_age_s']:.1f} s old")
+    return lines
+
+
+def _um(value: float | None) -> str:
+    return "not known" if value is None else f"{value:+.2f}"
+
+
+def _age(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,91 @@
+"""Gives an order and waits for what comes of it."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rtec.errors import RtecError
+from rtec.runtime.clock import Clock
+from rtec.runtime.control_client import Client
+from rtec.runtime.orders import MODE_OF, Order
+from rtec.runtime.records import MODES_BY_NAME
+
+LONGEST_NS: Final = 15_000_000_000
+PERIOD_NS: Final = 50_000_000
+_MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
+_TOGETHER: Final = {
+    Order.ENABLE: "the correction follows the model",
+    Order.HOLD: "the correction stays where it is",
+    Order.FADE: "the correction goes to nothing at its slew limit",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of an order.
+
+    Attributes:
+        done: it was carried out; False: the daemon could not (the text says why), or it took longer than was waited.
+        text: in a sentence.
+        status: of the daemon afterwards.
+    """
+
+    done: bool
+    text: str
+    status: dict[str, Any]
+
+
+def carry_out(client: Client, order: Order, text: str, clock: Clock) -> Outcome:
+    """Give an order, wait until it is carried out.
+
+    Raises:
+        OrderRefused: it is not taken.
+        RtecError: the daemon does not answer.
+    """
+    before = client.status()
+    answer = client.order(order, text)
+    last_ns = clock.now_ns() + LONGEST_NS
+    while True:
+        after = client.status()
+        outcome = _outcome(order, before, after)
+        if outcome is not None:
+            return outcome
+        if clock.now_ns() >= last_ns:
+            return Outcome(False, f"{answer}, and not carried out after {LONGEST_NS / 1e9:g} s", after)
+        clock.sleep_until_ns(clock.now_ns() + PERIOD_NS)
+
+
+def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Outcome | None:
+    """What came of it; None: nothing yet."""
+    if after["pid"] != before["pid"]:
+        raise RtecError("the daemon was started anew meanwhile; look at `rtec status`")
+    status = after["status"]
+    if order in MODE_OF:
+        done = status["mode"] == _MODE_NAMES[MODE_OF[order]]
+        return Outcome(True, _mode_text(order, status), after) if done else None
+    new = [e for e in after["events"] if e["what"] in _NOTED[order]]
+    count = after["events_total"] - before["events_total"]
+    new = [e for e in new if e in after["events"][-count:]] if count else []
+    if order is Order.RESUME:
+        return _resumed(before["status"], status, after) if new else None
+    if not new:
+        return None
+    if order is Order.MARK:
+        return Outcome(True, f"marked row {new[-1]['row']}, {new[-1]['utc']}: {new[-1]['text']}", after)
+    return Outcome(new[-1]["what"] == "reloaded", new[-1]["text"], after)
+
+
+_NOTED: Final = {Order.MARK: ("mark",), Order.RELOAD: ("reloaded", "not reloaded"), Order.RESUME: ("resume",)}
+
+
+def _mode_text(order: Order, status: dict[str, Any]) -> str:
+    applied = ", ".join(f"{axis} {um:+.2f} µm" for axis, um in status["applied_um"].items())
+    return f"{_TOGETHER[order]}; applied now: {applied}"
+
+
+def _resumed(before: dict[str, Any], status: dict[str, Any], after: dict[str, Any]) -> Outcome | None:
+    if status["takeovers"] == before["takeovers"]:
+        return None
+    wrong = [f"{name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
+    if wrong:
+        return Outcome(False, f"resumed, but {' | '.join(wrong)}", after)
+    return Outcome(True, "the devices go on from where they are", after)

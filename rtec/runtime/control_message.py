@@ -1,0 +1,139 @@
+"""Messages between the daemon and those who ask it, schema 1 (`docs/control.md`): JSON texts, checked key by key."""
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from rtec.runtime.orders import LONGEST_TEXT, Order, OrderRefused, order_named
+
+SCHEMA: Final = 1
+LARGEST_REQUEST: Final = 4096
+"""Bytes; a longer one is not read."""
+TOPIC: Final = b"rtec.status"
+_KEYS: Final = {
+    "status": {"schema", "ask", "id"},
+    "session": {"schema", "ask", "id"},
+    "order": {"schema", "ask", "id", "session", "seq", "order", "text"},
+}
+_SESSION: Final = re.compile("[0-9a-f]{32}")
+_LARGEST: Final = 2**53
+
+
+class RequestError(ValueError):
+    """A request that is not as the document says."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a client asks.
+
+    Attributes:
+        ask: what for.
+        id: comes back with the answer; None: none was given.
+        session, seq, order, text: of an order.
+    """
+
+    ask: Literal["status", "session", "order"]
+    id: int | None = None
+    session: str = ""
+    seq: int = 0
+    order: Order = Order.MARK
+    text: str = ""
+
+
+def read_request(message: bytes) -> Request:
+    """Read a request.
+
+    Raises:
+        RequestError: what is wrong with it.
+    """
+    data = _object(message)
+    ask = data.get("ask")
+    if not isinstance(ask, str) or ask not in _KEYS:
+        raise RequestError(f"'ask' must be one of {', '.join(_KEYS)}")
+    unknown = sorted(set(data) - _KEYS[ask])
+    if unknown:
+        raise RequestError(f"unknown key {unknown[0][:40]!r}")
+    number = _integer(data, "id") if "id" in data else None
+    if ask != "order":
+        return Request("status" if ask == "status" else "session", number)
+    return Request("order", number, _session(data), _integer(data, "seq"), _order(data), _text(data))
+
+
+def request(ask: str, number: int, **more: object) -> bytes:
+    """Give the text of a request."""
+    return json.dumps({"schema": SCHEMA, "ask": ask, "id": number, **more}).encode()
+
+
+def answer(request_id: int | None, content: Mapping[str, Any]) -> bytes:
+    """Give the text of an answer."""
+    head = {"schema": SCHEMA} if request_id is None else {"schema": SCHEMA, "id": request_id}
+    return json.dumps({**head, **content}, allow_nan=False).encode()
+
+
+def read_answer(message: bytes) -> dict[str, Any]:
+    """Read an answer.
+
+    Raises:
+        RequestError: it is of another schema, or no answer at all.
+    """
+    return _object(message, longest=None)
+
+
+def numbers(value: Any) -> Any:
+    """The same with None where a number is not finite, which JSON has no word for."""
+    if isinstance(value, Mapping):
+        return {str(k): numbers(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [numbers(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _object(message: bytes, longest: int | None = LARGEST_REQUEST) -> dict[str, Any]:
+    if longest is not None and len(message) > longest:
+        raise RequestError(f"longer than {longest} bytes")
+    try:
+        data = json.loads(message.decode())
+    except (ValueError, RecursionError) as e:
+        raise RequestError("is no JSON text") from e
+    if not isinstance(data, dict):
+        raise RequestError("is no JSON object")
+    schema = data.get("schema")
+    if type(schema) is not int or schema != SCHEMA:
+        raise RequestError(f"'schema' must be {SCHEMA}")
+    return data
+
+
+def _integer(data: Mapping[str, Any], key: str) -> int:
+    value = data.get(key)
+    if type(value) is not int or not 0 <= value <= _LARGEST:
+        raise RequestError(f"{key!r} must be an integer from 0 to 2^53")
+    return value
+
+
+def _session(data: Mapping[str, Any]) -> str:
+    value = data.get("session")
+    if not isinstance(value, str) or not _SESSION.fullmatch(value):
+        raise RequestError("'session' must be what the answer to `session` said")
+    return value
+
+
+def _order(data: Mapping[str, Any]) -> Order:
+    value = data.get("order")
+    if not isinstance(value, str):
+        raise RequestError("'order' must be the name of an order")
+    try:
+        return order_named(value)
+    except OrderRefused as e:
+        raise RequestError(str(e)) from e
+
+
+def _text(data: Mapping[str, Any]) -> str:
+    value = data.get("text", "")
+    # Printable: it goes to logs and terminals, where control characters do things, and half a surrogate breaks a file.
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
+        raise RequestError(f"'text' must be a text of at most {LONGEST_TEXT} printable characters")
+    return value

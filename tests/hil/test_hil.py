@@ -1,0 +1,156 @@
+"""`rtec hil` as a user starts it: real ports, real processes, the real clock; only what must be so is asserted."""
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.hil import hil_rig
+from tests.setups import CONFIGS
+
+pytestmark = pytest.mark.xdist_group("real-clock")
+
+
+def _failed(facts: dict[str, Any]) -> list[dict[str, Any]]:
+    return [check for check in facts["checks"] if not check["passed"]]
+
+
+def test_improvement_as_in_the_all_simulated_run(tmp_path: Path) -> None:
+    """Oracle: the loop on a virtual clock with the simulated machine as its one device. Within 10 %."""
+    config = hil_rig.short(tmp_path, settle_s=2.0, off_s=8.0, on_s=8.0)
+    done = hil_rig.rtec("hil", config, "--json", "--report", tmp_path / "out", env=hil_rig.environment(tmp_path / "t"))
+    facts = hil_rig.facts_of(done)
+    assert not _failed(facts)
+    assert done.returncode == 0
+    assert facts["simulated"]["factor"] > 5.0
+    assert facts["factor_ratio"] == pytest.approx(1.0, abs=0.10)
+    assert "not judged" not in facts["checks"][-1]["found"]
+    assert facts["wiring"].keys() == {"box", "thermocouples", "sensors"}
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
+        "hil-on.arrows",
+        "report.html",
+        "result.json",
+        "tip-error.png",
+    ]
+    assert hil_rig.nothing_left(tmp_path / "t")
+
+
+@pytest.fixture(scope="module")
+def faulted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """One run with a fault on every bus: by name what each did, and the whole result."""
+    folder = tmp_path_factory.mktemp("faulted")
+    config = hil_rig.short(folder, settle_s=1.0)
+    faults = ("box-reset@3s+1s", "can-open@5s+4s", "modbus-silent@6s+4s", "box-unplugged@8s+1s")
+    options = [word for fault in faults for word in ("--fault", fault)]
+    done = hil_rig.rtec("hil", config, "--off", 2, "--on", 3, *options, "--json", env=hil_rig.environment(folder / "t"))
+    facts = hil_rig.facts_of(done)
+    return {"facts": facts, **{f["order"]["name"]: f for f in facts["faults"]}}
+
+
+def test_whatever_happens_ledger_log_and_limits_are_kept(faulted: dict[str, Any]) -> None:
+    """The run lasts as long as its faults need; the correction follows again after all of them."""
+    facts = faulted["facts"]
+    assert not _failed(facts)
+    assert facts["on_s"] == 18.0
+    assert facts["on_timing"]["cycles"] == 18_000
+    assert {c["name"] for c in facts["checks"]} >= {
+        "corrected: ledger exact",
+        "corrected: the machine was given what was commanded",
+        "corrected: no jump",
+        "corrected: log complete and replayed bit by bit",
+        "corrected: correction follows again",
+    }
+
+
+def test_a_box_that_started_anew_waits_for_the_order(faulted: dict[str, Any]) -> None:
+    """Held from the reset until the operator's order, half a second after its end."""
+    found = faulted["box-reset"]
+    assert "started anew" in found["told"]["box"]
+    assert "ordered to resume" in found["told"]["box"]
+    assert 1.4 < found["held_s"] < 3.0
+    assert 0.4 < found["recovered_s"] < 2.0
+    # Its ledger is zero meanwhile: the machine is as wrong as without correction.
+    assert found["largest_um"] > 0.5 * faulted["facts"]["buses"]["off"]["largest_um"]
+
+
+def test_a_silent_slave_ages_its_own_channels_only(faulted: dict[str, Any]) -> None:
+    """The other slave on the line and the other bus stay fresh; the correction holds once its values are stale."""
+    found = faulted["modbus-silent"]
+    assert "slave 1 (headstock): no answer" in found["told"]["thermocouples"]
+    ages = found["oldest_s"]
+    silent = {"T_spindle_front", "T_spindle_rear", "T_headstock"}
+    assert all(ages[name] > 3.5 for name in silent)
+    assert all(age < 2.0 for name, age in ages.items() if name in {"T_bed", "T_carriage", "T_z_nut", "T_air"})
+    assert found["held_s"] > 1.5
+
+
+def test_an_open_thermocouple_is_told_by_name(faulted: dict[str, Any]) -> None:
+    found = faulted["can-open"]
+    assert "T_x_nut: open circuit" in found["told"]["sensors"]
+    assert found["oldest_s"]["T_x_nut"] > 3.5
+    assert found["oldest_s"]["T_z_nut"] < 1.0
+
+
+def test_a_pulled_cable_is_found_again_under_its_new_name(faulted: dict[str, Any]) -> None:
+    found = faulted["box-unplugged"]
+    assert "no such port" in found["told"]["box"] or "gone" in found["told"]["box"]
+    assert found["held_s"] > 0.9
+    assert found["recovered_s"] < 5.0
+
+
+def test_a_short_soak(tmp_path: Path) -> None:
+    """Half a minute with faults by chance: resources flat, ledger exact; the page and its facts say so."""
+    config = hil_rig.short(tmp_path)
+    done = hil_rig.rtec("hil", config, "--soak", 0.5, "--seed", 7, "--json", env=hil_rig.environment(tmp_path / "t"))
+    facts = hil_rig.facts_of(done)
+    # Whether a deadline was lost to our own code is a figure of the wall clock: `make soak` judges it, not this test.
+    assert [c["name"] for c in _failed(facts) if c["name"] != "no deadline lost to our own code"] == []
+    assert facts["duration_s"] == 30.0
+    assert {r["process"] for r in facts["resources"]} == {"supervisor", "loop"}
+    assert {f["name"] for f in facts["faults"]} >= {"box-unplugged", "modbus-unplugged", "can-unplugged"}
+    assert hil_rig.nothing_left(tmp_path / "t")
+
+
+@pytest.mark.parametrize(
+    ("number", "sign"),
+    [
+        (signal.SIGINT, "simulated.toml"),
+        (signal.SIGINT, "port-box"),
+        (signal.SIGINT, "hil-off.arrows"),
+        (signal.SIGTERM, "hil-off.arrows"),
+        (signal.SIGKILL, "port-box"),
+        (signal.SIGKILL, "hil-off.arrows"),
+    ],
+)
+def test_nothing_is_left_behind(tmp_path: Path, number: signal.Signals, sign: str) -> None:
+    """Ctrl-C, a polite and an impolite end: before the buses, while they start, while the daemon runs and logs."""
+    config, folder = hil_rig.short(tmp_path), tmp_path / "t"
+    process = hil_rig.start(folder, sign, "hil", config)
+    status, said = hil_rig.interrupt(process, number)
+    assert status == {signal.SIGINT: 130, signal.SIGTERM: 130, signal.SIGKILL: -9}[number], said
+    assert number is signal.SIGKILL or "Traceback" not in said
+    assert hil_rig.nothing_left(folder)
+
+
+def test_messages(tmp_path: Path) -> None:
+    """What cannot be is said before anything starts, with a way on."""
+    config = hil_rig.short(tmp_path)
+    for arguments, words in (
+        (("--fault", "modbus-silnt@3s"), "did you mean 'modbus-silent'?"),
+        (("--fault", "modbus-silent"), "write NAME@30s"),
+        (("--off", 3), "give at least 5 s"),
+    ):
+        done = hil_rig.rtec("hil", config, *arguments)
+        assert (done.returncode, words in done.stderr) == (2, True), done.stderr
+        assert "Traceback" not in done.stderr
+    plain = hil_rig.rtec("hil", CONFIGS / "turning-centre-sim.toml")
+    assert plain.returncode == 2
+    assert "[hil] is missing" in plain.stderr
+
+
+def test_list_of_faults() -> None:
+    listed = hil_rig.rtec("hil", "--fault", "list")
+    assert listed.returncode == 0, listed.stderr
+    for name in ("box-unplugged", "box-count-jump", "modbus-late", "can-bus-off"):
+        assert name in listed.stdout

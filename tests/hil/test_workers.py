@@ -1,0 +1,198 @@
+"""A slow sensor in a process of its own: killed, stopped, absent. Real processes and clock, a Modbus line on a pty.
+
+Oracles: the kernel, which says who has the line open and who is a child of whom; the slave, which gives a value of its
+own by the number of the request; the run's own log, read afterwards.
+"""
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtec.correction.guard import Flag
+from rtec.errors import RtecError
+from rtec.runtime.config import Setup, load_setup
+from rtec.runtime.log import LogReader
+from rtec.runtime.status import Report, Status
+from rtec.runtime.supervisor import Supervisor
+from tests import setups
+from tests.drivers.modbus_peer import FakeLine, FakeSlave, line, serial
+
+pytestmark = pytest.mark.xdist_group("real-clock")
+LONGEST_NS = 90_000_000_000
+Script = Iterator[bool]
+
+
+def config(folder: Path, port: str, **more: Any) -> Setup:
+    """The simulated machine with its two thermometers of interest on a Modbus line."""
+    content = setups.tables(folder)
+    content["role"]["temperatures"] = ["sensors"]
+    registers = {"T_bed": {"address": 0, "scale": 0.01}, "T_spindle_front": {"address": 1, "scale": 0.01}}
+    slave = {"id": 1, "period_s": 0.05, "timeout_s": 0.1, "register": registers}
+    content["device"]["sensors"] = {"driver": "modbus", "serial": serial(port, **more), "slave": {"one": slave}}
+    content["guard"] = {"temperature_max_age_s": 1.0, "counts_max_age_s": 0.05}
+    return load_setup(setups.write(folder, content))
+
+
+def fds(pid: int | str, what: str) -> int:
+    """How many descriptors of a process lead there."""
+    found = 0
+    with suppress(OSError):
+        for fd in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):
+                found += what in str(fd.readlink())
+    return found
+
+
+def children() -> list[int]:
+    """Living processes that this one has started."""
+    out = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
+            if int(parent) == os.getpid() and state != "Z":
+                out.append(int(entry.name))
+    return out
+
+
+def holders(port: str) -> list[int]:
+    """Children of this process that have the line open."""
+    return [pid for pid in children() if fds(pid, port)]
+
+
+def loops() -> list[int]:
+    """Children of this process that have a ring mapped: the loop's."""
+    return [pid for pid in children() if "/dev/shm/rtec-" in Path(f"/proc/{pid}/maps").read_text()]  # noqa: S108
+
+
+class Play:
+    """Runs a setup; a script looks at each status and does things in between, and says by ending that it is over."""
+
+    def __init__(self, setup: Setup, folder: Path) -> None:
+        self.status, self._first_ns = Status(), 0
+        self.log = folder / "run.arrows"
+        self._supervisor = Supervisor(setup, self.log, on_status=self._look)
+        self._script: Script = iter(())
+
+    def run(self, script: Script) -> Report:
+        """Until the script is over."""
+        self._script = script
+        return self._supervisor.run(None)
+
+    def _look(self, status: Status) -> None:
+        self.status, self._first_ns = status, self._first_ns or status.time_ns
+        assert status.time_ns - self._first_ns < LONGEST_NS, (status, "the script waits in vain")
+        try:
+            next(self._script)
+        except StopIteration:
+            self._supervisor.end()
+
+    def until(self, condition: Any) -> Script:
+        """Wait for a status that is so."""
+        while not condition():
+            yield True
+
+
+@pytest.fixture(autouse=True)
+def _kept_states_go_with_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+
+
+@pytest.fixture
+def wire() -> Iterator[FakeLine]:
+    """A slave that gives 20 °C and up, a hundredth more at each request."""
+    with line({1: FakeSlave(value=lambda k: 2000 + k)}) as fake:
+        yield fake
+
+
+def test_a_worker_that_is_killed_and_one_that_is_stopped(tmp_path: Path, wire: FakeLine) -> None:
+    """Its own channels grow stale and are held; the loop goes on; a new worker brings values that are new."""
+    before, memories, threads = set(children()), fds("self", "rtec-readings"), threading.active_count()
+    play = Play(config(tmp_path, wire.port), tmp_path)
+    seen: dict[str, Any] = {}
+
+    def good() -> bool:
+        return play.status.devices == {} and play.status.degc_age_s["T_bed"] < 0.5 and not play.status.flags
+
+    def told(text: str) -> bool:
+        return any(text in reason for reason in play.status.devices.get("sensors", []))
+
+    def script() -> Script:
+        yield from play.until(good)
+        (seen["first"],) = holders(wire.port)
+        assert seen["first"] not in loops()
+        assert len(loops()) == 1
+        seen["degc"] = play.status.degc["T_bed"]
+        os.kill(seen["first"], signal.SIGKILL)
+        yield from play.until(lambda: told("SIGKILL"))
+        assert str(play.status.devices).count(str(seen["first"])) == 1
+        yield from play.until(lambda: holders(wire.port) and good())
+        (seen["second"],) = holders(wire.port)
+        assert play.status.degc["T_bed"] > seen["degc"]
+
+        os.kill(seen["second"], signal.SIGSTOP)
+        yield from play.until(lambda: told("no life") and play.status.degc_age_s["T_bed"] > 1.6)
+        assert Flag.STALE_TEMPERATURE in play.status.flags
+        seen["held"] = dict(play.status.degc)
+        os.kill(seen["second"], signal.SIGCONT)
+        yield from play.until(good)
+        assert play.status.degc["T_bed"] > seen["held"]["T_bed"]
+        seen["cycle"] = play.status.cycles
+
+        os.kill(seen["second"], signal.SIGSTOP)  # such a one is ended, too
+
+    report = play.run(script())
+    assert seen["second"] != seen["first"]
+    assert report.summary["cycles"] >= seen["cycle"]
+    assert set(report.summary["devices"]) == {"sensors"}
+    with LogReader(play.log) as reader:
+        blocks = list(reader.blocks())
+    time_ns = np.concatenate([samples.time_ns for samples, _ in blocks])
+    flags = np.concatenate([commands.flags for _, commands in blocks])
+    assert len(time_ns) == report.summary["cycles"]
+    stale = flags & int(Flag.STALE_TEMPERATURE) != 0
+    applied = np.concatenate([commands.applied_um for _, commands in blocks])
+    age_s = (time_ns - np.concatenate([s.degc_time_ns[:, 0] for s, _ in blocks])) * 1e-9
+    end = np.flatnonzero(stale)[-1]
+    begin = end - np.argmin(stale[end::-1]) + 1
+    later = applied[(begin + end) // 2 : end]  # the axes move on, and with them what is asked for
+    assert len(later) > 50
+    assert np.ptp(later, axis=0).tolist() == [0.0, 0.0]
+    assert np.ptp(applied[len(applied) // 2 - 2000 :], axis=0).min() > 0.1
+    assert (np.diff(time_ns) > 0).all()
+    assert np.isfinite(applied).all()
+    assert age_s.min() > 0
+    assert set(children()) <= before | trackers()
+    assert fds("self", "rtec-readings") == memories
+    assert threading.active_count() == threads
+
+
+def trackers() -> set[int]:
+    """The process that Python itself starts with the first child, and keeps."""
+    return {pid for pid in children() if b"resource_tracker" in Path(f"/proc/{pid}/cmdline").read_bytes()}
+
+
+def test_a_required_line_that_is_not_there(tmp_path: Path) -> None:
+    """Refused before anything runs, by the device's name and for the driver's own reason; nothing stays."""
+    before = set(children())
+    play = Play(config(tmp_path, "/dev/no-such-line", at_start="required"), tmp_path)
+    with pytest.raises(RtecError, match=r"\[device\.sensors\].*no-such-line"):
+        play.run(iter(()))
+    assert set(children()) <= before | trackers()
+    assert fds("self", "rtec-readings") == 0
+
+
+def test_a_line_that_comes_later_is_told_in_the_drivers_words(tmp_path: Path) -> None:
+    play = Play(config(tmp_path, "/dev/no-such-line", at_start="later"), tmp_path)
+
+    def script() -> Script:
+        yield from play.until(lambda: "no-such-line" in str(play.status.devices.get("sensors")))
+
+    report = play.run(script())
+    assert "no-such-line" in report.summary["devices"]["sensors"]["last"]["temperatures"]
