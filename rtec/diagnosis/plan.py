@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings, read
-from rtec.diagnosis.refit import without_nuisance
+from rtec.diagnosis.plan_columns import USUAL_NOISE, information
+from rtec.diagnosis.plan_parameters import Planned, Stays, planned
 from rtec.effects import Effect
-from rtec.errors import ModelError
-from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
@@ -32,25 +30,8 @@ WEAK = 30.0
 """A condition number from which on parameters are separated on paper only."""
 SURE = 3.0
 """So many standard errors make a size detectable."""
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A parameter that the tests are to find.
-
-    Attributes:
-        name: effect, component, what it depends on, and the coefficient.
-        effect: whose.
-        coefficient: its number among the effect's.
-        unit: of the coefficient.
-        typical: a usual size.
-    """
-
-    name: str
-    effect: Effect
-    coefficient: int
-    unit: str
-    typical: float
+MOST_STEPS = 4
+"""Tests that are proposed one after another, at most."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +60,11 @@ class Separation:
         """Whether every parameter can be found."""
         return self.rank == len(self.parameters)
 
+    @property
+    def found(self) -> set[str]:
+        """Parameters that can be found each by itself."""
+        return {name for name, size in self.detectable.items() if math.isfinite(size)}
+
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""
         return {
@@ -99,7 +85,7 @@ class Extra:
     Attributes:
         name: what is done, for people.
         measurement: its poses and channels; the readings do not matter.
-        hours: how long it takes.
+        hours: how long it takes, setting up and all.
     """
 
     name: str
@@ -122,70 +108,52 @@ class Proposal:
     gained: tuple[str, ...]
 
 
-def planned(effects: Sequence[Effect], machine: Machine) -> tuple[Planned, ...]:
-    """Parameters of effects."""
-    out = []
-    for effect in effects:
-        extra = [str(getattr(effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(effect, k, None)]
-        coefficients = effect.coefficients(machine)
-        for i, p in enumerate(coefficients):
-            label = f"{effect.effect}({', '.join([effect.component, *extra])})"
-            out.append(Planned(label if len(coefficients) == 1 else f"{label} {p.name}", effect, i, p.unit, p.typical))
-    names = [p.name for p in out]
-    twice = next((n for n in names if names.count(n) > 1), None)
-    if twice:
-        raise ModelError(f"plan: {twice} stands twice among the effects")
-    return tuple(out)
+Asked = Sequence[Effect | Planned]
 
 
 def separation(
-    effects: Sequence[Effect], measurements: Sequence[Measurement], noise: Mapping[str, float] | None = None
+    asked: Asked,
+    measurements: Sequence[Measurement],
+    noise: Mapping[str, float] | None = None,
+    stays: Stays = "shared",
 ) -> Separation:
     """Say what a set of tests can tell.
 
     Args:
-        effects: whose parameters are to be found; non-linear ones are taken at their start.
+        asked: effects whose coefficients are to be found (non-linear ones are taken at their start), or parameters.
         measurements: poses and channels of the tests; readings may be anything.
         noise: white noise of a measurement by name, in the unit of its readings; 0.5 where not given.
+        stays: which ball-bar tests share a table-side ball.
     """
-    machine = measurements[0].machine
-    parameters = planned(effects, machine)
-    readings = read(measurements, smooth=False)
-    return judge(parameters, columns_of(effects, readings), readings, noise or {})
+    parameters = planned(asked, measurements[0].machine)
+    return judge(parameters, told(parameters, measurements, noise or {}, stays))
 
 
-def columns_of(effects: Sequence[Effect], readings: Readings) -> Floats:
-    """One column a parameter, (m, parameters); zero in measurements that lack a channel."""
-    parts = []
-    for effect in effects:
-        theta = {p.name: p.start for p in effect.nonlinear(readings.machine)}
-        try:
-            parts.append(readings.columns(effect, theta))
-        except ModelError:
-            parts.append(np.zeros((len(readings), len(effect.coefficients(readings.machine)))))
-    return np.concatenate([np.zeros((len(readings), 0)), *parts], axis=1)
+def told(
+    parameters: Sequence[Planned], measurements: Sequence[Measurement], noise: Mapping[str, float], stays: Stays
+) -> Floats:
+    """What several tests tell together, (parameters, parameters)."""
+    parts = [information(parameters, m, noise.get(m.name, USUAL_NOISE), stays) for m in measurements]
+    return np.asarray(np.sum(parts, axis=0))
 
 
-def judge(parameters: Sequence[Planned], columns: Floats, readings: Readings, noise: Mapping[str, float]) -> Separation:
-    """Rank, what is never seen, what is confounded, smallest sizes."""
-    white = _whitened(columns, readings, noise)
+def judge(parameters: Sequence[Planned], whole: Floats) -> Separation:
+    """Rank, what is never seen, what is confounded, smallest sizes; from what the tests tell together."""
     typical = np.array([p.typical for p in parameters])
-    size = np.linalg.norm(white, axis=0)
+    size = np.sqrt(np.maximum(np.diag(whole), 0.0))
     seen = size * typical > UNSEEN
     never = tuple(p.name for p, s in zip(parameters, seen, strict=True) if not s)
-    scaled = white[:, seen] / size[seen]
     kept = [p for p, s in zip(parameters, seen, strict=True) if s]
+    detectable = dict.fromkeys([p.name for p in parameters], math.inf)
     if not kept:
-        return Separation(
-            tuple(parameters), 0, never, (), math.inf, dict.fromkeys([p.name for p in parameters], math.inf)
-        )
-    value, vector = np.linalg.eigh(scaled.T @ scaled)
+        return Separation(tuple(parameters), 0, never, (), math.inf, detectable)
+    scaled = whole[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+    value, vector = np.linalg.eigh(scaled)
     singular = np.sqrt(np.maximum(value, 0.0))
     good = singular > ALIKE * singular[-1]
     confounded = _sets(vector[:, ~good], kept)
     lost = {name for group in confounded for name in group}
     inverse = (vector[:, good] / value[good]) @ vector[:, good].T
-    detectable = dict.fromkeys([p.name for p in parameters], math.inf)
     for i, p in enumerate(kept):
         if p.name not in lost:
             detectable[p.name] = float(SURE * math.sqrt(inverse[i, i]) / size[seen][i])
@@ -194,38 +162,55 @@ def judge(parameters: Sequence[Planned], columns: Floats, readings: Readings, no
 
 
 def propose(
-    effects: Sequence[Effect],
+    asked: Asked,
     measurements: Sequence[Measurement],
     extras: Sequence[Extra],
     noise: Mapping[str, float] | None = None,
+    stays: Stays = "shared",
 ) -> list[Proposal]:
     """Rank tests that might be added: by what they would separate, then by time, then by condition number."""
-    before = separation(effects, measurements, noise)
-    found = _found(before)
+    parameters = planned(asked, measurements[0].machine)
+    here = told(parameters, measurements, noise or {}, stays)
+    return _ranked(parameters, here, told_by(parameters, extras, noise or {}, stays))
+
+
+def route(
+    asked: Asked,
+    measurements: Sequence[Measurement],
+    extras: Sequence[Extra],
+    noise: Mapping[str, float] | None = None,
+    stays: Stays = "shared",
+) -> list[Proposal]:
+    """Tests one after another, the cheapest of the best each time, until everything is told apart or nothing helps."""
+    parameters = planned(asked, measurements[0].machine)
+    here = told(parameters, measurements, noise or {}, stays)
+    left = told_by(parameters, extras, noise or {}, stays)
+    out: list[Proposal] = []
+    while len(out) < MOST_STEPS and not judge(parameters, here).complete:
+        ranked = [p for p in _ranked(parameters, here, left) if p.after.rank > judge(parameters, here).rank]
+        if not ranked:
+            break
+        out.append(ranked[0])
+        here = here + next(i for e, i in left if e is ranked[0].test)
+    return out
+
+
+def told_by(
+    parameters: Sequence[Planned], extras: Sequence[Extra], noise: Mapping[str, float], stays: Stays
+) -> list[tuple[Extra, Floats]]:
+    """What each test that might be added tells; its noise is that of the others."""
+    usual = float(np.median(list(noise.values()))) if noise else USUAL_NOISE
+    return [(e, information(parameters, e.measurement, noise.get(e.name, usual), stays)) for e in extras]
+
+
+def _ranked(parameters: Sequence[Planned], here: Floats, extras: Sequence[tuple[Extra, Floats]]) -> list[Proposal]:
+    before = judge(parameters, here)
     out = []
-    for test in extras:
-        after = separation(effects, [*measurements, test.measurement], noise)
-        gained = tuple(sorted(_found(after) - found))
-        out.append(Proposal(test, after, gained))
+    for test, more in extras:
+        after = judge(parameters, here + more)
+        out.append(Proposal(test, after, tuple(sorted(after.found - before.found))))
     useful = [p for p in out if p.after.rank > before.rank or p.after.condition < 0.7 * before.condition]
     return sorted(useful, key=lambda p: (-p.after.rank, p.test.hours, p.after.condition))
-
-
-def _found(s: Separation) -> set[str]:
-    return {name for name, size in s.detectable.items() if math.isfinite(size)}
-
-
-def _whitened(columns: Floats, readings: Readings, noise: Mapping[str, float]) -> Floats:
-    """Columns over the noise, with what each run and each set-up cannot know taken out."""
-    whole = np.concatenate([readings.setup, columns], axis=1)
-    flat = np.stack([without_nuisance(readings, c) for c in whole.T], axis=1)
-    for s in readings.series:
-        flat[s.part] /= noise.get(readings.measurements[s.source].name, 0.5)
-    count = readings.setup.shape[1]
-    if not count:
-        return flat
-    q = np.linalg.qr(flat[:, :count])[0]
-    return np.asarray(flat[:, count:] - q @ (q.T @ flat[:, count:]))
 
 
 def _sets(unseen: Floats, parameters: Sequence[Planned]) -> tuple[tuple[str, ...], ...]:

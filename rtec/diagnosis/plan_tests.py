@@ -1,19 +1,16 @@
-"""Tests that exist as files, tests that are only planned, and tests that might be added."""
+"""Tests that exist as files and tests that are only planned; and what is asked about where nobody says."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from rtec.diagnosis.candidates import surroundings, visible
-from rtec.diagnosis.plan import Extra
 from rtec.diagnosis.readings import read
 from rtec.effects import Effect, effect_class
-from rtec.errors import ConfigError, RtecError
-from rtec.machine import Axis, Machine
+from rtec.errors import ConfigError
+from rtec.machine import Machine
 from rtec.metrology.files import load_measurements
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
@@ -36,7 +33,6 @@ USUAL = (
     "spindle_growth",
 )
 """Effects that are asked about where none are named: each once for every component error that the tests see."""
-BESIDE_MM = 200.0
 
 
 def load_test(path: Path, machine: Machine) -> Measurement:
@@ -84,76 +80,6 @@ def usual_effects(measurements: Sequence[Measurement], names: Sequence[str] = US
             if first is not None:
                 out.append(first)
     return out
-
-
-@dataclass(frozen=True)
-class _Idea:
-    name: str
-    instrument: str
-    setup: Mapping[str, Any]
-    axis: str | None
-    component: str | None
-    settings: Mapping[str, Any]
-
-
-def extra_tests(machine: Machine) -> list[Extra]:
-    """Tests that can be made on a machine with the usual instruments; those that do not fit it are left out."""
-    out = []
-    for idea in (i for axis in machine.axes for i in _along(axis, machine)):
-        made = _made(idea, machine)
-        if made is not None:
-            out.append(made)
-    whole = _Idea("tool-tip probing over the workspace, cold", "tool_tip", {}, None, None, {"protocol": "cold"})
-    drift = _Idea(
-        "drift probes, spindle on and off over 8 h", "spindle_drift", _probes(), None, None, {"protocol": "drift"}
-    )
-    for idea in (whole, drift):
-        made = _made(idea, machine)
-        if made is not None:
-            out.append(made)
-    return out
-
-
-def _probes() -> dict[str, Any]:
-    from rtec.sim.campaign_order import DRIFT_PROBES
-
-    return {"probe": dict(DRIFT_PROBES)}
-
-
-def _along(axis: Axis, machine: Machine) -> Iterator[_Idea]:
-    name, cold = axis.name, {"protocol": "cold", "cycles": 2}
-    yield _Idea(f"laser along {name}, both ways, cold", "laser_linear", {}, name, None, cold)
-    for across in "XYZ".replace(axis.direction, ""):
-        at = [BESIDE_MM if letter == across else 0.0 for letter in "XYZ"]
-        where = f"beam {BESIDE_MM:g} mm from the tool along {across}"
-        yield _Idea(
-            f"laser along {name}, both ways, cold, {where}", "laser_linear", {"beam_offset_mm": at}, name, None, cold
-        )
-    warm = {"protocol": "warm_up", "cycles": 2}
-    yield _Idea(f"laser along {name} through a warm-up", "laser_linear", {}, name, None, warm)
-    for letter in "ABC":
-        component = f"E{letter}{name}"
-        what = {"A": "about X", "B": "about Y", "C": "about Z"}[letter]
-        yield _Idea(f"angular laser along {name}, {what}, cold", "laser_angular", {}, name, component, cold)
-    for letter in "XYZ":
-        if letter != axis.direction:
-            component = f"E{letter}{name}"
-            yield _Idea(f"straightness of {name} in {letter}, cold", "straightness", {}, name, component, cold)
-    others = [a.name for a in machine.axes if a.name != name]
-    for other in others:
-        setup = {"reference_axis": other}
-        yield _Idea(f"square between {name} and {other}", "squareness", setup, name, None, cold)
-
-
-def _made(idea: _Idea, machine: Machine) -> Extra | None:
-    """The test, where the instrument fits the machine."""
-    try:
-        instrument = make_instrument(idea.instrument, idea.setup, idea.axis, idea.component, machine, "plan")
-        measurement = dry(machine, instrument, validated(Settings, dict(idea.settings), "plan"), idea.name)
-    except RtecError:
-        return None
-    hours = float(measurement.time_s[-1] - measurement.time_s[0]) / 3600.0
-    return Extra(idea.name, dataclasses.replace(measurement, name=idea.name), max(hours, 0.05))
 
 
 def thinned(measurement: Measurement, most: int = 3000) -> Measurement:

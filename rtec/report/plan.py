@@ -5,25 +5,31 @@ from collections.abc import Sequence
 
 from rtec import __version__
 from rtec.diagnosis.plan import WEAK, Proposal, Separation
+from rtec.diagnosis.plan_answer import Answer
+from rtec.diagnosis.plan_parameters import hours_in_words
+from rtec.diagnosis.separating import Pair, Separator
 from rtec.report.html import Page, Section, Table
 
 SHOWN = 8
 
 
-def plan_page(s: Separation, proposals: Sequence[Proposal], tests: Sequence[str]) -> Page:
+def plan_page(a: Answer) -> Page:
     """The page; the terminal shows the same."""
+    s = a.separation
     return Page(
         title="What these tests can tell",
-        lead=_lead(s, proposals),
+        lead=_lead(a),
         numbers=[(f"{s.rank} of {len(s.parameters)}", "parameters told apart"), (_condition(s), "condition number")],
         sections=[
-            Section("Tests", [", ".join(tests)]),
+            Section("Tests", [", ".join(a.tests)]),
             *_troubles(s),
+            *_hopeless(a),
             Section("Smallest size that would be found", [], _sizes(s)),
-            *_proposals(proposals),
+            *_proposals(a.proposals),
+            *_separators(a.separators),
         ],
         foot=[
-            "Three standard errors, white noise of 0.5 µm or µrad unless said otherwise.",
+            f"Three standard errors, white noise of {a.noise:g} µm or µrad.",
             f"rtec {__version__}, rtec plan.",
         ],
     )
@@ -33,24 +39,39 @@ def _condition(s: Separation) -> str:
     return f"{s.condition:.1f}" if math.isfinite(s.condition) else "–"
 
 
-def _lead(s: Separation, proposals: Sequence[Proposal]) -> str:
-    n = len(s.parameters)
+def _lead(a: Answer) -> str:
+    s, n = a.separation, len(a.separation.parameters)
     if s.complete:
         weak = f", but only just (condition number {s.condition:.0f})" if s.condition > WEAK else ""
         return f"These tests tell all {n} parameters apart{weak}."
-    best = next((p for p in proposals if p.gained), None)
-    way = f" Add: {best.test.name} ({_hours(best.test.hours)}), then {best.after.rank} of {n}." if best else ""
-    return f"These tests tell {s.rank} of {n} parameters apart.{way}"
-
-
-def _hours(hours: float) -> str:
-    return f"{60 * hours:.0f} min" if hours < 1.5 else f"{hours:.1f} h"
+    told = f"These tests tell {s.rank} of {n} parameters apart."
+    if not a.route:
+        return told
+    first, *more = [f"{p.test.name} ({hours_in_words(p.test.hours)})" for p in a.route]
+    after = a.route[-1].after.rank
+    return f"{told} Add: {', then '.join([first, *more])}; that makes {'all' if after == n else after} of {n}."
 
 
 def _troubles(s: Separation) -> list[Section]:
     words = [f"Never seen: {name}." for name in s.never]
     words += [f"Only together: {', '.join(group)}." for group in s.confounded]
     return [Section("What stays open", words)] if words else []
+
+
+def _hopeless(a: Answer) -> list[Section]:
+    """What no test helps with; said also where the tests at hand leave nothing open."""
+    tests = "circle in this plane" if a.circles else "usual test on this machine"
+    words = [
+        f"No {tests} sees {group[0]}."
+        if len(group) == 1
+        else f"No {tests} tells these apart: {', '.join(group)}. What is found is what they make together."
+        for group in a.hopeless
+    ]
+    return (
+        [Section("What no further circle would tell" if a.circles else "What no further test would tell", words)]
+        if words
+        else []
+    )
 
 
 def _sizes(s: Separation) -> Table:
@@ -70,7 +91,7 @@ def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
     rows = [
         [
             p.test.name,
-            _hours(p.test.hours),
+            hours_in_words(p.test.hours),
             f"{p.after.rank}",
             _condition(p.after),
             ", ".join(p.gained[:4]) + (f" and {len(p.gained) - 4} more" if len(p.gained) > 4 else ""),
@@ -79,3 +100,26 @@ def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
     ]
     head = ("test to add", "takes", "told apart", "condition", "newly found")
     return [Section("What to add, best first", [], Table(head, rows, words=(0, 1, 4)))]
+
+
+def _separators(separators: Sequence[Separator]) -> list[Section]:
+    """Tests by the odds that they would give for the right one of each two rivals."""
+    if not separators:
+        return []
+    rows = [
+        [s.test.name, hours_in_words(s.test.hours), f"{s.clear} of {len(s.pairs)}", _worst(s.pairs)]
+        for s in separators[:SHOWN]
+    ]
+    names = dict.fromkeys(n for p in separators[0].pairs for n in (p.one, p.other))
+    said = [
+        f"Rivals: {', '.join(names)}. Each is taken to be true at its usual size, the others are fitted to what it "
+        "would show in all tests together; told apart means 20 to 1 or better."
+    ]
+    head = ("test to add", "takes", "pairs told apart", "odds of the worst pair")
+    return [Section("What tells the rivals apart, best first", said, Table(head, rows, words=(0, 1, 2, 3)))]
+
+
+def _worst(pairs: Sequence[Pair]) -> str:
+    worst = min(pairs, key=lambda p: p.gain)
+    odds = "more than 1000 to 1" if worst.gain > math.log(1000.0) else f"{math.exp(worst.gain):.3g} to 1"
+    return odds if len(pairs) == 1 else f"{odds} ({worst.one} or {worst.other})"

@@ -5,7 +5,7 @@ The true effects see the true temperatures; the measurement holds what the senso
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from rtec.effects import State
 from rtec.metrology.instruments.base import Instrument, Nuisance
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.sim.campaign_cycle import make_cycle
+from rtec.sim.campaign_cycle import Cycle, make_cycle
 from rtec.sim.campaign_noise import with_noise
 from rtec.sim.campaign_paths import make_path, readings_um
 from rtec.sim.campaign_protocol import Timeline, make_timeline, phases_of
@@ -89,6 +89,7 @@ def simulate_with_truth(
     # One stream each: more noise of one kind leaves the others as they were.
     weather, sensing, hidden, noise = (np.random.default_rng([seed, 40, i]) for i in range(4))
     cycle = make_path(machine, instrument, settings) or make_cycle(machine, instrument, settings.targets)
+    cycle = replace(cycle, more={**_at_rest(truth, cycle), **cycle.more})
     whole = make_timeline(machine, settings, phases_of(settings, instrument), cycle)
     true_degc = temperatures_degc(machine, settings.thermal, whole, weather)
     rows = np.flatnonzero(whole.run > 0)
@@ -125,6 +126,13 @@ def simulate_with_truth(
         true_degc={s: v[rows] for s, v in true_degc.items()},
         phase=tuple(whole.phases[i] for i in whole.phase[rows]),
     )
+
+
+def _at_rest(truth: Model, cycle: Cycle) -> dict[str, Floats]:
+    """Velocities and accelerations that the true effects ask for and the cycle does not have: it reads at rest."""
+    asked = {c for f in truth.effects for c in f.effect.channels(truth.machine)}
+    motion = {c for a in truth.machine.axes for c in (a.velocity_channel, a.acceleration_channel)}
+    return {c: np.zeros(len(cycle.after_s)) for c in sorted(asked & motion)}
 
 
 def _state(truth: Model, whole: Timeline, true_degc: Mapping[str, Floats], rows: NDArray[np.int64]) -> State:

@@ -11,7 +11,7 @@ import tomli_w
 
 from rtec.cli.main import status
 from rtec.diagnosis.plan import SURE, separation
-from rtec.diagnosis.plan_tests import extra_tests
+from rtec.diagnosis.plan_ideas import extra_tests
 from rtec.effects import Effect
 from rtec.metrology.measurement import Measurement
 from tests.unit.diagnosis_examples import effects, laser, small_machine, write_machine

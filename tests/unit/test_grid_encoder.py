@@ -125,7 +125,8 @@ XZ1 = tuple(
 
 def test_table_4_of_one_setup() -> None:
     m = bridge((-362.0, -200.0, 593.0))
-    made = measured(m, "XZ", [-282.0, -200.0, 513.0], XZ1, cycles=3)
+    # Ten readings a millimetre: with two the pitch alone would have a standard error as large as its last digit.
+    made = measured(m, "XZ", [-282.0, -200.0, 513.0], XZ1, cycles=3, step_mm=0.1)
     items = analyse(made).items
     paper = {"EB0Z": -7.5, "EXX": -7.3, "EZZ": 0.4, "EZX": 1.3, "EXZ": 1.9, "EBX": -18.6}
     for name, value in paper.items():
@@ -169,7 +170,7 @@ def test_table_8_turn_by_direction() -> None:
     assert "ECX(+) - (-)" in {i.name for i in certain(found)}
 
 
-def test_table_9_feeds() -> None:
+def table_9(**path: Any) -> tuple[Any, ...]:
     fast = "(abs(v_{0}) - 25 / 3) / (475 / 3)"
     y, z = fast.format("y"), fast.format("z")
     effects = (
@@ -180,13 +181,47 @@ def test_table_9_feeds() -> None:
         own("EAY", f"1.5 * (y - 1335) / 160 * {y}"),
     )
     m = bridge((0.0, 1335.0, -612.0))
-    made = measured(m, "YZ", [0.0, 1415.0, -692.0], effects, seed=8, cycles=3, kinds=("square",),
-                    feeds_mm_min=(500.0, 10000.0))  # fmt: skip
-    found = feeds(analyse(made))
+    made = measured(m, "YZ", [0.0, 1415.0, -692.0], effects, seed=8, kinds=("square",),
+                    feeds_mm_min=(500.0, 10000.0), **path)  # fmt: skip
+    return feeds(analyse(made))
+
+
+def test_table_9_feeds() -> None:
+    found = table_9(cycles=3)
     paper = {"EYY": 1.2, "EZZ": -0.3, "EZY": 6.9, "EYZ": 1.2}
     for name, value in paper.items():
         assert item(found, f"{name}(fast) - (slow)").value == pytest.approx(value, abs=0.1), name
-    assert item(found, "EAY(fast) - (slow)").value == pytest.approx(1.5, abs=0.5)
+
+
+def test_table_9_pitch_takes_many_readings() -> None:
+    """Oracle: least squares by hand. 1.5 µm/m over 160 mm, seen from sides 160 mm apart, is 0.04 µm at the ends. The
+    slope of a line through n readings of noise s has a standard error of s √12 / √n over its length; four means of 2c
+    lines (c squares, both senses) make up the item. Its last digit takes about 60 times the readings of the others."""
+    for step_mm, cycles in ((0.5, 3), (0.05, 5)):
+        pitch = item(table_9(step_mm=step_mm, cycles=cycles), "EAY(fast) - (slow)")
+        readings = 156.0 / step_mm * 2.0 * cycles
+        by_hand = 2.0 * 0.2 * np.sqrt(12.0 / readings) / 0.16
+        assert pitch.u == pytest.approx(2.0 * by_hand * 160.0 / 156.0, rel=0.1)
+        assert abs(pitch.value - 1.5) < pitch.u
+    assert pitch.value == pytest.approx(1.5, abs=0.1)
+
+
+def test_a_pitch_shows_twice_on_a_square() -> None:
+    """Oracle: the truth, and half the variance of what the axis' own travel alone gives; a pitch that is there only
+    while the axis moves makes the two disagree, and the uncertainty says so."""
+    from rtec.metrology.procedures.grid import angle_moving, angle_of
+
+    m = bridge((0.0, -80.0, 0.0))
+    still = analyse(measured(m, "YZ", [0.0, 0.0, 0.0], (own("EAY", "8 * (y + 80) / 160"),), kinds=("square",)))
+    both, alone = angle_of(still, 0), angle_moving(still, 0, 1000.0)
+    assert both is not None
+    assert alone is not None
+    assert both[0] == pytest.approx(8.0, abs=3.0 * both[1])
+    assert both[1] == pytest.approx(alone[1] / np.sqrt(2.0), rel=0.1)
+    gone = own("EAY", "8 * (y + 80) / 160 * abs(v_y) * 60 / 1000")
+    moving = angle_of(analyse(measured(m, "YZ", [0.0, 0.0, 0.0], (gone,), kinds=("square",))), 0)
+    assert moving is not None
+    assert moving[1] > 1.5
 
 
 def rigid(seed: int) -> tuple[GridSetup, GridSetup]:

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from rtec.effects import effect_class
+from rtec.effects.base import component_kind
 from rtec.machine.chain import component_unit
-from rtec.metrology.characterise.seen import Seen, both_ways, lags_s, speed_varies, visited
+from rtec.metrology.characterise.cover import followed, several_speeds
+from rtec.metrology.characterise.seen import Seen, both_ways, gone_along, lags_s, reads, speed_varies, visited
 from rtec.metrology.characterise.source import Source
 from rtec.metrology.characterise.stream import Term
 
@@ -17,6 +19,8 @@ DEGREES = (0, 1, 2, 3, 4, 5, 6)
 """Quadratics are typically enough [G 3.6]; higher degrees where they pay on held-out runs."""
 REGIONS = (5, 9)
 """Knots of the split of an axis into regions."""
+LIFTS = (0.5, 0.75, 1.0)
+"""An oil film lifts with the speed to such a power."""
 EXPONENTS = (1.0, 1.5, 2.0)
 """Heat of a spindle grows with its speed to such a power."""
 
@@ -27,7 +31,7 @@ class Candidate:
 
     Attributes:
         term: effect with fixed non-linear parameters, and the columns that it stands for.
-        kind: "position", "direction", "region", "cyclic", "temperature", "difference", "speed".
+        kind: "position", "direction", "velocity", "region", "cross", "cyclic", "temperature", "difference", "speed".
         feature: what drives it: sensors or speed, and how they are lagged; empty for geometry.
         channels: sensors, or the speed, or the axis, that drive it.
     """
@@ -71,7 +75,7 @@ def geometry(seen: Seen, sources: Sequence[Source]) -> list[Candidate]:
     if both_ways(axis, sources):
         out.append(_candidate("direction", "backlash", name, **along))
         out += [_candidate("direction", "backlash_position", name, only=(k,), degree=k, **along) for k in (1, 2)]
-    for knots in REGIONS:
+    for knots in REGIONS if gone_along(axis, [s for s in sources if reads(s, name)]) else ():
         at = tuple(float(v) for v in np.linspace(*visited(axis, sources), knots))
         inner = tuple(range(1, knots - 1))  # with constant and slope these span the same as all of them
         out.append(_candidate("region", "piecewise_position", name, only=inner, knots_mm=at, **along))
@@ -80,6 +84,28 @@ def geometry(seen: Seen, sources: Sequence[Source]) -> list[Candidate]:
         out.append(_candidate("cyclic", "cyclic_screw", name, theta, harmonics=1, **along))
         out.append(_candidate("cyclic", "cyclic_screw", name, theta, only=(2, 3), harmonics=2, **along))
     return out
+
+
+def extended(seen: Seen, sources: Sequence[Source]) -> Iterator[Candidate]:
+    """What no rigid body does [XT 2]: a component that goes with the speed, or that changes with another axis.
+
+    Only where the measurements that read it cover it: several speeds, all thirds of both axes.
+    """
+    axis, name = seen.axis, seen.name
+    if axis is None or not seen.moves or name[2] == "0":
+        return
+    machine = sources[0].measurement.machine
+    kind = component_kind(name, machine)
+    if several_speeds(sources, name, axis):
+        if kind == "positioning":
+            yield _candidate("velocity", "servo_lag", name, axis=axis.name)
+        if kind in ("straightness", "tilt"):
+            for q in LIFTS:
+                yield _candidate("velocity", "guide_lift", name, {"q": q}, axis=axis.name)
+    for other in (a for a in machine.axes if a.name != axis.name and followed(sources, name, axis, a)):
+        whole = _candidate("cross", "cross_talk", name, axis=axis.name, other=other.name)
+        for k in range(len(whole.term.effect.coefficients(machine))):
+            yield _candidate("cross", "cross_talk", name, only=(k,), axis=axis.name, other=other.name)
 
 
 def thermal(seen: Seen, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[Candidate]:

@@ -1,6 +1,7 @@
 """Characterises a machine: measurements in, geometric-thermal model out."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,11 @@ from rtec.metrology.characterise.report import assemble
 from rtec.metrology.characterise.result import Characterisation
 from rtec.metrology.characterise.screen import Screened, screen
 from rtec.metrology.characterise.search import starting_terms
+from rtec.metrology.characterise.seen import reads
 from rtec.metrology.characterise.source import Source
 from rtec.metrology.characterise.stream import Term, gather
 from rtec.metrology.characterise.sure import spared, surety
-from rtec.metrology.characterise.telling import check_seen
+from rtec.metrology.characterise.telling import check_seen, tellable
 from rtec.metrology.characterise.thin import thinned
 from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.characterise.tidy import tidied
@@ -36,6 +38,8 @@ SEARCHED = 20_000
 WORSE = 1.01
 """Parameters from the search that raise the held-out error by more than this go back to those of the choice."""
 QUADRATIC = 2
+MANY_BLOCKS = 400
+"""More blocks than this, of all measurements together, tell no more than those that are left out together."""
 
 
 def characterise(
@@ -77,6 +81,8 @@ def _characterise(
 ) -> Characterisation:
     tell = stage or (lambda _what, _done, _total: None)
     sources = [Source.of(m, leave_out_h) for m in _checked(measurements)]
+    if sum(len(s.blocks.fold) for s in sources) > MANY_BLOCKS:
+        sources = [replace(s, blocks=s.blocks.by_fold) for s in sources]
     sources, spiky = _despiked(sources)
     scaled = [s.weighted(_rough_weights(s)) for s in sources]
     exact = wanted.exact if wanted else ()
@@ -93,6 +99,7 @@ def _characterise(
         screened = screen(scaled, names, [screened.candidates[i] for i in choice.chosen])
         choice = _choose(screened, wanted, tell)
         chosen = tidied([screened.candidates[i].term for i in choice.chosen])
+        chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     tried = len(screened.candidates) if screened else 0
     fit = _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell)
@@ -200,8 +207,11 @@ def _check_channels(sources: Sequence[Source], effects: Sequence[Effect]) -> Non
     for effect in effects:
         for source in sources:
             m = source.measurement
+            if not reads(source, effect.component):
+                continue
+            moving = {c for a in m.machine.axes for c in (a.channel, a.direction_channel)}
+            moving |= {a.velocity_channel for a in m.machine.axes if source.speeds(a) is not None}
             for channel in effect.channels(m.machine):
-                moving = {c for a in m.machine.axes for c in (a.channel, a.direction_channel)}
                 if channel not in m.channels and channel not in moving:
                     faults.append(
                         f"{m.name}: has no column for {channel}, which {effect.effect}({effect.component}) needs"

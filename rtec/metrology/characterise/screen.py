@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.characterise.candidates import Candidate, geometry, thermal
+from rtec.metrology.characterise.candidates import Candidate, extended, geometry, thermal
 from rtec.metrology.characterise.normal import Normal
 from rtec.metrology.characterise.seen import Seen, reads, seen_components, varying_sensors
 from rtec.metrology.characterise.source import Source
@@ -82,7 +82,7 @@ def screen(
     def may(candidate: Candidate) -> bool:
         return allowed is None or candidate.term.effect.effect in allowed
 
-    shapes = [c for s in seen for c in geometry(s, few) if may(c)]
+    shapes = [c for s in seen for c in (*geometry(s, few), *extended(s, few)) if may(c)]
     budget = max(LEAST, (COLUMNS - len(shapes)) // max(len(seen), 1))
     kept: list[Candidate] = []
     table: list[Correlation] = []

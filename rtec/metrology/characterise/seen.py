@@ -14,7 +14,6 @@ Floats = NDArray[np.float64]
 TAU_S = (150.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
 MOVES = 0.01
 """An axis that moves by at least this share of its travel is seen."""
-SAMPLE = 2000
 NO_ARM = 1e-12
 REAL_K = 0.5
 """Temperatures that vary by less are not a cause but the sensor's noise."""
@@ -60,18 +59,11 @@ def seen_components(sources: Sequence[Source]) -> list[Seen]:
 
 def reads(source: Source, component: str) -> bool:
     """Whether an instrument's reading moves with a component error at all."""
-    return bool(_arms(source)[source.measurement.machine.components.index(component)] > NO_ARM)
-
-
-def _arms(source: Source) -> Floats:
-    """Longest lever arm of each component, (components,)."""
-    rows = np.unique(np.linspace(0, len(source.measurement) - 1, SAMPLE).astype(np.int64))
-    arms = source.measurement.instrument.arms(source.measurement.machine, source.state.positions_mm()[rows])
-    return np.asarray(np.abs(arms).max(axis=(0, 1)))
+    return bool(source.longest_arms[source.measurement.machine.components.index(component)] > NO_ARM)
 
 
 def _through_arms(source: Source, machine: Machine) -> list[str]:
-    there = _arms(source) > NO_ARM
+    there = source.longest_arms > NO_ARM
     moving = {a.name for a in machine.axes if moves(source, a)}
     links = {*moving, _spindle(machine)}
     names = [
@@ -165,3 +157,19 @@ def visited(axis: Axis, sources: Sequence[Source]) -> tuple[float, float]:
     """Lowest and highest position of an axis in the measurements, mm."""
     there = [s.measurement.channels[axis.channel] for s in sources if axis.channel in s.measurement.channels]
     return min(float(p.min()) for p in there), max(float(p.max()) for p in there)
+
+
+def gone_along(axis: Axis, sources: Sequence[Source]) -> bool:
+    """Whether an axis went over half of what was visited of it in some one run.
+
+    Patches that each have a zero of their own (plates on a grid, say) show slopes and bends where they lie. A curve
+    made of pieces would take any height between them.
+    """
+    low, high = visited(axis, sources)
+    for s in sources:
+        if axis.channel in s.measurement.channels:
+            place, edges = s.measurement.channels[axis.channel], s.blocks.run_edges
+            longest = np.maximum.reduceat(place, edges[:-1]) - np.minimum.reduceat(place, edges[:-1])
+            if float(longest.max()) >= 0.5 * (high - low):
+                return True
+    return False

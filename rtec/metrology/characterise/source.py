@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
+from rtec.machine import Axis
 from rtec.metrology.characterise.blocks import Blocks, cut
 from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
 
+SAMPLE = 2000
+"""Instants at which lever arms are looked at."""
 EMPTY = 1e-9
 """What is left of a nuisance, relative to its size, below which it is a copy of those before it."""
 
@@ -71,6 +74,21 @@ class Source:
     def state(self) -> State:
         """The state; directions are worked out once, before it is walked through."""
         return self.measurement.state()
+
+    @cached_property
+    def longest_arms(self) -> Floats:
+        """Longest lever arm of each component on any reading, (components,)."""
+        rows = np.unique(np.linspace(0, len(self.measurement) - 1, SAMPLE).astype(np.int64))
+        arms = self.measurement.instrument.arms(self.measurement.machine, self.state.positions_mm()[rows])
+        return np.asarray(np.abs(arms).max(axis=(0, 1)))
+
+    def speeds(self, axis: Axis) -> Floats | None:
+        """Velocity of an axis, mm/s, (n,): as recorded; zero where it never moved; None where nobody knows."""
+        channels = self.measurement.channels
+        if axis.velocity_channel in channels:
+            return channels[axis.velocity_channel]
+        still = axis.channel not in channels or not np.ptp(channels[axis.channel]) > 0.0
+        return np.zeros(len(self.measurement)) if still else None
 
     @cached_property
     def readings(self) -> Floats:

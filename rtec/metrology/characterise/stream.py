@@ -15,6 +15,7 @@ from rtec.effects import Effect
 from rtec.machine import Machine
 from rtec.metrology.characterise.normal import Normal
 from rtec.metrology.characterise.project import Carry
+from rtec.metrology.characterise.seen import reads
 from rtec.metrology.characterise.source import Explicit, Source, flat
 from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.characterise.walk import Walk
@@ -96,6 +97,7 @@ def predict(source: Source, terms: Columns, values: Floats) -> Floats:
     """Weighted prediction of every reading, (n · readings,), without nuisances."""
     machine, walk = source.measurement.machine, Walk(source.state)
     names = sorted({t.effect.component for t in terms}, key=machine.components.index)
+    blind = {name for name in names if not reads(source, name)}
     out = np.zeros(len(source.weight))
     r, step = source.count, max(CHUNK // source.count, 1)
     for start in range(0, len(source.measurement), step):
@@ -105,6 +107,9 @@ def predict(source: Source, terms: Columns, values: Floats) -> Floats:
         k = 0
         for slot, term in enumerate(terms):
             row = errors[names.index(term.effect.component)]
+            if term.effect.component in blind:
+                k += len(term.names(machine))
+                continue
             for value in term.values(machine, walk.begin(slot)):
                 row += values[k] * value
                 k += 1
@@ -123,6 +128,9 @@ class _Gatherer:
         self.owner = [i for i, t in enumerate(terms) for _ in t.names(machine)]
         self.extra: list[tuple[int, Explicit]] = [(s, e) for s, src in enumerate(sources) for e in src.explicit]
         self.width = len(self.owner) + len(self.extra) + 1
+        # A term of a component that a measurement does not read is nothing there, whatever channels it lacks.
+        fed = {t.effect.component for t in terms}
+        self.blind = {(s, name) for s, src in enumerate(sources) for name in fed if not reads(src, name)}
         self.components = sorted({machine.components.index(t.effect.component) for t in terms})
         self.total = sum(len(s.weight) for s in sources)
         self.raw = np.zeros(self.width)
@@ -191,6 +199,9 @@ class _Gatherer:
         arms = source.arms(start, stop, self.components)
         k = 0
         for slot, term in enumerate(self.terms):
+            if (s, term.effect.component) in self.blind:
+                k += len(term.names(self.machine))
+                continue
             arm = arms[self.components.index(self.machine.components.index(term.effect.component))].reshape(-1, r)
             for value in term.values(self.machine, walk.begin(slot)):
                 column = np.asarray(value, dtype=np.float64)

@@ -16,6 +16,8 @@ SHORTLIST = 40
 """Each step tries so many of the candidates that explain most in sample on the left-out blocks."""
 ALIKE = 1e-9
 """Columns whose correlation is this near to one are the same, under two names: the first is kept."""
+TOGETHER = 1e-8
+"""A direction of a candidate's own columns below this share of the largest is not seen."""
 MOST_FEATURES = 4
 """Temperatures, differences and speeds that one component error may depend on; one or two is usual [G 3.6]."""
 BLOCKS_EACH = 2
@@ -69,12 +71,15 @@ class Table:
         total[~self.usable] = 0.0
         order = [int(i) for i in np.argsort(-total, kind="stable") if total[i] > 0]
         features = self._features(chosen)
-        speeds = {self.candidates[i].component for i in chosen if self.candidates[i].kind == "speed"}
         room = [i for i in order if self._room(i, features)]
-        # One spindle heats one way: two lags of powers of its speed would only haggle over the exponent.
-        return [i for i in room if self.candidates[i].kind != "speed" or self.candidates[i].component not in speeds][
-            :most
-        ]
+        # One spindle heats one way, an oil film lifts one way: two powers of a speed would only haggle over it.
+        speeds = {self._of_speed(i) for i in chosen} - {None}
+        return [i for i in room if self._of_speed(i) not in speeds][:most]
+
+    def _of_speed(self, i: int) -> tuple[str, str] | None:
+        """Component and kind of a candidate that goes with a power of a speed; None of others."""
+        candidate = self.candidates[i]
+        return (candidate.component, candidate.kind) if candidate.kind in ("speed", "velocity") else None
 
     def _features(self, chosen: Sequence[int]) -> dict[str, set[str]]:
         out: dict[str, set[str]] = {}
@@ -98,7 +103,7 @@ def _usable(normal: Normal, columns: Sequence[Ints]) -> NDArray[np.bool_]:
     """Candidates that the readings show and that are not the very column of one before them."""
     d, _, _ = residual_parts(normal, np.zeros(0, dtype=np.int64))
     seen = d > VISIBLE * normal.raw[: normal.width]
-    out = np.array([bool(seen[c].all()) for c in columns])
+    out = np.array([bool(seen[c].all()) and _apart(normal, c) for c in columns])
     single = np.array([int(c[0]) for i, c in enumerate(columns) if len(c) == 1 and out[i]], dtype=np.int64)
     if len(single) < 2:
         return out
@@ -107,3 +112,13 @@ def _usable(normal: Normal, columns: Sequence[Ints]) -> NDArray[np.bool_]:
     alike = np.abs(np.triu(left / np.outer(size, size), 1)) > 1 - ALIKE
     copies = set(single[alike.any(axis=0)].tolist())
     return np.array([ok and not (len(c) == 1 and int(c[0]) in copies) for ok, c in zip(out, columns, strict=True)])
+
+
+def _apart(normal: Normal, own: Ints) -> bool:
+    """Whether the readings tell a candidate's own columns from each other and from the nuisances."""
+    if len(own) < 2:
+        return True
+    left = residual_gram(normal, own)
+    size = np.sqrt(np.maximum(np.diag(left), 1e-300))
+    part = np.linalg.eigvalsh(left / np.outer(size, size))
+    return bool(part[0] > TOGETHER * part[-1])

@@ -26,20 +26,43 @@ def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
             f"fit: no reading shows {names(terms, blind)}; nothing that it depends on was there, "
             "or the instrument cannot tell it from its own zero"
         )
-    scaled, _ = normal.scaled()
-    part, directions = np.linalg.eigh(scaled)
     sets = []
-    for k in np.flatnonzero(part < UNSEEN * part[-1]):
-        row = np.abs(directions[:, k])
-        share = np.flatnonzero(row >= NAMED * row.max())
-        said = names(terms, sorted({int(normal.owner[i]) for i in share if i < normal.width}))
-        nuisances = [normal.extra[i - normal.width] for i in share if i >= normal.width]
+    for owners, nuisances in blind_sets(normal):
+        said = names(terms, owners)
         sets.append(", ".join([*([said] if said else []), *nuisances]))
     if any(sets):
         raise ModelError(
             "\n".join(f"fit: the readings cannot tell these apart: {s}" for s in dict.fromkeys(sets))
             + "\nleave one out, or measure where they differ"
         )
+
+
+def blind_sets(normal: Normal) -> list[tuple[list[int], list[str]]]:
+    """Terms, by number, and nuisances that share a direction which no reading sees."""
+    scaled, _ = normal.scaled()
+    part, directions = np.linalg.eigh(scaled)
+    out = []
+    for k in np.flatnonzero(part < UNSEEN * part[-1]):
+        row = np.abs(directions[:, k])
+        share = np.flatnonzero(row >= NAMED * row.max())
+        owners = sorted({int(normal.owner[i]) for i in share if i < normal.width})
+        out.append((owners, [normal.extra[i - normal.width] for i in share if i >= normal.width]))
+    return out
+
+
+def tellable(normal: Normal, terms: Sequence[Term]) -> list[int]:
+    """Numbers of terms that the readings tell apart from each other and from the nuisances.
+
+    Of a set that they do not, the one with the most coefficients goes, then the later one.
+    """
+    left = [i for i in range(len(terms)) if not (normal.share_left()[normal.owner == i] < NOTHING).any()]
+    while left:
+        rows = np.flatnonzero(np.isin(normal.owner, left))
+        sets = [owners for owners, _ in blind_sets(normal.pick(rows)) if owners]
+        if not sets:
+            break
+        left.remove(max(sets[0], key=lambda i: (int(np.count_nonzero(normal.owner == i)), i)))
+    return left
 
 
 def names(terms: Sequence[Term], which: Sequence[int]) -> str:

@@ -9,7 +9,7 @@ from rtec.metrology.characterise.stream import Term
 
 
 def tidied(terms: Sequence[Term]) -> list[Term]:
-    """Join polynomials, backlashes and harmonics of the same component and axis; the columns stay the same."""
+    """Join polynomials, backlashes, cross-talk and harmonics of one component and axis; the columns stay the same."""
     out: list[Term] = []
     for term in terms:
         place = next((i for i, t in enumerate(out) if _join(t, term) is not None), None)
@@ -23,6 +23,8 @@ def tidied(terms: Sequence[Term]) -> list[Term]:
 
 def _join(one: Term, other: Term) -> Term | None:
     a, b = one.effect, other.effect
+    if a == b and a.effect == "guide_lift":
+        return one  # its power is found in the fit
     if (
         a.component != b.component
         or getattr(a, "axis", None) != getattr(b, "axis", 0)
@@ -36,6 +38,10 @@ def _join(one: Term, other: Term) -> Term | None:
     if names == {"backlash_position"} and one.only is not None and other.only is not None:
         wider = a if _get(a, "degree") >= _get(b, "degree") else b
         return Term(wider, one.theta, tuple(sorted({*one.only, *other.only})))
+    if names == {"cross_talk"} and _get(a, "other") == _get(b, "other"):
+        if one.only is None or other.only is None:
+            return replace(one, only=None)
+        return replace(one, only=tuple(sorted({*one.only, *other.only})))
     if names == {"cyclic_screw"}:
         wider = a if _get(a, "harmonics") >= _get(b, "harmonics") else b
         only = sorted({*_columns(one), *_columns(other)})

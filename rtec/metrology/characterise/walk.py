@@ -69,14 +69,20 @@ class Walk:
         return _lag_on(np.ascontiguousarray(whole), np.ascontiguousarray(time_s), float(tau_s), memory)
 
     def _channel(self, name: str) -> Floats:
-        """Give a whole channel; an axis that was not recorded stands at zero, as in `State.positions_mm`."""
+        """Give a whole channel; an axis that was not recorded stands at zero, as in `State.positions_mm`.
+
+        Of an axis that was recorded at one place only, velocity and acceleration are zero, too.
+        """
         state = self._state
-        absent = next(
-            (a for a in state.machine.axes if a.channel not in state.channels and name in a.moving_channels), None
-        )
-        if absent is None or name in state.channels:
+        if name in state.channels:
             return state.value(name)
-        return np.full(len(state), FAR_MM if name == absent.since_reversal_channel else 0.0)
+        for axis in state.machine.axes:
+            recorded = state.channels.get(axis.channel)
+            if name not in axis.moving_channels or (recorded is not None and np.ptp(recorded) > 0.0):
+                continue
+            if recorded is None or name in (axis.velocity_channel, axis.acceleration_channel):
+                return np.full(len(state), FAR_MM if name == axis.since_reversal_channel else 0.0)
+        return state.value(name)
 
     def _cached(self, name: str, rise: bool) -> Floats:
         key = (name, rise)

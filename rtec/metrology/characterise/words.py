@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.metrology.characterise.cover import cover_warnings
 from rtec.metrology.characterise.estimate import Estimate
 from rtec.metrology.characterise.noise import Outlier, rough_noise
 from rtec.metrology.characterise.result import Warn
@@ -40,6 +41,7 @@ def all_warnings(fit: Estimate, undecided: Sequence[Rival], unused: Sequence[str
         *_sign_changes(fit),
         *setup_warnings(fit.sources),
         *_not_visited(fit),
+        *cover_warnings(fit.sources),
         *_on_bound(fit),
         *_few_blocks(fit),
         *outlier_warnings(fit.outliers),

@@ -96,24 +96,55 @@ def plate_um(setup: GridSetup) -> float:
     return setup.setup.accuracy_um / float(np.sqrt(3.0))
 
 
-def angle_of(setup: GridSetup, along: int, feed_mm_min: float | None = None) -> tuple[float, float] | None:
+def angle_of(setup: GridSetup, along: int) -> tuple[float, float] | None:
     """How much the axis of one direction turns about the normal over its travel, µrad, and its standard error.
 
-    From its linear deviation at both sides of the square: turned by ε, it goes further by `σ ε` times the distance.
+    A turn by ε moves the place by `σ ε` times the distance along the other direction, which a square shows twice: the
+    axis goes further on one side than on the other, and the sides across it lean differently at its two ends. Both
+    are taken, weighed by their noise; where they disagree beyond it, half of that is added to the standard error.
     """
-    feed = slowest(setup.edges) if feed_mm_min is None else feed_mm_min
-    here = [e for e in setup.edges if e.along == along and same_feed(e.feed_mm_min, feed)]
-    if not here:
+    ways = (angle_moving(setup, along, slowest(setup.edges)), _by_lean(setup, along, slowest(setup.edges)))
+    found = [w for w in ways if w is not None]
+    if not found:
         return None
-    longest = max(e.length_mm for e in here)
-    here = [e for e in here if e.length_mm > longest - SAME_MM]
-    low, high = min(e.beside_mm for e in here), max(e.beside_mm for e in here)
+    weight = np.array([1.0 / max(se, 1e-12) ** 2 for _, se in found])
+    values = np.array([v for v, _ in found])
+    noise = float(np.sqrt(np.sum(1.0 / weight)))
+    beyond = max(float(np.ptp(values)) - COVERAGE * noise, 0.0)
+    return float(weight @ values / weight.sum()), float(np.hypot(1.0 / np.sqrt(weight.sum()), 0.5 * beyond))
+
+
+def angle_moving(setup: GridSetup, along: int, feed: float) -> tuple[float, float] | None:
+    """As `angle_of`, from how far the axis goes on both sides of a square alone.
+
+    Of a turn that goes with the feed nothing else tells: on the sides across it this axis stands still.
+    """
+    here = _longest([e for e in setup.edges if e.along == along and same_feed(e.feed_mm_min, feed)])
+    low, high = min((e.beside_mm for e in here), default=0.0), max((e.beside_mm for e in here), default=0.0)
     if high - low < 10.0 * SAME_MM:
         return None
     sides = [mean_curve([e.own for e in here if abs(e.beside_mm - side) < SAME_MM]) for side in (low, high)]
     apart, se = (sides[1] - sides[0]).line_um
     factor = setup.lean.signs[1 - along] * 1e3 / (high - low)
     return apart * factor, se * abs(factor)
+
+
+def _by_lean(setup: GridSetup, along: int, feed: float) -> tuple[float, float] | None:
+    """From how the sides across it lean at both ends of its travel."""
+    mine = _longest([e for e in setup.edges if e.along == along and same_feed(e.feed_mm_min, feed)])
+    across = _longest([e for e in setup.edges if e.along != along and same_feed(e.feed_mm_min, feed)])
+    if not mine:
+        return None
+    ends = [[e for e in across if abs(e.beside_mm - end) < SAME_MM] for end in (mine[0].low_mm, mine[0].high_mm)]
+    if not all(ends):
+        return None
+    (first, first_se), (last, last_se) = (_slope(end, setup.lean.signs[1 - along]) for end in ends)
+    return last - first, float(np.hypot(first_se, last_se))
+
+
+def _longest(edges: Sequence[Edge]) -> list[Edge]:
+    longest = max((e.length_mm for e in edges), default=0.0)
+    return [e for e in edges if e.length_mm > longest - SAME_MM]
 
 
 def range_of(setup: GridSetup, along: int, edges: Sequence[Edge]) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from rtec.metrology.instruments.ball_bar import axis_along
 from rtec.metrology.procedures.grid import (
     GridSetup,
-    angle_of,
+    angle_moving,
     arm_on,
     at_corner,
     curve_of,
@@ -80,7 +80,7 @@ def feeds(setup: GridSetup, slow_mm_min: float | None = None, fast_mm_min: float
         if not all(pair):
             continue
         out += _feed_items(setup, along, pair[0], pair[1], f"{fast:g} against {slow:g} mm/min")
-        turned = [angle_of(setup, along, f) for f in (fast, slow)]
+        turned = [angle_moving(setup, along, f) for f in (fast, slow)]
         if turned[0] is not None and turned[1] is not None and arm_on(setup, along) != 0.0:
             value, se = turned[0][0] - turned[1][0], float(np.hypot(turned[0][1], turned[1][1]))
             name = f"E{setup.lean.turn}{setup.lean.axes[along]}(fast) - (slow)"

@@ -1,0 +1,226 @@
+"""The whole answer of `rtec plan`: what is told apart, what to add, what tells rivals apart, what no test would."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from rtec.diagnosis.plan import WEAK, Extra, Proposal, Separation, judge, propose, route, told, told_by
+from rtec.diagnosis.plan_ideas import extra_tests
+from rtec.diagnosis.plan_parameters import Planned, Stays, ball_bar_set, centres, planned
+from rtec.diagnosis.plan_tests import wanted_effects
+from rtec.diagnosis.separating import Rival, Separator, ranked
+from rtec.errors import ConfigError
+from rtec.machine import Machine
+from rtec.metrology.instruments.ball_bar import BallBar
+from rtec.metrology.measurement import Measurement
+
+BallBarModel = Literal["linear", "non-linear"]
+Stage = Callable[[str, int, int], None]
+MOST_RIVALS = 6
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of the tests.
+
+    Attributes:
+        effects: as `rtec fit --effects`; None for those of the model, or the usual ones.
+        model: file of a model whose effects are asked about.
+        ball_bar: the parameters of `rtec ballbar` instead; by default where all tests are ball bars and nothing else
+            is asked for.
+        rivals: effects that are to be told from each other, all else fitted along.
+        stays: whether the table-side ball stays where it is from test to test.
+        noise: white noise of a reading, µm or µrad.
+        suggest: look for tests to add.
+    """
+
+    effects: str | None = None
+    model: Path | None = None
+    ball_bar: BallBarModel | None = None
+    rivals: str | None = None
+    stays: Stays = "shared"
+    noise: float = 0.5
+    suggest: bool = True
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the tests can tell, and what to add.
+
+    Attributes:
+        tests: their names.
+        separation: of the parameters by these tests.
+        proposals: tests that would help, best first.
+        route: tests one after another until everything is told apart.
+        hopeless: sets that no usual test on this machine tells apart (of a ball bar's parameters: no circle of that
+            plane), and what none of them sees.
+        circles: whether that is said of circles alone.
+        separators: tests by how well they tell rivals apart.
+        noise: white noise that was supposed, µm or µrad.
+    """
+
+    tests: tuple[str, ...]
+    separation: Separation
+    proposals: tuple[Proposal, ...] = ()
+    route: tuple[Proposal, ...] = ()
+    hopeless: tuple[tuple[str, ...], ...] = ()
+    separators: tuple[Separator, ...] = ()
+    noise: float = 0.5
+    circles: bool = False
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data, for JSON."""
+        return self.separation.facts() | {
+            "tests": list(self.tests),
+            "noise": self.noise,
+            "proposals": [_proposal(p) for p in self.proposals],
+            "route": [_proposal(p) for p in self.route],
+            "hopeless": [list(h) for h in self.hopeless],
+            "separators": [
+                {"test": s.test.name, "hours": s.test.hours, "pairs": [vars(p) | {"clear": p.clear} for p in s.pairs]}
+                for s in self.separators
+            ],
+        }
+
+
+def _proposal(p: Proposal) -> dict[str, Any]:
+    return {
+        "test": p.test.name, "hours": p.test.hours, "rank": p.after.rank, "gained": list(p.gained),
+        "condition_number": p.after.condition,
+    }  # fmt: skip
+
+
+def answer(machine: Machine, tests: Sequence[Measurement], question: Question, stage: Stage | None = None) -> Answer:
+    """Say what tests can tell, and what to add.
+
+    Args:
+        machine: that is measured.
+        tests: measurements or planned ones (`plan_tests.load_test`).
+        question: what is asked of them.
+        stage: told how far it is.
+
+    Raises:
+        ConfigError: nothing is left to ask about, or what is asked does not fit the tests.
+        ModelError: an unknown effect, component or argument.
+    """
+    tell = stage or (lambda *_: None)
+    asked, beside, rivals = _asked(machine, tests, question)
+    noise = {m.name: question.noise for m in tests}
+    found = separation_of(asked, tests, noise, question.stays)
+    names = tuple(m.name for m in tests)
+    if not question.suggest or (found.complete and found.condition <= WEAK and not rivals and not beside):
+        return Answer(names, found, noise=question.noise)
+    tell("looking for tests to add", 0, 1)
+    extras = extra_tests(machine, tests)
+    everything = planned([*asked, *beside], machine)
+    here, more = (
+        told(everything, tests, noise, question.stays),
+        told_by(everything, extras, noise, question.stays),
+    )
+    return Answer(
+        names,
+        found,
+        tuple(propose(asked, tests, extras, noise, question.stays)),
+        tuple(route(asked, tests, extras, noise, question.stays)),
+        _hopeless(everything, here + sum(m for e, m in more if not beside or _on_a_circle(e, tests)), beside),
+        tuple(_separators(everything, here, more, rivals or _groups(found))),
+        question.noise,
+        bool(beside),
+    )
+
+
+def _on_a_circle(extra: Extra, tests: Sequence[Measurement]) -> bool:
+    """Whether it is a ball bar in the plane of the tests."""
+    mine, theirs = extra.measurement.instrument, tests[0].instrument
+    return isinstance(mine, BallBar) and isinstance(theirs, BallBar) and mine.setup.plane == theirs.setup.plane
+
+
+def separation_of(
+    asked: Sequence[Planned], tests: Sequence[Measurement], noise: Mapping[str, float], stays: Stays
+) -> Separation:
+    """What tests tell of parameters."""
+    return judge(asked, told(asked, tests, noise, stays))
+
+
+def _asked(
+    machine: Machine, tests: Sequence[Measurement], question: Question
+) -> tuple[tuple[Planned, ...], tuple[Planned, ...], list[tuple[str, ...]]]:
+    """Parameters; others that only matter for what can never be told; groups of rivals by name."""
+    bars = [m for m in tests if isinstance(m.instrument, BallBar)]
+    plain = question.effects is None and question.model is None and question.rivals is None
+    if question.ball_bar is not None or (plain and len(bars) == len(tests)):
+        _check_bars(bars, question)
+        bent = question.ball_bar == "non-linear"
+        asked = ball_bar_set(bars, bent=bent, stays=question.stays)
+        names = {p.name for p in asked}
+        whole = ball_bar_set(bars, bent=bent, stays=question.stays, rolls=True)
+        return asked, tuple(p for p in whole if p.name not in names), []
+    balls = centres(tests, question.stays)
+    if question.rivals is None:
+        effects = wanted_effects(question.effects, question.model, tests, machine)
+        return planned([*balls, *effects], machine), (), []
+    rivals = wanted_effects(question.rivals, None, tests, machine)
+    base = wanted_effects(question.effects, question.model, tests, machine) if not plain_base(question) else []
+    known = [e for e in base if e not in rivals]
+    groups = [tuple(p.name for r in rivals for p in planned([r], machine))]
+    return planned([*balls, *known, *rivals], machine), (), groups
+
+
+def plain_base(question: Question) -> bool:
+    """Whether nothing but rivals is asked about."""
+    return question.effects is None and question.model is None
+
+
+def _check_bars(bars: Sequence[Measurement], question: Question) -> None:
+    if question.effects is not None or question.model is not None or question.rivals is not None:
+        raise ConfigError("plan: --ball-bar has its own parameters; leave --effects, --model and --rivals out")
+    if not bars:
+        raise ConfigError("plan: --ball-bar needs a ball-bar test among the tests")
+    planes = {m.instrument.setup.plane for m in bars if isinstance(m.instrument, BallBar)}
+    if len(planes) > 1:
+        raise ConfigError(f"plan: ball bars in the planes {', '.join(sorted(planes))}; plan each plane by itself")
+
+
+def _hopeless(
+    parameters: Sequence[Planned], whole: "np.ndarray[Any, Any]", beside: Sequence[Planned]
+) -> tuple[tuple[str, ...], ...]:
+    """What stays together or unseen with every test that the machine can take."""
+    last = judge(parameters, np.asarray(whole))
+    extra = {p.name for p in beside}
+    unseen = tuple((name,) for name in last.never if name not in extra)
+    return (*last.confounded, *unseen)
+
+
+def _groups(found: Separation) -> list[tuple[str, ...]]:
+    return [g for g in found.confounded if 1 < len(g) <= MOST_RIVALS][:1]
+
+
+def _separators(
+    parameters: Sequence[Planned],
+    here: "np.ndarray[Any, Any]",
+    more: Sequence[tuple[Extra, "np.ndarray[Any, Any]"]],
+    groups: Sequence[tuple[str, ...]],
+) -> list[Separator]:
+    """Tests by how well they tell the rivals of a group apart, all other parameters fitted along."""
+    if not groups:
+        return []
+    rivals = list(_rivals(parameters, groups[0]))
+    taken = {int(i) for r in rivals for i in r.columns}
+    base = np.array([i for i in range(len(parameters)) if i not in taken], dtype=np.int64)
+    return ranked(here, more, base, rivals) if len(rivals) > 1 else []
+
+
+def _rivals(parameters: Sequence[Planned], names: Sequence[str]) -> list[Rival]:
+    """One for each effect, at its usual size; a parameter of a ball bar is one by itself."""
+    groups: dict[str, list[int]] = {}
+    for i, p in enumerate(parameters):
+        if p.name in names:
+            groups.setdefault(p.name.partition(") ")[0], []).append(i)
+    return [
+        Rival(parameters[rows[0]].name if len(rows) == 1 else f"{name})", np.array(rows),
+              np.array([parameters[i].typical for i in rows]))
+        for name, rows in groups.items()
+    ]  # fmt: skip

@@ -1,0 +1,243 @@
+"""Which experiment tells rival effects apart: how much of one is left when the other is fitted to it.
+
+Two effects that explain the same readings equally well are told apart by a test in which they say different things. If
+the one is true, the other, fitted as well as it can be to what both the old readings and the new test would show,
+leaves a misfit `d`; half of `dᵀ Σ⁻¹ d` is the expected logarithm of the odds that the test gives. The smaller of the
+two ways round counts. The current model, and what instruments cannot know, are fitted along.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.base import slope
+from rtec.diagnosis.noise import Whitener
+from rtec.diagnosis.plan import Extra
+from rtec.diagnosis.plan_columns import USUAL_NOISE, clean, effect_columns
+from rtec.diagnosis.plan_ideas import extra_tests
+from rtec.diagnosis.plan_parameters import label
+from rtec.diagnosis.readings import Readings, read
+from rtec.diagnosis.refit import solve
+from rtec.effects import Effect
+from rtec.machine import Machine
+from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect, Model
+
+Floats = NDArray[np.float64]
+
+CLEAR = math.log(20.0)
+"""Expected odds, as a logarithm, from which on a test separates two effects."""
+TINY = 1e-11
+"""Directions below this share of the largest are not seen at all."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One of several explanations, as columns.
+
+    Attributes:
+        name: for people.
+        columns: places of its columns: coefficients first, then slopes by its non-linear parameters.
+        values: sizes of the coefficients.
+    """
+
+    name: str
+    columns: NDArray[np.int64]
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two rivals, and the expected logarithm of the odds for the right one.
+
+    Attributes:
+        one, other: names.
+        gain: with the test.
+        before: of the measurements that there are.
+    """
+
+    one: str
+    other: str
+    gain: float
+    before: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether the right one would be at least twenty times as likely."""
+        return self.gain >= CLEAR
+
+
+@dataclass(frozen=True)
+class Separator:
+    """What a test would tell apart.
+
+    Attributes:
+        test: which.
+        pairs: every two of the rivals.
+    """
+
+    test: Extra
+    pairs: tuple[Pair, ...]
+
+    @property
+    def clear(self) -> int:
+        """Pairs that it separates."""
+        return sum(p.clear for p in self.pairs)
+
+    @property
+    def least(self) -> float:
+        """Expected logarithm of the odds of the pair that it separates least."""
+        return min(p.gain for p in self.pairs)
+
+
+def separating(
+    model: Model,
+    rivals: Sequence[FittedEffect],
+    measurements: Sequence[Measurement],
+    extras: Sequence[Extra] | None = None,
+    *,
+    noise: float = USUAL_NOISE,
+    whitener: Whitener | None = None,
+) -> list[Separator]:
+    """Rank tests by how well they would tell rival effects apart: most pairs first, then the quickest.
+
+    Args:
+        model: the current model, without the rivals; its numbers are fitted along.
+        rivals: two or more effects with the size that each would have (`fitted_to` finds it from readings).
+        measurements: those that cannot tell the rivals apart; may be none.
+        extras: tests that might be added; by default those that the machine can take.
+        noise: white noise of a reading in the tests that might be added, µm or µrad.
+        whitener: noise of the measurements as the diagnosis found it; by default white noise of that size.
+    """
+    machine = model.machine
+    tests = extra_tests(machine, measurements) if extras is None else extras
+    if whitener is not None:
+        here = _information(_columns(model, rivals, whitener.readings), whitener)
+    else:
+        here = np.zeros(2 * (_width((*model.effects, *rivals), machine),))
+        here += sum(_of_test(model, rivals, m, noise) for m in measurements)
+    told = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
+    edges = np.cumsum([_width(model.effects, machine), *(_width([f], machine) for f in rivals)])
+    split = [
+        Rival(label(f.effect), np.arange(first, last), _values(f, machine))
+        for f, first, last in zip(rivals, edges[:-1], edges[1:], strict=True)
+    ]
+    return ranked(here, told, np.arange(edges[0]), split)
+
+
+def ranked(
+    here: Floats, tests: Sequence[tuple[Extra, Floats]], base: NDArray[np.int64], rivals: Sequence[Rival]
+) -> list[Separator]:
+    """Rank tests by how well they would tell rivals apart, from what each tells, (p, p).
+
+    Args:
+        here: what is told already.
+        tests: those that might be added, and what each tells.
+        base: places of what is fitted along in any case.
+        rivals: two or more.
+    """
+    before = _gains(here, base, rivals)
+    out = [Separator(test, _pairs(rivals, before, _gains(here + more, base, rivals))) for test, more in tests]
+    return sorted(out, key=lambda s: (-s.clear, s.test.hours if s.clear else 0.0, -s.least))
+
+
+def fitted_to(whitener: Whitener, base: Floats, effect: Effect, theta: Mapping[str, float]) -> FittedEffect:
+    """An effect with the size that it has when it is fitted to readings along with the current model.
+
+    Args:
+        whitener: readings and their noise.
+        base: columns of the current model, (m, p).
+        effect: whose size is wanted.
+        theta: its non-linear parameters.
+    """
+    columns = whitener.readings.columns(effect, theta)
+    found = solve(whitener(np.concatenate([base, columns], axis=1)), whitener(whitener.readings.values))
+    names = [p.name for p in effect.coefficients(whitener.readings.machine)]
+    return FittedEffect(effect, dict(zip(names, map(float, found[base.shape[1] :]), strict=True)), dict(theta))
+
+
+def usual_size(effect: Effect, machine: Machine) -> FittedEffect:
+    """An effect at its usual size, for tests of which there are no readings yet."""
+    values = {p.name: p.typical for p in effect.coefficients(machine)}
+    return FittedEffect(effect, values, {p.name: p.start for p in effect.nonlinear(machine)})
+
+
+def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[Rival]) -> Floats:
+    """Half the squared misfit that rival j leaves of rival i, (rivals, rivals)."""
+    out = np.zeros((len(rivals), len(rivals)))
+    for i, one in enumerate(rivals):
+        said = one.columns[: len(one.values)]
+        for j, other in enumerate(rivals):
+            if i != j:
+                rest = np.concatenate([base, other.columns]).astype(np.int64)
+                out[i, j] = 0.5 * _left(whole, said, one.values, rest)
+    return out
+
+
+def _pairs(rivals: Sequence[Rival], before: Floats, after: Floats) -> tuple[Pair, ...]:
+    """Every two rivals, the smaller of the two ways round."""
+    before, after = np.minimum(before, before.T), np.minimum(after, after.T)
+    return tuple(
+        Pair(rivals[i].name, rivals[j].name, float(after[i, j]), float(before[i, j]))
+        for i, j in itertools.combinations(range(len(rivals)), 2)
+    )
+
+
+def _left(whole: Floats, said: NDArray[np.int64], values: Floats, rest: NDArray[np.int64]) -> float:
+    """Sum of squares of `columns[said] · values` that the columns `rest` cannot follow."""
+    size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    scaled = whole / np.outer(size, size)
+    weights = values * size[said]
+    inner = scaled[np.ix_(rest, rest)]
+    cross = scaled[np.ix_(rest, said)] @ weights
+    total = float(weights @ scaled[np.ix_(said, said)] @ weights)
+    taken = float(cross @ np.linalg.pinv(inner, rcond=TINY, hermitian=True) @ cross) if len(rest) else 0.0
+    # Below what the rounding of so large a sum leaves there is nothing to see.
+    return max(total - taken, 0.0) if total - taken > 1e-9 * total else 0.0
+
+
+def _width(effects: Sequence[FittedEffect], machine: Machine) -> int:
+    return sum(len(f.effect.coefficients(machine)) + len(f.effect.nonlinear(machine)) for f in effects)
+
+
+def _values(fitted: FittedEffect, machine: Machine) -> Floats:
+    return np.array([fitted.values[p.name] for p in fitted.effect.coefficients(machine)])
+
+
+def _columns(model: Model, rivals: Sequence[FittedEffect], readings: Readings) -> Floats:
+    """Columns of the model and of each rival, slopes after the coefficients, (m, p)."""
+    parts = [np.zeros((len(readings), 0))]
+    for fitted in (*model.effects, *rivals):
+        theta = {p.name: fitted.theta[p.name] for p in fitted.effect.nonlinear(readings.machine)}
+        parts.append(effect_columns(fitted.effect, readings, theta))
+        parts += [_slope(fitted, readings, name)[:, None] for name in theta]
+    return np.concatenate(parts, axis=1)
+
+
+def _slope(fitted: FittedEffect, readings: Readings, name: str) -> Floats:
+    if not effect_columns(fitted.effect, readings, dict(fitted.theta)).any():
+        return np.zeros(len(readings))
+    return slope(fitted, readings, name, _values(fitted, readings.machine))
+
+
+def _of_test(model: Model, rivals: Sequence[FittedEffect], measurement: Measurement, noise: float) -> Floats:
+    """What one test tells, with white noise."""
+    readings = read([measurement], model.reference_degc, smooth=False)
+    columns = clean(_columns(model, rivals, readings), readings) / noise
+    return np.asarray(columns.T @ columns)
+
+
+def _information(columns: Floats, whitener: Whitener) -> Floats:
+    """What measurements tell under their own noise; what a whole set-up shares is taken out."""
+    setup = whitener.readings.setup
+    count = setup.shape[1]
+    white = whitener(np.concatenate([setup, columns], axis=1))
+    left = white[:, count:]
+    if count:
+        q = np.linalg.qr(white[:, :count])[0]
+        left = left - q @ (q.T @ left)
+    return np.asarray(left.T @ left)
