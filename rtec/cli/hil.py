@@ -37,6 +37,10 @@ def hil(
         ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults of --soak.")] = 1,
+    shared: Annotated[
+        bool,
+        typer.Option("--shared", help="Others use this PC, too: --soak tells lost deadlines and does not judge them."),
+    ] = False,
     report: Annotated[
         Path | None,
         typer.Option("--report", metavar="DIR", help="Write figure, report.html, result.json and the log here."),
@@ -66,7 +70,7 @@ def hil(
     if soak is not None:
         if fault or off_s or on_s:
             raise typer.BadParameter("draws its own faults and has no uncorrected part", param_hint="--soak")
-        _soak(bench, SoakOrder(config, soak, seed, report), as_json)
+        _soak(bench, SoakOrder(config, soak, seed, report, shared), as_json)
         return
     faults = [parse_fault(text, known) for text in fault or ()]
     _run(bench, HilOrder(config, off_s, on_s, faults, report), as_json)

@@ -13,13 +13,16 @@ from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine
 from rtec.diagnosis.base import slope
 from rtec.diagnosis.candidates import Candidate, Untried
 from rtec.diagnosis.drifts import run_drifts
+from rtec.diagnosis.gains import with_gains
 from rtec.diagnosis.noise import Whitener
 from rtec.diagnosis.refit import Fit, inverse, solve
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown
 from rtec.diagnosis.screen import Projected, Screen
+from rtec.diagnosis.separating import fitted_to
 from rtec.diagnosis.tried import Prepared, Tried
 from rtec.diagnosis.unnamed import Shaped
 from rtec.effects import Effect
+from rtec.errors import RtecError
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
@@ -50,6 +53,7 @@ class Searched:
         adequacy: what it explains of what can be explained.
         unknown, shape: what is there if nothing has a name, and its shape.
         seed: of the draws.
+        separate: whether to work out which test tells confusions apart.
     """
 
     model: Model
@@ -68,6 +72,7 @@ class Searched:
     unknown: Unknown | None
     shape: Shaped | None
     seed: int
+    separate: bool
 
 
 def answer(searched: Searched) -> Diagnosis:
@@ -153,7 +158,7 @@ class _Answer:
         mine = self.s.candidates[winner.number].effect
         shape = found.contribution(winner.number)
         width = found.variants[found.best[winner.number]].count
-        out: dict[tuple[str, str], Alike] = {}
+        out: dict[tuple[str, str], tuple[Alike, int]] = {}
         fitted = {t.number: t for t in tried}
         for number in found.order[:LOOKED_AT]:
             if number == winner.number:
@@ -167,8 +172,23 @@ class _Answer:
                 same = cos > SAME and found.variants[found.best[number]].count <= width
                 behind = 0.0
             if same:
-                out.setdefault((other.effect, other.component), alike(mine, other, cos, behind))
-        return list(out.values())
+                out.setdefault((other.effect, other.component), (alike(mine, other, cos, behind), number))
+        return self._separated(found, winner, list(out.values())) if self.s.separate else [a for a, _ in out.values()]
+
+    def _separated(self, found: Screen, winner: Tried, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
+        """The same with the test that this machine can take and that tells them apart soonest."""
+        whitener, base = self.s.prepared.whitener, self.s.prepared.base
+
+        def fitted(number: int, theta: int) -> FittedEffect:
+            candidate = self.s.candidates[number]
+            return fitted_to(whitener, base, candidate.effect, candidate.thetas[theta])
+
+        mine = fitted(winner.number, winner.theta)
+        others = [(a, fitted(n, found.variants[found.best[n]].theta)) for a, n in alikes]
+        try:
+            return list(with_gains(others, mine, self.s.model, whitener))
+        except RtecError:  # a machine that no planned test can be simulated on: the catalogue's words stand
+            return [a for a, _ in alikes]
 
     def _numbers(self, effect: Effect, theta: Mapping[str, float], t: Tried) -> tuple[dict[str, Number], float]:
         machine = self.s.model.machine

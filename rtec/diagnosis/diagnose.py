@@ -60,6 +60,7 @@ def diagnose(
     alpha: float = ALPHA,
     draws: int = DRAWS,
     only: Sequence[str] | None = None,
+    separate: bool = False,
     stage: Stage | None = None,
 ) -> Diagnosis:
     """Find what a model misses.
@@ -71,13 +72,14 @@ def diagnose(
         alpha: family-wise probability of a false name that is put up with.
         draws: how often chance is drawn.
         only: names of effects to look for; None for the whole catalogue.
+        separate: work out which test of this machine tells confusions apart, which takes a second or more.
         stage: told how far it is.
 
     Raises:
         MeasurementError: the measurements do not fit together, or lack a channel that the model needs.
     """
     with one_blas_thread():
-        return _Search(model, measurements, seed, alpha, draws, only, stage or (lambda *_: None)).diagnosis()
+        return _Search(model, measurements, seed, alpha, draws, only, separate, stage or (lambda *_: None)).diagnosis()
 
 
 class _Search:
@@ -89,9 +91,11 @@ class _Search:
         alpha: float,
         draws: int,
         only: Sequence[str] | None,
+        separate: bool,
         stage: Stage,
     ) -> None:
         self.model, self.seed, self.alpha, self.draws, self.stage = model, seed, alpha, draws, stage
+        self.separate = separate
         stage("reading, finding the noise", 0, 1)
         self.prepared = prepare(model, measurements)
         self.readings = self.prepared.readings
@@ -124,7 +128,7 @@ class _Search:
             Searched(
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found, self._without,
                 tried, pair[1].number if pair is not None else None, p, accepted and named, share, unknown,
-                self._top_shape, self.seed,
+                self._top_shape, self.seed, self.separate,
             )
         )  # fmt: skip
 

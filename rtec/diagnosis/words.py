@@ -55,8 +55,10 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
 
 def _names(d: Diagnosis) -> str:
     first = d.findings[0]
-    names = [first.label, *(f.label for f in d.group if f.rank > 1)]
-    names += [f"{a.effect}({a.component})" for a in first.confused_with]
+    group = [first, *(f for f in d.group if f.rank > 1)]
+    told = {(f.effect.effect, f.effect.component) for f in group}
+    names = [f.label for f in group]
+    names += [f"{a.effect}({a.component})" for a in first.confused_with if (a.effect, a.component) not in told]
     return ", ".join(list(dict.fromkeys(names))[:4])
 
 

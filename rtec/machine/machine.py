@@ -5,8 +5,9 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Literal
 
+from rtec.errors import ConfigError
 from rtec.machine.chain import Chain, derive_chain
-from rtec.tomlfile import digest
+from rtec.tomlfile import digest, nearest
 
 Direction = Literal["X", "Y", "Z"]
 Vector = tuple[float, float, float]
@@ -131,6 +132,16 @@ class Machine:
     def sensor_names(self) -> tuple[str, ...]:
         """Sensor names in order."""
         return tuple(s.name for s in self.sensors)
+
+    def sensor_place(self, name: str) -> int:
+        """Place of a sensor in `sensors`.
+
+        Raises:
+            ConfigError: there is none of that name.
+        """
+        if name not in self.sensor_names:
+            raise ConfigError(f"the machine has no sensor {name!r}{nearest(name, self.sensor_names)}")
+        return self.sensor_names.index(name)
 
     @property
     def moving_channels(self) -> tuple[str, ...]:

@@ -71,12 +71,14 @@ class SoakOrder:
         minutes: how long.
         seed: the same seed draws the same faults.
         keep: the log is kept in this folder.
+        shared: others use this PC's processors, too, as on a virtual one: lost deadlines are told, not judged.
     """
 
     config: Path
     minutes: float = 30.0
     seed: int = 1
     keep: Path | None = None
+    shared: bool = False
 
 
 class Bench(Protocol):

@@ -27,6 +27,18 @@ class Device(Protocol):
     ) -> None: ...
 
 
+class AlwaysOpen:
+    """For a device with nothing to open and nothing to hold, such as a file that is read anew each time."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+
 @runtime_checkable
 class CountSource(Protocol):
     """Reads the axes' raw encoder counts (x4, before any insertion), all latched at one instant."""

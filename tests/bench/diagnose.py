@@ -19,7 +19,7 @@ from tests.bench.table import Row
 
 EACH = 50
 SIZES = (1_000, 10_000, 100_000)
-MORE_SENSORS = 30
+MORE_SENSORS = 37
 MACHINE = Path(__file__).parents[2] / "configs" / "machines" / "turning-centre.toml"
 KNOWN = (
     "scale,component=EXX,axis=X,k=12",

@@ -394,6 +394,9 @@ def test_lost_deadlines_are_put_down_to_their_cause() -> None:
     assert resources.checks(1e6)[-1].passed
     resources._cycles = 10_000
     assert not resources.checks(1e6)[-1].passed
+    told = resources.checks(1e6, shared=True)[-1]
+    assert told.passed
+    assert "not judged" in told.found
 
 
 def _series(values: list[float]) -> Series:

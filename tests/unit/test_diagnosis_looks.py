@@ -69,7 +69,7 @@ def test_two_that_only_help_together() -> None:
     assert both["mount_expansion"].parameters["k"].value == pytest.approx(1.5, abs=0.3)
     assert both["ambient_drift"].parameters["k"].value == pytest.approx(-2.4, abs=0.8)
     assert "together" in d.sentence
-    assert d.facts()["findings"][0]["together_with"] == first.partner.label
+    assert d.facts()["candidates"][0]["together_with"] == first.partner.label
 
 
 @pytest.mark.parametrize("change", [0.0, 6.0])

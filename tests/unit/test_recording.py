@@ -45,7 +45,6 @@ class Disk:
 
 
 class File:
-
     def __init__(self, disk: Disk, name: str) -> None:
         self.disk, self.name, self.rows = disk, name, 0
 

@@ -70,7 +70,7 @@ def soak(order: SoakOrder, tell: Tell) -> SoakResult:
             resources=resources.found(),
             deadlines=resources.deadlines(cycle_ns),
             timing={k: summary[k] for k in ("cycles", "deadline_misses", "wake_up", "compute", "driver_errors")},
-            checks=[*_checks(run, faults), *resources.checks(cycle_ns)],
+            checks=[*_checks(run, faults), *resources.checks(cycle_ns, shared=order.shared)],
             warnings=list(dict.fromkeys(run.warnings)),
             log=run.log if order.keep else None,
         )
