@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,14 @@ from numpy.typing import NDArray
 from rtec.diagnosis import words
 from rtec.diagnosis.alias import WITHIN, cosine, directness, diverse, plausibility
 from rtec.diagnosis.answer import SURE, Searched, answer
+from rtec.diagnosis.at_once import MANY, each
 from rtec.diagnosis.candidates import library
 from rtec.diagnosis.noise import Whitener, without_drift
-from rtec.diagnosis.refit import Fit, fit_columns, held_out
+from rtec.diagnosis.readings import Readings
+from rtec.diagnosis.refit import ROUNDS, Fit, fit_columns, held_out
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
-from rtec.diagnosis.screen import UNMOVED, Projected, Screen, screen
-from rtec.diagnosis.thin import each, looked_at
+from rtec.diagnosis.screen import UNMOVED, Memory, Projected, Screen, screen
+from rtec.diagnosis.thin import looked_at
 from rtec.diagnosis.tried import Tried, prepare
 from rtec.diagnosis.unnamed import Shaped, adequacy, best_shapes
 from rtec.metrology.characterise.threads import one_blas_thread
@@ -105,12 +108,15 @@ class _Search:
         self._alternatives = Counter((c.effect.effect, c.effect.component) for c in self.candidates)
         self.rng = np.random.default_rng([seed, 400])
         self._top_shape: Shaped | None = None
+        self._columns_of_few: Memory = {}
+        self._found_beside: dict[int, list[Tried]] = {}
 
     def diagnosis(self) -> Diagnosis:
         """Go through the steps."""
         prepared, readings = self.prepared, self.readings
         projected = Projected.of(prepared.whitener, prepared.base, readings.values)
-        found = screen(readings, self.candidates, projected, lambda d, t: self.stage("weighing candidates", d, t))
+        same = self._columns_of_few if self._few[1] is readings else None
+        found = screen(readings, self.candidates, projected, lambda d, t: self.stage("weighing candidates", d, t), same)
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
         tried = self._refit(found, self._second_look())
@@ -152,10 +158,15 @@ class _Search:
 
     def _look(self, change: Callable[[Whitener], Whitener], now: Whitener, base: Floats) -> Screen:
         """Weigh all candidates beside columns, (m, p), under a noise; of very many readings on some."""
-        keep = looked_at(self.readings)
-        few = self.readings if keep.all() else self.readings.without(~keep)
+        keep, few = self._few
         noise = change(Whitener(few, now.noises, now.wides, now.least))
-        return screen(few, self.candidates, Projected.of(noise, base[keep], few.values))
+        return screen(few, self.candidates, Projected.of(noise, base[keep], few.values), memory=self._columns_of_few)
+
+    @cached_property
+    def _few(self) -> tuple[NDArray[np.bool_], Readings]:
+        """Which readings a look takes, (m,), and these."""
+        keep = looked_at(self.readings)
+        return keep, self.readings if keep.all() else self.readings.without(~keep)
 
     def _choice_cost(self, number: int) -> float:
         """What the choice among sensors takes off: every effect of a component is as likely before, whatever it takes.
@@ -167,8 +178,11 @@ class _Search:
 
     def _fit(self, columns: Floats) -> Fit:
         """Fit from the noise that was found, and from hardly any drift; the likelier of the two."""
-        fits = [fit_columns(w, columns) for w in (self.prepared.whitener, without_drift(self.prepared.whitener))]
-        return max(fits, key=lambda f: f.log_likelihood)
+        many = len(self.readings) > MANY
+        noises = (self.prepared.whitener, without_drift(self.prepared.whitener))
+        best = max((fit_columns(w, columns, 1 if many else ROUNDS) for w in noises), key=lambda f: f.log_likelihood)
+        # So many readings tell after one round which is the likelier; the rest is for that alone.
+        return fit_columns(best.whitener, columns, ROUNDS - 1) if many else best
 
     def _refit(self, found: Screen, calm: Screen) -> list[Tried]:
         """Fit the best of both weighings anew, noise and all; best first."""
@@ -260,19 +274,25 @@ class _Search:
 
     def _beside(self, first: Tried) -> list[Tried]:
         """The best beside an effect, each fitted together with it; the evidence is that of both."""
+        if first.number not in self._found_beside:
+            self._found_beside[first.number] = self._look_beside(first)
+        return self._found_beside[first.number]
+
+    def _look_beside(self, first: Tried) -> list[Tried]:
         width = self.prepared.base.shape[1]
         base = np.concatenate([self.prepared.base, first.columns], axis=1)
         found = self._look(lambda w: w, first.fit.whitener, base)
-        out = []
-        for number in self._distinct(found)[:BESIDE]:
+
+        def tried(number: int) -> Tried:
             variant = found.variants[found.best[number]]
             columns = self._columns(number, variant.theta)
             fit = self._fit(np.concatenate([base, columns], axis=1))
             gain = fit.log_likelihood - first.fit.log_likelihood - 0.5 * variant.count * math.log(len(self.readings))
             evidence = first.log_evidence + gain - found.search_cost(number) - self._choice_cost(number)
             drop, left_out = self._left_out(fit.whitener, fit.columns[:, width:])
-            out.append(Tried(number, variant.theta, columns, fit, evidence, drop, left_out, base.shape[1]))
-        return out
+            return Tried(number, variant.theta, columns, fit, evidence, drop, left_out, base.shape[1])
+
+        return each(tried, self._distinct(found)[:BESIDE], len(self.readings))
 
     def _pair(self, tried: Sequence[Tried]) -> tuple[Tried, Tried] | None:
         """Two effects of which each alone makes runs left out no better, and which together leave little.
@@ -283,10 +303,9 @@ class _Search:
         """
         width, bar = self.prepared.base.shape[1], self._prior_odds + OVERWHELMING
         best: tuple[Tried, Tried] | None = None
-        for first in sorted(tried, key=lambda t: -t.log_evidence)[:BESIDE]:
-            if first.log_evidence < bar:
-                break
-            for second in self._beside(first):
+        firsts = [t for t in sorted(tried, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]
+        for first, seconds in zip(firsts, each(self._beside, firsts, len(self.readings)), strict=True):
+            for second in seconds:
                 sure = second.holds and second.log_evidence - first.log_evidence > bar and second.drop > MOSTLY
                 if sure and (best is None or second.log_evidence > best[1].log_evidence):
                     both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)

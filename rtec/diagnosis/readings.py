@@ -11,7 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.smooth import smoothed
+from rtec.diagnosis.at_once import each
+from rtec.diagnosis.smooth import Windows, smoothed
 from rtec.effects import Effect, State
 from rtec.errors import MeasurementError, ModelError
 from rtec.machine import Machine
@@ -230,9 +231,10 @@ def _state(m: Measurement, reference_degc: float, *, smooth: bool) -> State:
         if axis.channel not in channels:
             channels |= {axis.channel: np.zeros(len(m)), axis.direction_channel: np.zeros(len(m))}
     if smooth:
-        for sensor in m.machine.sensor_names:
-            if sensor in channels:
-                channels[sensor] = smoothed(m.time_s, channels[sensor])
+        sensors = [s for s in m.machine.sensor_names if s in channels]
+        windows = Windows(m.time_s)
+        curves = each(lambda s: smoothed(windows, channels[s]), sensors, len(m))
+        channels |= dict(zip(sensors, curves, strict=True))
     return State(m.machine, m.time_s, channels, reference_degc)
 
 

@@ -8,12 +8,14 @@ that the readings hardly decide.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis.at_once import MANY
 from rtec.diagnosis.candidates import Candidate
 from rtec.diagnosis.noise import Whitener
 from rtec.diagnosis.readings import Readings
@@ -23,6 +25,8 @@ Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Tell = Callable[[int, int], None]
+Memory = dict[tuple[int, int], Floats | None]
+"""Columns by the number of the candidate and of the values of its parameters; None where there are none."""
 
 ABSORBED = 2e-3
 """A direction of which the base leaves less than this share of its norm is absorbed."""
@@ -191,9 +195,18 @@ def screen(
     candidates: Sequence[Candidate],
     projected: Projected,
     tell: Tell | None = None,
+    memory: Memory | None = None,
 ) -> Screen:
-    """Weigh every candidate."""
-    made = _Columns(readings, projected, candidates)
+    """Weigh every candidate.
+
+    Args:
+        readings: the readings.
+        candidates: what is weighed.
+        projected: the noise, and the current model to be taken out.
+        tell: told how many are done, and of how many.
+        memory: columns of these readings, kept from one weighing to the next.
+    """
+    made = _Columns(readings, projected, candidates, {} if memory is None else memory, memory is not None)
     total = sum(len(c.thetas) for c in candidates)
     done = 0
     for i, candidate in enumerate(candidates):
@@ -202,7 +215,7 @@ def screen(
             done += 1
             if tell and done % 50 == 0:
                 tell(done, total)
-    made.flush()
+    made.finish()
     if tell:
         tell(total, total)
     directions = made.directions[:, : made.width]
@@ -269,7 +282,14 @@ def _sketch(directions: Single, rng: np.random.Generator) -> Single:
 class _Columns:
     """Makes, whitens and projects columns chunk by chunk; equal basis functions are worked out once."""
 
-    def __init__(self, readings: Readings, projected: Projected, candidates: Sequence[Candidate]) -> None:
+    def __init__(
+        self,
+        readings: Readings,
+        projected: Projected,
+        candidates: Sequence[Candidate],
+        memory: Memory,
+        remember: bool,
+    ) -> None:
         self.readings, self.projected, self.candidates = readings, projected, candidates
         self.variants: list[Variant] = []
         machine = readings.machine
@@ -277,57 +297,95 @@ class _Columns:
         # Column by column in memory, filled as they come: two copies of these would be most of what a search takes.
         self.directions: Single = np.empty((len(readings), most), dtype=np.float32, order="F")
         self.width = 0
+        self._memory, self._remember = memory, remember
         self._waiting: list[tuple[int, int, Floats]] = []
+        # Of many readings, columns are made while those before them are whitened.
+        self._worker = ThreadPoolExecutor(1) if len(readings) > MANY else None
+        self._working: Future[None] | None = None
 
     def add(self, number: int, theta_number: int, candidate: Candidate, theta: Mapping[str, float]) -> None:
         """Take one variant."""
-        try:
-            columns = self.readings.columns(candidate.effect, theta)
-        except ModelError:
-            return  # a measurement that sees the component lacks a channel: told by `library`
-        if not np.isfinite(columns).all():
+        key = number, theta_number
+        columns = self._memory[key] if key in self._memory else self._made(candidate, theta)
+        if self._remember:
+            self._memory[key] = columns
+        if columns is None:
             return
         self._waiting.append((number, theta_number, columns))
         if sum(c.shape[1] for _, _, c in self._waiting) >= CHUNK:
-            self.flush()
+            self._flush()
 
-    def flush(self) -> None:
-        """Whiten and project what waits."""
-        if not self._waiting:
+    def finish(self) -> None:
+        """Whiten and project what waits still."""
+        self._flush()
+        if self._worker is not None:
+            self._wait()
+            self._worker.shutdown()
+
+    def _made(self, candidate: Candidate, theta: Mapping[str, float]) -> Floats | None:
+        try:
+            columns = self.readings.columns(candidate.effect, theta)
+        except ModelError:
+            return None  # a measurement that sees the component lacks a channel: told by `library`
+        return columns if np.isfinite(columns).all() else None
+
+    def _flush(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if not waiting:
             return
-        white = self.projected.whitener(np.concatenate([c for _, _, c in self._waiting], axis=1))
-        before = np.linalg.norm(white, axis=0)
-        left = self.projected.take_out(white)
-        at = 0
-        for number, theta, columns in self._waiting:
-            k = columns.shape[1]
-            if self._moved(number, columns):
-                self._keep(number, theta, left[:, at : at + k], before[at : at + k])
-            at += k
-        self._waiting.clear()
+        if self._worker is None:
+            self._take(waiting)
+        else:
+            self._wait()
+            self._working = self._worker.submit(self._take, waiting)
 
-    def _moved(self, number: int, columns: Floats) -> bool:
+    def _wait(self) -> None:
+        if self._working is not None:
+            self._working.result()
+
+    def _take(self, waiting: Sequence[tuple[int, int, Floats]]) -> None:
+        columns = np.concatenate([c for _, _, c in waiting], axis=1)
+        moves = _norms(columns) / np.sqrt(len(columns))
+        white = self.projected.whitener(columns)
+        before = _norms(white)
+        left = self.projected.take_out(white)
+        after = _norms(left)
+        at = 0
+        for number, theta, one in waiting:
+            part = slice(at, at + one.shape[1])
+            if self._moved(number, moves[part]):
+                self._keep(number, theta, left[:, part], before[part], after[part])
+            at += one.shape[1]
+
+    def _moved(self, number: int, moves: Floats) -> bool:
         """Whether a usual size of the effect would move the readings at all."""
         usual = [p.typical for p in self.candidates[number].effect.coefficients(self.readings.machine)]
-        return bool((np.sqrt(np.mean(columns**2, axis=0)) * usual).max() > UNMOVED)
+        return bool((moves * usual).max() > UNMOVED)
 
-    def _keep(self, number: int, theta: int, left: Floats, before: Floats) -> None:
-        scaled = left[:, before > 0] / before[before > 0]
-        if not scaled.shape[1]:
+    def _keep(self, number: int, theta: int, left: Floats, before: Floats, after: Floats) -> None:
+        seen = before > 0
+        if not (after[seen] > 0).any():
             return
-        if scaled.shape[1] == 1:
-            value, vector = np.array([float(scaled[:, 0] @ scaled[:, 0])]), np.ones((1, 1))
+        if left.shape[1] == 1:
+            if after[0] <= ABSORBED * before[0]:
+                return
+            found = left / after
         else:
+            scaled = left[:, seen] / before[seen]
             value, vector = np.linalg.eigh(scaled.T @ scaled)
-        good = value > ABSORBED**2
-        if not good.any():
-            return
-        found = (scaled @ (vector[:, good] / np.sqrt(value[good]))).astype(np.float32)
-        after = np.linalg.norm(left, axis=0)
-        count = int(good.sum())
+            good = value > ABSORBED**2
+            if not good.any():
+                return
+            found = scaled @ (vector[:, good] / np.sqrt(value[good]))
+        count = found.shape[1]
         self.variants.append(Variant(number, theta, self.width, count, np.stack([before, after], axis=1)))
         self.directions[:, self.width : self.width + count] = found
         self.width += count
+
+
+def _norms(columns: Floats) -> Floats:
+    """Norm of each column, (p,)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
 
 
 def _sums(squares: NDArray[np.floating], variants: Sequence[Variant]) -> Floats:

@@ -1,9 +1,13 @@
 """Smooths temperatures in time: noise of a sensor decides between thermal rivals that else look alike."""
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 HALVES_S = (960.0, 480.0, 240.0, 120.0)
 """Halves of the windows that are tried, the widest first."""
 ABOUT = 5
@@ -15,14 +19,52 @@ QUANTUM = 0.29
 """Standard deviation of steps of one, 1/√12."""
 
 
-def smoothed(time_s: Floats, value: Floats) -> Floats:
+@dataclass(frozen=True)
+class _Window:
+    """Readings about each instant, and their sums: the same for every sensor that has read each time."""
+
+    t: Floats
+    first: Ints
+    last: Ints
+    n: Floats
+    st: Floats
+    stt: Floats
+
+    @classmethod
+    def of(cls, t: Floats, first: Ints, last: Ints, weight: Floats) -> "_Window":
+        n, st, stt = (_between(x, first, last) for x in (weight, weight * t, weight * t * t))
+        return cls(t, first, last, n, st, stt)
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Instants, and the windows about them.
+
+    Attributes:
+        time_s: not falling, (n,).
+    """
+
+    time_s: Floats
+
+    @cached_property
+    def whole(self) -> tuple[_Window, ...]:
+        """Of sensors that have read each time, the widest first."""
+        out = []
+        for half_s in HALVES_S:
+            t = (self.time_s - self.time_s[0]) / half_s
+            first, last = np.searchsorted(t, t - 1.0, "left"), np.searchsorted(t, t + 1.0, "right")
+            out.append(_Window.of(t, first, last, np.ones(len(t))))
+        return tuple(out)
+
+
+def smoothed(windows: Windows, value: Floats) -> Floats:
     """Straight line through the readings of a window about each instant; NaN readings are passed over.
 
     The window is the widest whose lines leave nothing but noise about the instant: wide while a temperature creeps,
     none while it jumps.
 
     Args:
-        time_s: not falling, (n,).
+        windows: about the n instants.
         value: (n,).
 
     Returns:
@@ -33,8 +75,8 @@ def smoothed(time_s: Floats, value: Floats) -> Floats:
         return value
     sigma = noise_of(value[good])
     out, done = value.copy(), np.zeros(len(value), dtype=bool)
-    for half in HALVES_S:
-        line, own = _lines(time_s, value, good, half)
+    for window in windows.whole:
+        line, own = _lines(window, value, good)
         left = np.where(good & np.isfinite(line), value - line, 0.0)
         count = _about(good.astype(np.float64))
         # A wide window's line hardly knows the reading itself; a narrow one's does, and leaves less than the noise.
@@ -60,13 +102,15 @@ def noise_of(value: Floats) -> float:
     return float(max(1.4826 * np.median(np.abs(bend)) / np.sqrt(1.5), QUANTUM * quantum, 1e-12))
 
 
-def _lines(time_s: Floats, value: Floats, good: NDArray[np.bool_], half_s: float) -> tuple[Floats, Floats]:
+def _lines(window: _Window, value: Floats, good: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """The line at each instant, and its variance over that of a reading."""
-    t = (time_s - time_s[0]) / half_s
-    first, last = np.searchsorted(t, t - 1.0, "left"), np.searchsorted(t, t + 1.0, "right")
+    t, first, last = window.t, window.first, window.last
     mean = float(value[good].mean())
-    v, w = np.where(good, value - mean, 0.0), good.astype(np.float64)
-    n, st, sv, stt, stv = (_between(x, first, last) for x in (w, w * t, v, w * t * t, v * t))
+    v = np.where(good, value - mean, 0.0)
+    if not good.all():
+        window = _Window.of(t, first, last, good.astype(np.float64))
+    n, st, stt = window.n, window.st, window.stt
+    sv, stv = _between(v, first, last), _between(v * t, first, last)
     with np.errstate(invalid="ignore", divide="ignore"):
         centre = st / n
         spread = stt - n * centre * centre
@@ -77,6 +121,6 @@ def _lines(time_s: Floats, value: Floats, good: NDArray[np.bool_], half_s: float
     return line, own
 
 
-def _between(x: Floats, first: NDArray[np.int64], last: NDArray[np.int64]) -> Floats:
+def _between(x: Floats, first: Ints, last: Ints) -> Floats:
     total = np.concatenate([[0.0], np.cumsum(x)])
     return np.asarray(total[last] - total[first])

@@ -1,22 +1,13 @@
-"""Fewer readings for a first look where there are very many, and several looks at once."""
-
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+"""Fewer readings for a first look where there are very many."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis.at_once import MANY
 from rtec.diagnosis.readings import Readings
 
-MANY = 16_000
-"""From so many readings on a first look takes about so many of them, and threads pay."""
 RUNS = 40
 """Whole runs are taken where there are at least so many; else single readings, evenly."""
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 def looked_at(readings: Readings) -> NDArray[np.bool_]:
@@ -34,12 +25,3 @@ def looked_at(readings: Readings) -> NDArray[np.bool_]:
         else:
             keep[s.part] = rng.permutation(len(s)) < share * len(s)
     return keep
-
-
-def each(work: Callable[[T], R], items: Iterable[T], readings: int) -> list[R]:
-    """Work on each, in order; at once where there are many readings, as numpy lets go of the interpreter then."""
-    workers = min(os.cpu_count() or 1, 4)
-    if readings <= MANY or workers == 1:
-        return [work(i) for i in items]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(work, items))

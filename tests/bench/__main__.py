@@ -1,5 +1,6 @@
 """`make bench`: every figure of speed, each with its ratio and what it is measured against in the same run."""
 
+import argparse
 import platform
 import sys
 
@@ -22,8 +23,13 @@ PARTS = {
 }
 
 
-def main(wanted: list[str]) -> None:
+def main(words: list[str]) -> None:
     """Print the parts that are named, or all."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench", description="Figures of speed, each beside another.")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"only these: {', '.join(PARTS)}")
+    wanted: list[str] = parser.parse_args(words).parts
+    if unknown := [name for name in wanted if name not in PARTS]:
+        parser.error(f"no part {unknown[0]!r}; there are {', '.join(PARTS)}")
     console = Console(width=150)
     for name in wanted or list(PARTS):
         console.print(_table(name, PARTS[name]()))

@@ -9,7 +9,7 @@ from rtec.diagnosis.kalman import drift_draws, gains, innovations
 from rtec.diagnosis.kalman_search import likelihood, noise_cost, walk
 from rtec.diagnosis.noise import Noise, Whitener, _bounds, find_noise, minutes
 from rtec.diagnosis.readings import read
-from rtec.diagnosis.smooth import smoothed
+from rtec.diagnosis.smooth import Windows, smoothed
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from tests.machines import turning_centre
@@ -138,12 +138,12 @@ def test_smoothing_keeps_a_straight_line_and_lowers_noise() -> None:
     rng = np.random.default_rng(2)
     t = np.sort(np.concatenate([np.arange(0.0, 9000.0, 30.0), np.arange(20000.0, 26000.0, 30.0)]))
     line = 20.0 + 1e-3 * t
-    np.testing.assert_allclose(smoothed(t, line), line, atol=1e-9)
-    rough = smoothed(t, line + 0.03 * rng.standard_normal(len(t))) - line
+    np.testing.assert_allclose(smoothed(Windows(t), line), line, atol=1e-9)
+    rough = smoothed(Windows(t), line + 0.03 * rng.standard_normal(len(t))) - line
     assert float(np.std(rough)) < 0.03 / 2.0
     holes = line.copy()
     holes[[5, 50, 51]] = np.nan
-    np.testing.assert_allclose(smoothed(t, holes), line, atol=1e-9)
+    np.testing.assert_allclose(smoothed(Windows(t), holes), line, atol=1e-9)
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(90.0, "90 s"), (1800.0, "30 min"), (9000.0, "2.5 h")])
