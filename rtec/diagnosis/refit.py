@@ -13,6 +13,8 @@ from rtec.diagnosis.readings import Readings
 Floats = NDArray[np.float64]
 
 ROUNDS = 3
+NOTHING = 1e-100
+"""A column of a smaller norm is rounding, and its square would not be a number any more."""
 STEPS = 24
 SMALL = 1e-11
 
@@ -69,7 +71,7 @@ def solve(columns: Floats, values: Floats) -> Floats:
 def inverse(columns: Floats) -> Floats:
     """Inverse of the normal equations, unseen directions zero, (p, p)."""
     scale = np.linalg.norm(columns, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = np.where(scale > NOTHING, scale, 1.0)
     scaled = columns / scale
     return np.asarray(_pseudo(scaled.T @ scaled) / np.outer(scale, scale))
 
