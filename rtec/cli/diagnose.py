@@ -50,7 +50,7 @@ def diagnose(
     known, measurements = _load(model, files, machine)
     names = _names(only)
     with stages() as stage:
-        found = find(known, measurements, seed=seed, alpha=alpha, only=names, separate=True, stage=stage)
+        found = find(known, measurements, seed=seed, alpha=alpha, only=names, explain=True, stage=stage)
     _tell(lambda figures: diagnosis_page(found, figures), found.facts(), report, as_json)
 
 

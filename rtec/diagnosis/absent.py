@@ -6,8 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtec.diagnosis.candidates import Untried
+from rtec.diagnosis.floor import unit_of
 from rtec.diagnosis.result import Absent, Finding, NotTestable
-from rtec.diagnosis.screen import Projected, Screen
+from rtec.diagnosis.screen import Screen
+
+SURE = math.log(20.0)
+"""Odds, as a logarithm, beyond those of finding any effect at all."""
+HARDLY = 3.0
+"""An effect that would be seen only from so many times its usual size on could not be checked."""
 
 
 def untestable(untried: Sequence[Untried], found: Screen) -> tuple[NotTestable, ...]:
@@ -29,28 +35,67 @@ def untestable(untried: Sequence[Untried], found: Screen) -> tuple[NotTestable, 
     return tuple(out.values())
 
 
-def absent_ones(found: Screen, findings: Sequence[Finding], projected: Projected) -> tuple[Absent, ...]:
-    """The smallest size of each effect that would have been seen, root mean square in the readings."""
-    named = {(f.effect.effect, f.effect.component) for f in findings if f.group}
-    n, free = float(len(projected.left)), projected.freedom
-    noise = projected.squares / free
+def speaking_up(found: Screen, prior_odds: float) -> list[int]:
+    """Candidates that the readings speak for, best first.
+
+    Args:
+        found: all candidates, weighed.
+        prior_odds: log of how much likelier nothing is, before the readings.
+    """
+    return [i for i in found.order if found.score[i] > prior_odds + SURE]
+
+
+def absent_ones(
+    looks: Sequence[Screen], findings: Sequence[Finding], prior_odds: float
+) -> tuple[tuple[Absent, ...], tuple[NotTestable, ...]]:
+    """The smallest size of each effect that would have been seen, root mean square in the readings.
+
+    What the readings speak for in any of the looks is not absent, whatever was named before it.
+
+    Args:
+        looks: all candidates weighed; the last has what was named in its model and knows the noise best.
+        findings: what was named.
+        prior_odds: log of how much likelier nothing is, before the readings.
+
+    Returns:
+        What was looked for and not found; and what would show only if it were far larger than usual.
+    """
+    heard = [(found, i) for found in looks for i in speaking_up(found, prior_odds)]
+    there = {(found.candidates[i].effect.effect, found.candidates[i].effect.component) for found, i in heard}
+    there |= {(f.effect.effect, f.effect.component) for f in findings if f.group}
+    found, best, usual = looks[-1], dict[tuple[str, str], list[float]](), dict[tuple[str, str], float]()
+    projected = found.projected
+    n = float(len(projected.left))
+    noise = projected.squares / projected.freedom
     family = math.log(max(len(found.best), 2))
-    best: dict[tuple[str, str], list[float]] = {}
     readings = projected.whitener.readings
+    unit, scale = unit_of(readings), np.ones((len(readings), 1))
+    if unit == "noise":
+        for s, floor in zip(readings.series, projected.whitener.floor, strict=True):
+            scale[s.part] = 1.0 / max(float(floor), 1e-12)
     for i, v in enumerate(found.variants):
         candidate = found.candidates[v.candidate]
         key = (candidate.effect.effect, candidate.effect.component)
-        if key in named or found.best[v.candidate] != i:
+        if key in there or found.best[v.candidate] != i:
             continue
         # Evidence ln m needs a gain in log likelihood of ln m + ½ (k + n_θ) ln n.
         searched = math.log(len(candidate.thetas))
         need = 2.0 * (family + searched + 0.5 * v.count * math.log(n)) * noise
-        columns = readings.columns(candidate.effect, candidate.thetas[v.theta])
+        columns = readings.columns(candidate.effect, candidate.thetas[v.theta]) * scale
         plain = np.sqrt(np.mean(columns**2, axis=0))
         seen = v.size[:, 1]
         good = seen > 0
         if good.any():
             best.setdefault(key, []).append(float((math.sqrt(need) * plain[good] / seen[good]).min()))
-    units = {s.unit for s in readings.series}
-    unit = "um" if units == {"um"} else "urad" if units == {"urad"} else "noise"
-    return tuple(Absent(e, c, float(np.median(sizes)), unit) for (e, c), sizes in sorted(best.items()))
+            typical = np.array([p.typical for p in candidate.effect.coefficients(readings.machine)])
+            usual[key] = max(usual.get(key, 0.0), float((plain * typical)[good].max()))
+    sizes = {key: float(np.median(values)) for key, values in sorted(best.items())}
+    hidden = {key for key, size in sizes.items() if size > HARDLY * usual[key]}
+    absent = tuple(Absent(*key, size, unit) for key, size in sizes.items() if key not in hidden)
+    return absent, tuple(_hardly(key, sizes[key], usual[key], unit) for key in sizes if key in hidden)
+
+
+def _hardly(key: tuple[str, str], size: float, usual: float, unit: str) -> NotTestable:
+    what = {"um": "µm", "urad": "µrad", "noise": "× noise"}[unit]
+    here = f"of a usual size it makes {usual:.1g} {what} here, and would be seen from {size:.2g} {what} on"
+    return NotTestable(*key, f"what drives it hardly changed: {here}", "vary what drives it more, or by itself")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.result import Alike
+from rtec.diagnosis.result import Alike, label_of
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
@@ -59,7 +59,7 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         how = "the readings make it less likely, yet runs that were left out are predicted better by it"
     else:
         how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"
-    return Alike(other.effect, other.component, f"{how}; {why}" if why else how, test)
+    return Alike(other.effect, other.component, f"{how}; {why}" if why else how, test, label=label_of(other))
 
 
 def _told(one: Effect, other: Effect) -> tuple[str, str]:

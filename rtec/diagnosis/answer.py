@@ -8,15 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import floor, picture, words
-from rtec.diagnosis.absent import absent_ones, untestable
+from rtec.diagnosis.absent import SURE, absent_ones, speaking_up, untestable
 from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine
 from rtec.diagnosis.base import slope
 from rtec.diagnosis.candidates import Candidate, Untried
 from rtec.diagnosis.drifts import run_drifts
+from rtec.diagnosis.folded import fold
 from rtec.diagnosis.gains import with_gains
 from rtec.diagnosis.noise import Whitener
 from rtec.diagnosis.refit import Fit, inverse, solve
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown
+from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown, label_of
 from rtec.diagnosis.screen import Projected, Screen
 from rtec.diagnosis.separating import fitted_to
 from rtec.diagnosis.tried import Prepared, Tried
@@ -29,8 +30,6 @@ Floats = NDArray[np.float64]
 
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
-SURE = math.log(20.0)
-"""Posterior odds, as a logarithm, that a name needs."""
 BETTER = 0.9
 """An effect that leaves less than this share of the winner's mean square on runs left out disputes its place."""
 
@@ -53,7 +52,8 @@ class Searched:
         adequacy: what it explains of what can be explained.
         unknown, shape: what is there if nothing has a name, and its shape.
         seed: of the draws.
-        separate: whether to work out which test tells confusions apart.
+        explain: whether to work out what only people want to know: which test tells confusions apart.
+        beside: what all candidates say beside the one that was named; None where none was, or not asked for.
     """
 
     model: Model
@@ -72,7 +72,8 @@ class Searched:
     unknown: Unknown | None
     shape: Shaped | None
     seed: int
-    separate: bool
+    explain: bool
+    beside: Screen | None
 
 
 def answer(searched: Searched) -> Diagnosis:
@@ -89,7 +90,7 @@ class _Answer:
         findings = self._findings(self.s.found, list(self.s.tried), self.s.p, self.s.accepted)
         if self.s.partner is not None:
             findings = (replace(findings[0], partner=findings[1]), *findings[1:])
-        return self._answer(self.s.projected, self.s.found, findings, self.s.adequacy, self.s.unknown)
+        return self._answer(self.s.found, findings, self.s.adequacy, self.s.unknown)
 
     def _findings(self, found: Screen, tried: list[Tried], p: float, accepted: bool) -> tuple[Finding, ...]:
         if not tried:
@@ -173,7 +174,9 @@ class _Answer:
                 behind = 0.0
             if same:
                 out.setdefault((other.effect, other.component), (alike(mine, other, cos, behind), number))
-        return self._separated(found, winner, list(out.values())) if self.s.separate else [a for a, _ in out.values()]
+        said = self._separated(found, winner, list(out.values())) if self.s.explain else [a for a, _ in out.values()]
+        folded = fold(self.readings, mine, self.s.candidates[winner.number].thetas[winner.theta])
+        return [*said, *([folded] if folded is not None else [])]
 
     def _separated(self, found: Screen, winner: Tried, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same with the test that this machine can take and that tells them apart soonest."""
@@ -227,7 +230,6 @@ class _Answer:
 
     def _answer(
         self,
-        projected: Projected,
         found: Screen,
         findings: tuple[Finding, ...],
         adequacy: float | None,
@@ -247,7 +249,9 @@ class _Answer:
         else:
             verdict = "nothing_missing"
         unit = floor.unit_of(readings)
-        absent = absent_ones(found, findings if accepted else (), projected)
+        beside = self.s.beside or found
+        speaks = [label_of(self.s.candidates[i].effect) for i in speaking_up(beside, self.s.prior_odds)]
+        absent, unseen = absent_ones((found, beside), findings if accepted else (), self.s.prior_odds)
         smallest = float(np.median([a.smallest for a in absent])) if absent else math.nan
         shown = self._shown(findings, unknown)
         draft = Diagnosis(
@@ -259,9 +263,10 @@ class _Answer:
             adequacy=adequacy,
             findings=findings,
             unknown=unknown,
-            not_testable=untestable(self.s.untried, found),
+            not_testable=(*untestable(self.s.untried, found), *unseen),
             absent=absent,
             notes=(
+                *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
                 *words.notes(prepared.spikes, len(readings), [m.name for m in readings.measurements]),
             ),
@@ -271,6 +276,9 @@ class _Answer:
             ),
             seed=self.s.seed,
             picture=shown,
+            refit=floor.pooled(
+                readings, floor.rms_by_series(readings, floor.cleaned(readings, self.s.without.left)), scale
+            ),
         )
         return words.with_sentence(draft, smallest)
 

@@ -4,13 +4,14 @@ A fit of these columns is a refit of the model; what it cannot reach is what the
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings
+from rtec.diagnosis.readings import Readings, Series
 from rtec.errors import MeasurementError, ModelError
 from rtec.model import FittedEffect, Model
 
@@ -87,30 +88,55 @@ def slope(fitted: FittedEffect, readings: Readings, name: str, coefficients: Flo
 def spikes(readings: Readings, left: Floats) -> NDArray[np.bool_]:
     """Single readings that are far from their neighbours in what the model leaves, (m,).
 
-    Only isolated ones: a quadrant glitch has company and is what the machine does.
+    Only isolated ones: a quadrant glitch has company and is what the machine does. So is what comes again at the same
+    place in other runs.
     """
     out = np.zeros(len(readings), dtype=bool)
     for s in readings.series:
-        out[s.part] = _lonely(left[s.part], s.run)
+        if len(s) >= SHORT:
+            off = left[s.part] - _median5(left[s.part], s.run)
+            far, limit = _lonely(off, left[s.part], s.run)
+            out[s.part] = far & ~_comes_again(readings, s, off, far, limit)
     return out
 
 
 FAR, NEAR, LEAST = 6.0, 3.0, 0.05
+SHORT = 7
+AGAIN = 3
+"""Readings at a place, going the same way, that tell what the machine does there."""
+PLACE_MM = 0.01
 
 
-def _lonely(left: Floats, run: NDArray[np.int64]) -> NDArray[np.bool_]:
-    n = len(left)
-    if n < 7:
-        return np.zeros(n, dtype=bool)
-    off = left - _median5(left, run)
-    sigma = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+def _comes_again(readings: Readings, s: Series, off: Floats, far: NDArray[np.bool_], limit: float) -> NDArray[np.bool_]:
+    """Whether most readings at the same place, going the same way, are as far off."""
+    out = np.zeros(len(off), dtype=bool)
+    if not far.any():
+        return out
+    state = readings.states[s.source]
+    moves = [a for a in readings.machine.axes if a.channel in state.channels]
+    ways = [state.value(a.direction_channel)[s.row] for a in moves]
+    at = np.column_stack([np.round(state.positions_mm()[s.row] / PLACE_MM), *ways])
+    _, place = np.unique(at, axis=0, return_inverse=True)
+    for p in np.unique(place[far]):
+        here = place == p
+        if here.sum() >= AGAIN:
+            out |= here & (np.abs(off - np.median(off[here])) <= limit)
+    return out
+
+
+def _lonely(off: Floats, left: Floats, run: NDArray[np.int64]) -> tuple[NDArray[np.bool_], float]:
+    """Which are far off with neighbours that are not; and how far that is."""
+    # On a slope the middle one of five is the reading itself, and nothing seems to be off: neighbours tell the noise.
+    bend = np.abs(left[1:-1] - 0.5 * (left[:-2] + left[2:]))[(run[2:] == run[:-2])]
+    rough = float(np.median(bend)) / math.sqrt(1.5) if len(bend) else 0.0
+    sigma = 1.4826 * max(float(np.median(np.abs(off - np.median(off)))), rough)
     limit = FAR * max(sigma, 1e-9) + LEAST * float(np.std(left))
     big = np.abs(off) > limit
     near = np.abs(off) <= NEAR * max(sigma, 1e-9) + LEAST * float(np.std(left))
     same = run[1:] == run[:-1]
     before = np.concatenate([[True], near[:-1] | ~same])
     after = np.concatenate([near[1:] | ~same, [True]])
-    return np.asarray(big & before & after)
+    return np.asarray(big & before & after), limit
 
 
 def _median5(value: Floats, run: NDArray[np.int64]) -> Floats:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
+from rtec.diagnosis.absent import SURE
 from rtec.diagnosis.alias import WITHIN, cosine, directness, diverse, plausibility
-from rtec.diagnosis.answer import SURE, Searched, answer
+from rtec.diagnosis.answer import Searched, answer
 from rtec.diagnosis.at_once import MANY, each
 from rtec.diagnosis.candidates import library
 from rtec.diagnosis.noise import Whitener, without_drift
@@ -63,7 +64,7 @@ def diagnose(
     alpha: float = ALPHA,
     draws: int = DRAWS,
     only: Sequence[str] | None = None,
-    separate: bool = False,
+    explain: bool = False,
     stage: Stage | None = None,
 ) -> Diagnosis:
     """Find what a model misses.
@@ -75,14 +76,15 @@ def diagnose(
         alpha: family-wise probability of a false name that is put up with.
         draws: how often chance is drawn.
         only: names of effects to look for; None for the whole catalogue.
-        separate: work out which test of this machine tells confusions apart, which takes a second or more.
+        explain: work out what only people want to know, which takes a second or more: which test of this machine tells
+            confusions apart, and what speaks up beside what was named.
         stage: told how far it is.
 
     Raises:
         MeasurementError: the measurements do not fit together, or lack a channel that the model needs.
     """
     with one_blas_thread():
-        return _Search(model, measurements, seed, alpha, draws, only, separate, stage or (lambda *_: None)).diagnosis()
+        return _Search(model, measurements, seed, alpha, draws, only, explain, stage or (lambda *_: None)).diagnosis()
 
 
 class _Search:
@@ -94,11 +96,11 @@ class _Search:
         alpha: float,
         draws: int,
         only: Sequence[str] | None,
-        separate: bool,
+        explain: bool,
         stage: Stage,
     ) -> None:
         self.model, self.seed, self.alpha, self.draws, self.stage = model, seed, alpha, draws, stage
-        self.separate = separate
+        self.explain = explain
         stage("reading, finding the noise", 0, 1)
         self.prepared = prepare(model, measurements)
         self.readings = self.prepared.readings
@@ -134,9 +136,16 @@ class _Search:
             Searched(
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found, self._without,
                 tried, pair[1].number if pair is not None else None, p, accepted and named, share, unknown,
-                self._top_shape, self.seed, self.separate,
+                self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
             )
         )  # fmt: skip
+
+    def _next(self, tried: Sequence[Tried], pair: Sequence[Tried] | None, named: bool) -> Screen | None:
+        """All candidates beside what was named; of very many readings only some are looked at, which tells no sizes."""
+        if not self.explain or not named or self._few[1] is not self.readings:
+            return None
+        fit = (pair[1] if pair is not None else tried[0]).fit
+        return self._look(lambda w: w, fit.whitener, fit.columns)
 
     def _accepts(self, best: Tried, p: float) -> bool:
         """Chance is unlikely, or the evidence with the noise found anew is overwhelming; and left-out runs agree.

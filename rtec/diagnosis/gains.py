@@ -10,7 +10,7 @@ from rtec.diagnosis.noise import Whitener
 from rtec.diagnosis.plan import Extra
 from rtec.diagnosis.plan_parameters import hours_in_words
 from rtec.diagnosis.result import Alike
-from rtec.diagnosis.separating import CLEAR, separating
+from rtec.diagnosis.separating import CLEAR, Pair, separating
 from rtec.model import FittedEffect, Model
 
 
@@ -21,7 +21,7 @@ def with_gains(
     whitener: Whitener,
     extras: Sequence[Extra] | None = None,
 ) -> tuple[Alike, ...]:
-    """Name for each confusion the quickest test that settles it, with the expected log Bayes factor.
+    """Name for each confusion the quickest test that settles it, with the expected log Bayes factor that it adds.
 
     Where no test settles it (20 to 1), the one that comes nearest is named, and that it does not suffice.
 
@@ -42,10 +42,15 @@ def with_gains(
     out = []
     for place, (alike, _) in enumerate(alikes):
         # Pairs are in the order of the combinations: those of the winner come first.
-        best = min(found, key=lambda s: _worth(s.test, s.pairs[place].gain))
-        gain = best.pairs[place].gain
+        # What the readings say already is in both: only what a test adds can settle what they leave open.
+        best = min(found, key=lambda s: _worth(s.test, _added(s.pairs[place])))
+        gain = _added(best.pairs[place])
         out.append(replace(alike, gain=gain, separating_test=_words(alike.separating_test, best.test, gain)))
     return tuple(out)
+
+
+def _added(pair: Pair) -> float:
+    return pair.gain - pair.before
 
 
 def _worth(test: Extra, gain: float) -> tuple[bool, float, float]:

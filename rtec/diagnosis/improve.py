@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from rtec.diagnosis.absent import SURE
 from rtec.diagnosis.add import Added, add, new_effect
-from rtec.diagnosis.answer import SURE
 from rtec.diagnosis.diagnose import ALPHA, DRAWS, diagnose
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.metrology.measurement import Measurement

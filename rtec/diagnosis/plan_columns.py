@@ -41,7 +41,7 @@ def information(
         columns = _on_circle(parameters, circle_of(measurement), place)
     else:
         asked = any(p.ball is not None and p.ball.place == place for p in parameters)
-        readings = read([_with_known_centre(measurement) if asked else measurement], smooth=False)
+        readings = read([_with_known_centre(measurement) if asked else measurement])
         columns = clean(np.stack([_column(p, readings, place) for p in parameters], axis=1), readings)
     scaled = columns / noise
     return np.asarray(scaled.T @ scaled)

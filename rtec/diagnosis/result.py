@@ -1,5 +1,6 @@
 """What a diagnosis says: verdict, candidates with their evidence, what was absent, what could not be tested."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from rtec.effects import Effect
 
 Floats = NDArray[np.float64]
+
+REFIT = 0.8
+"""A model whose numbers, fitted anew, leave less than this share of what is left is out of date."""
 
 Verdict = Literal["nothing_missing", "missing_effect", "ambiguous", "unknown_effect"]
 
@@ -31,6 +35,7 @@ class Alike:
         effect, component: which.
         why: in words.
         separating_test: experiment that tells them apart.
+        label: short name with what it depends on, such as its sensor.
         gain: expected log Bayes factor of that experiment; None where it was not worked out.
     """
 
@@ -39,6 +44,13 @@ class Alike:
     why: str
     separating_test: str
     gain: float | None = None
+    label: str = ""
+
+
+def label_of(effect: Effect) -> str:
+    """Short name for tables: effect, component, and what it depends on."""
+    extra = [str(getattr(effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(effect, k, None)]
+    return f"{effect.effect}({', '.join([effect.component, *extra])})"
 
 
 @dataclass(frozen=True)
@@ -81,10 +93,7 @@ class Finding:
     @property
     def label(self) -> str:
         """Short name for tables: effect, component, and what it depends on."""
-        extra = [
-            str(getattr(self.effect, k)) for k in ("axis", "sensor", "front", "back") if getattr(self.effect, k, None)
-        ]
-        return f"{self.effect.effect}({', '.join([self.effect.component, *extra])})"
+        return label_of(self.effect)
 
 
 @dataclass(frozen=True)
@@ -173,6 +182,8 @@ class Diagnosis:
         unit: "um"; "urad" where the measurements read angles only; "noise" (multiples of it) where there are both.
         rms_residual: of readings minus prediction, nuisances taken out.
         noise_floor: what noise alone would leave.
+        refit: what the model would leave with its own numbers fitted anew to these readings; no more than
+            `rms_residual` but for rounding.
         adequacy: gain of rank 1 over the best gain of any smooth or periodic model; below 0.7 no effect of the
             catalogue fits.
         findings: best first.
@@ -197,6 +208,12 @@ class Diagnosis:
     noise: tuple[str, ...]
     seed: int = 1
     picture: Picture | None = field(default=None, repr=False, compare=False)
+    refit: float = math.nan
+
+    @property
+    def out_of_date(self) -> bool:
+        """Whether the model's own numbers, fitted anew, would leave clearly less than they do as they stand."""
+        return self.refit < REFIT * self.rms_residual and self.rms_residual > self.noise_floor / REFIT
 
     @property
     def group(self) -> tuple[Finding, ...]:
@@ -211,6 +228,8 @@ class Diagnosis:
             "unit": self.unit,
             "rms_residual_um": self.rms_residual,
             "noise_floor_um": self.noise_floor,
+            "refit_um": self.refit if math.isfinite(self.refit) else None,
+            "out_of_date": self.out_of_date,
             "adequacy": self.adequacy,
             "candidates": [_finding(f) for f in self.findings],
             "unknown": _unknown(self.unknown),

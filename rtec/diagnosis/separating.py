@@ -31,6 +31,9 @@ Floats = NDArray[np.float64]
 
 CLEAR = math.log(20.0)
 """Expected odds, as a logarithm, from which on a test separates two effects."""
+INDEPENDENT = 100.0
+"""A test tells at most as much as so many readings: those close together share the drift of instrument and machine, so
+that what is far below the noise of one reading settles nothing, however many there are."""
 TINY = 1e-11
 """Directions below this share of the largest are not seen at all."""
 
@@ -225,10 +228,11 @@ def _slope(fitted: FittedEffect, readings: Readings, name: str) -> Floats:
 
 
 def _of_test(model: Model, rivals: Sequence[FittedEffect], measurement: Measurement, noise: float) -> Floats:
-    """What one test tells, with white noise."""
-    readings = read([measurement], model.reference_degc, smooth=False)
+    """What one test tells."""
+    # Temperatures smoothed: a machine does not follow the noise of a sensor, which else would tell two sensors apart.
+    readings = read([measurement], model.reference_degc)
     columns = clean(_columns(model, rivals, readings), readings) / noise
-    return np.asarray(columns.T @ columns)
+    return np.asarray(columns.T @ columns * min(1.0, INDEPENDENT / len(columns)))
 
 
 def _information(columns: Floats, whitener: Whitener) -> Floats:

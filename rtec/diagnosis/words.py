@@ -48,6 +48,10 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             share = max(d.adequacy, 0.0)
             near = f"; the closest, {d.findings[0].label}, explains only {share:.0%} of what can be explained"
         return f"something is missing that no effect of the catalogue describes: it depends {how} on {where}{near}"
+    if d.out_of_date:
+        fitted = f"fitted anew to these readings they would leave {d.refit:.2g}; noise is {d.noise_floor:.2g}"
+        now = f"{d.rms_residual:.2g} {unit} are left"
+        return f"no effect is missing, but the model's numbers no longer fit: {now}, {fitted}; `rtec improve` fits them"
     limit = f" (half of the catalogue from {smallest:.2g} {unit} on)" if math.isfinite(smallest) else ""
     left = f"{d.rms_residual:.2g} {unit} are left, noise is {d.noise_floor:.2g}"
     return f"nothing missing that these readings could show{limit}: {left}"
@@ -56,10 +60,16 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
 def _names(d: Diagnosis) -> str:
     first = d.findings[0]
     group = [first, *(f for f in d.group if f.rank > 1)]
-    told = {(f.effect.effect, f.effect.component) for f in group}
-    names = [f.label for f in group]
-    names += [f"{a.effect}({a.component})" for a in first.confused_with if (a.effect, a.component) not in told]
+    names = [f.label for f in group] + [a.label or f"{a.effect}({a.component})" for a in first.confused_with]
     return ", ".join(list(dict.fromkeys(names))[:4])
+
+
+def beside(speaks: Sequence[str]) -> tuple[str, ...]:
+    """That more is missing beside what was named: labels of what the readings speak for, best first."""
+    if not speaks:
+        return ()
+    more = f" (or one of {len(speaks) - 1} like it)" if len(speaks) > 1 else ""
+    return (f"more is missing: beside what is named, {speaks[0]}{more} speaks up; add the first, then diagnose again",)
 
 
 def why_not(mine: float, best: float, gain: float, same: bool) -> str:

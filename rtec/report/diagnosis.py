@@ -117,7 +117,7 @@ def _numbers(f: Finding) -> str:
 def _confused(d: Diagnosis) -> list[Section]:
     if not d.group or not d.findings[0].confused_with:
         return []
-    rows = [[f"{a.effect}({a.component})", a.why, a.separating_test] for a in d.findings[0].confused_with]
+    rows = [[a.label, a.why, a.separating_test] for a in d.findings[0].confused_with]
     words = ["These would explain the readings as well. The test on the right tells them apart."]
     return [Section("What it may be instead", words, Table(("effect", "why", "test"), rows, words=(0, 1, 2)))]
 

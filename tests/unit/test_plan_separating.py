@@ -16,11 +16,14 @@ from rtec.diagnosis.plan import Extra
 from rtec.diagnosis.result import Alike
 from rtec.diagnosis.separating import CLEAR, fitted_to, separating, usual_size
 from rtec.diagnosis.tried import prepare
+from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.sim.campaign import simulate
 from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign_truth import effect_from_text
+from tests.setups import CONFIGS
 from tests.unit.diagnosis_examples import effects, laser, small_machine, write_machine
 
 Floats = NDArray[np.float64]
@@ -93,7 +96,8 @@ def test_gain_is_the_log_odds_that_the_test_then_gives() -> None:
         left = [readings - c * (c @ readings) / (c @ c) for c in columns]
         odds.append(0.5 * float(left[1] @ left[1] - left[0] @ left[0]) / NOISE**2)
     ways = [0.5 * _misfit(columns[i], columns[1 - i]) / NOISE**2 for i in (0, 1)]
-    assert gain == pytest.approx(min(ways), rel=1e-6)
+    # Told as if no more than a hundred of its readings were independent.
+    assert gain == pytest.approx(min(ways) * 100.0 / len(columns[0]), rel=1e-6)
     # Of one true, the odds expected are those of its own way round.
     assert float(np.mean(odds)) == pytest.approx(ways[0], abs=4.0 * float(np.std(odds)) / math.sqrt(60) + 0.05)
 
@@ -129,6 +133,21 @@ def test_several_rivals_want_the_test_that_separates_most() -> None:
     assert found[0].clear == 3
     assert found[-1].clear == 2  # backlash is told from both by any laser that turns round
     assert {(p.one, p.other) for p in found[-1].pairs if not p.clear} == {("scale(EXX, X)", "guide_curvature(EBX, X)")}
+
+
+def test_two_sensors_in_a_short_cold_test_stay_rivals() -> None:
+    """Oracle: physics. Two sensors of one spindle, cold for ten minutes: neither their noise nor a tenth of a kelvin
+    may count as telling them apart, however many readings a circle has; hours of heating and cooling do."""
+    machine = load_machine(CONFIGS / "machines" / "turning-centre.toml")
+    one, two = (
+        effect_from_text(f"spindle_growth,component=EZ0spindle,sensor=T_spindle_{end},k=2.5", machine)
+        for end in ("front", "rear")
+    )
+    found = {s.test.name: s.pairs[0] for s in separating(Model(machine, ()), [one, two], [], noise=0.3)}
+    bars = [pair for name, pair in found.items() if name.startswith("ball bar")]
+    assert bars
+    assert not any(pair.clear for pair in bars)
+    assert found["drift probes, spindle on and off over 8 h"].clear
 
 
 def test_the_current_model_is_fitted_along() -> None:
