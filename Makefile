@@ -5,13 +5,15 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 MINUTES ?= 30
 SEED ?= 1
+INPUTS ?= 1000000
 
 PREFIX ?= /usr/local
 SYSCONFDIR ?= /etc
+override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: install install-venv install-files uninstall help demo test lint check bench soak discovery figures lock format clean
+.PHONY: install check-paths install-venv install-files uninstall help demo test lint check bench soak fuzz discovery figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -41,8 +43,11 @@ check: lint test  ## all of it: lint, then the tests
 bench: $(STAMP)  ## speed, each figure beside what it is measured against
 	$(BIN)/python -m tests.bench
 
-soak: $(STAMP)  ## half an hour against simulated hardware with faults by chance; MINUTES=, SEED=
-	$(BIN)/rtec hil configs/hil.toml --soak $(MINUTES) --seed $(SEED) --report out/soak
+soak: $(STAMP)  ## half an hour against simulated hardware with faults by chance; MINUTES=, SEED=, SHARED=--shared
+	$(BIN)/rtec hil configs/hil.toml --soak $(MINUTES) --seed $(SEED) $(SHARED) --report out/soak
+
+fuzz: $(STAMP)  ## a million spoilt inputs for every reader of text from outside; INPUTS=, SEED=
+	$(BIN)/python -m tests.fuzz $(INPUTS) $(SEED)
 
 discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many are found; half an hour
 	$(BIN)/python -m tests.discovery
@@ -61,23 +66,30 @@ lock: $(STAMP)  ## resolve requirements.lock anew from pyproject.toml
 install: install-venv install-files  ## the daemon as a service, for root; PREFIX (/usr/local) and DESTDIR as usual
 	@echo "installed; now see $(PREFIX)/share/doc/rtec/service.md"
 
+# Other paths would hit files that are not meant, when they are removed, too.
+check-paths:
+	@[ $(words x$(DESTDIR)x$(PREFIX)x$(SYSCONFDIR)) -eq 1 ] || { echo "DESTDIR, PREFIX and SYSCONFDIR must have no spaces"; exit 2; }
+	@case "$(DESTDIR)/:$(PREFIX):$(SYSCONFDIR)" in /*:/*:/*) ;; *) \
+	  echo "DESTDIR, PREFIX and SYSCONFDIR must be whole paths, beginning with /"; exit 2;; esac
+
 # A virtual environment of its own; the service's user must reach the Python that it is made of.
-install-venv:
+install-venv: check-paths
 	@case "$$(realpath "$$(command -v $(PYTHON))")" in /root/*|/home/*) [ -n "$(ANY_PYTHON)" ] || \
 	  { echo "the service's user cannot reach $$(realpath "$$(command -v $(PYTHON))"). Try: make install PYTHON=/usr/bin/python3"; exit 2; };; esac
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || \
 	  { echo "rtec needs Python 3.11 to 3.13. Try: make install PYTHON=/usr/bin/python3.12"; exit 2; }
 	$(PYTHON) -m venv --clear $(DESTDIR)$(LIB)
 	$(DESTDIR)$(LIB)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock
+	rm -rf build
 	$(DESTDIR)$(LIB)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps .
-	[ -z "$(DESTDIR)" ] || sed -i '1s|^#!$(DESTDIR)|#!|' $$(grep -lI '^#!$(DESTDIR)' $(DESTDIR)$(LIB)/bin/*)
+	[ -z "$(DESTDIR)" ] || sed -i 's|$(DESTDIR)$(LIB)|$(LIB)|g' $$(grep -lIF '$(DESTDIR)$(LIB)' $(DESTDIR)$(LIB)/pyvenv.cfg $(DESTDIR)$(LIB)/bin/*)
 	install -d $(DESTDIR)$(PREFIX)/bin
 	ln -sf $(LIB)/bin/rtec $(DESTDIR)$(PREFIX)/bin/rtec
 	install -d $(DESTDIR)$(PREFIX)/share/bash-completion/completions
 	_RTEC_COMPLETE=source_bash $(DESTDIR)$(LIB)/bin/python -m rtec.cli.main \
 	  > $(DESTDIR)$(PREFIX)/share/bash-completion/completions/rtec
 
-install-files:
+install-files: check-paths
 	install -d $(DESTDIR)$(UNITS) $(DESTDIR)$(PREFIX)/lib/sysusers.d $(DESTDIR)$(SYSCONFDIR)/udev/rules.d \
 	  $(DESTDIR)$(PREFIX)/share/doc/rtec $(DESTDIR)$(SYSCONFDIR)/rtec
 	sed -e 's|@PREFIX@|$(PREFIX)|g; s|@SYSCONFDIR@|$(SYSCONFDIR)|g' systemd/rtec@.service.in > $(DESTDIR)$(UNITS)/rtec@.service
@@ -88,13 +100,14 @@ install-files:
 	  to="$(DESTDIR)$(SYSCONFDIR)/rtec/$$f"; [ -e "$$to" ] || { install -D -m 644 "$$f" "$$to" && sed -i '/^log_folder = /d' "$$to"; } || exit 1; done
 	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || { systemd-sysusers && systemctl daemon-reload && udevadm control --reload; }
 
-uninstall:  ## remove what make install made; configurations, state and logs stay
-	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || systemctl disable --now 'rtec@*.service' || true
+uninstall: check-paths  ## remove what make install made; configurations, state and logs stay
+	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || { systemctl stop 'rtec@*.service'; \
+	  for link in /etc/systemd/system/*.wants/rtec@*.service; do [ ! -h "$$link" ] || systemctl disable "$$(basename "$$link")"; done; }
 	rm -rf $(DESTDIR)$(LIB) $(DESTDIR)$(PREFIX)/share/doc/rtec
 	rm -f $(DESTDIR)$(PREFIX)/bin/rtec $(DESTDIR)$(PREFIX)/share/bash-completion/completions/rtec \
 	  $(DESTDIR)$(UNITS)/rtec@.service $(DESTDIR)$(PREFIX)/lib/sysusers.d/rtec.conf \
 	  $(DESTDIR)$(SYSCONFDIR)/udev/rules.d/70-rtec.rules
-	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || systemctl daemon-reload
+	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || { systemctl daemon-reload && udevadm control --reload; }
 	@echo "$(SYSCONFDIR)/rtec, /var/lib/rtec, /var/log/rtec and the user rtec stay; remove them by hand"
 
 clean:  ## remove the virtual environment and what tools leave behind

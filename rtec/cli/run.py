@@ -24,25 +24,40 @@ def run(
         Path | None, typer.Option("--log", help="Write the log here, not into the run file's log_folder.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    step: Annotated[
+        str | None,
+        typer.Option(
+            "--step",
+            metavar="AXIS=um",
+            help="Sign check: in place of the model, a step of one axis, as X=20um, within its limits; the end takes "
+            "it back. No log but with --log.",
+        ),
+    ] = None,
 ) -> None:
     """Correct a machine: read, evaluate the model, apply, at a fixed rate on the real clock.
 
     Ctrl-C holds the correction, flushes the log, closes the devices, and says so.
 
     Example, on the simulated turning centre: `rtec run configs/turning-centre-sim.toml --duration 10`
+
+    Example of a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
     """
     from rtec.runtime.config import load_setup
+    from rtec.runtime.sign_check import step_of, with_step
 
-    setup = load_setup(config)
+    setup = with_step(load_setup(config), step_of(step) if step else {})
     if dry_run:
         _dry_run(setup, as_json)
         return
     from rtec.cli.run_screen import Screen, show_report
     from rtec.runtime.clock import RealClock
     from rtec.runtime.control import Control
-    from rtec.runtime.supervisor import Supervisor, new_log_path
+    from rtec.runtime.log_of_run import new_log_path
+    from rtec.runtime.supervisor import Supervisor
 
-    path = log or new_log_path(setup)
+    path = log or (None if step else new_log_path(setup))
+    for axis, um in setup.step_um.items():
+        typer.echo(f"sign check: axis {axis} goes by {um:+g} µm; it goes back when you end this with Ctrl-C", err=True)
     with Screen(setup, duration, path, quiet=as_json) as screen:
         supervisor = Supervisor(setup, path, screen.update, screen.started)
         with Control(setup, supervisor, RealClock()):

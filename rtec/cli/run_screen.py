@@ -113,7 +113,7 @@ def show_dry_run(setup: Setup, found: dict[str, Any]) -> None:
         table.add_row(name, value, age)
     console.print(table)
     for axis, um in found["requested_um"].items():
-        console.print(f"axis {axis}: the model would ask for {um:+.2f} µm", highlight=False)
+        console.print(f"axis {axis}: the model would ask for {um + 0.0:+.2f} µm", highlight=False)  # no -0.00
     for reason in found["reasons"]:
         console.print(f"would hold: {reason}", style="yellow")
     console.print("ready to run" if not found["reasons"] else "not ready: see above")

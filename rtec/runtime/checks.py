@@ -16,7 +16,7 @@ NS = 1e-9
 
 
 def dry_run(setup: Setup) -> dict[str, Any]:
-    """Open every device, read each once, step once; the actuator is opened and told nothing.
+    """Open every device, read each, step once; the actuator is opened and told nothing.
 
     Returns:
         `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` why the guard would hold.
@@ -32,11 +32,12 @@ def dry_run(setup: Setup) -> dict[str, Any]:
     sample.spindle_rpm[:] = np.nan
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
-        sample.counts_time_ns[0] = ports.counts.read_counts(sample.counts[0])
+        ports.counts.read_counts(sample.counts[0])  # the first reading of anything may take its time: it is not judged
         for source in ports.temperatures:
             source.read_temperatures(sample.degc[0], sample.degc_time_ns[0])
         if ports.spindle is not None:
             sample.spindle_rpm[0] = ports.spindle.read_spindle()
+        sample.counts_time_ns[0] = ports.counts.read_counts(sample.counts[0])
         sample.time_ns[0] = clock.now_ns()
     sample.mode[0] = MODE_ON
     commands = step.run(sample)

@@ -1,7 +1,7 @@
 """The run file: which machine, model, devices, limits; read whole, checked whole, all faults told at once."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -118,6 +118,7 @@ class Setup:
         file: what it says.
         machine, model: read and checked.
         hash: SHA-256 of what it says.
+        step_um: by axis, the deliberate step that the model of a sign check makes; empty in ordinary runs.
     """
 
     path: Path
@@ -125,6 +126,7 @@ class Setup:
     machine: Machine
     model: Model
     hash: str
+    step_um: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def base(self) -> Path:

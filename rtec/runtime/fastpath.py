@@ -28,10 +28,11 @@ from rtec.runtime.realtime import prepare_process
 from rtec.runtime.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
 from rtec.runtime.recover import Found, Start, allowed, recover
 from rtec.runtime.ring import Ring
+from rtec.runtime.sign_check import with_step
 from rtec.runtime.state import Saved, StateWriter, newest, state_text, structure_of, units_of
 from rtec.runtime.state_files import StatePlaces, read_disk, state_memory
 from rtec.runtime.step import Step
-from rtec.runtime.workers import worker_ports
+from rtec.runtime.worker_port import worker_ports
 
 REHEARSAL_CYCLES = 100
 FIRST_TRIES = 5
@@ -53,6 +54,7 @@ class Orders:
         cycles: how many; None: until it is stopped.
         places: where the state is kept.
         workers: memory of the devices that a worker reads, by device.
+        step_um: of a sign check, in place of the model.
     """
 
     config: Path
@@ -60,6 +62,7 @@ class Orders:
     cycles: int | None
     places: StatePlaces
     workers: Mapping[str, Published] = field(default_factory=dict)
+    step_um: Mapping[str, float] = field(default_factory=dict)
 
 
 def fast_path(told: Orders, pipe: Connection) -> None:
@@ -82,12 +85,13 @@ def _tell(pipe: Connection, kind: str, content: Any) -> None:
 
 
 def _run(told: Orders, pipe: Connection) -> dict[str, Any]:
-    setup = load_setup(told.config)
+    setup = with_step(load_setup(told.config), told.step_um)
     clock = RealClock()
     step = Step(setup.step_settings())
     step.warm_up()
     with ExitStack() as stack:
         ring = stack.enter_context(Ring.attach(told.ring))
+        ring.take_name()
         image = stack.enter_context(state_memory(told.places.memory, clock))
         rows = bind_rows(step, ring.slots)
         here = make_devices(setup, clock)  # all of them, so that all faults of the run file are told together

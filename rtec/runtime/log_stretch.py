@@ -4,6 +4,7 @@ Monotonic time begins anew with every start of the computer; rows are in the ord
 give. A damaged file costs its own rows, and is told in `troubles`.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -12,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from rtec.errors import LogError
-from rtec.runtime.log_names import log_files
+from rtec.runtime.log_names import log_files, place_of
 from rtec.runtime.log_open import open_log
 from rtec.runtime.log_segment import Segment, look_at
 from rtec.runtime.log_table import Block
@@ -129,20 +130,30 @@ class LogStretch:
         return first, stop
 
     def _heads(self) -> tuple[dict[str, str], Layout]:
-        found: tuple[dict[str, str], Layout] | None = None
-        for segment in self._segments:
-            with open_log(segment.path) as log:
-                if found is None:
-                    found = {**log.header, "segments": ", ".join(s.path.name for s in self._segments)}, log.layout
-                elif found[1] != log.layout:
-                    raise LogError(
-                        f"log {segment.path}: its axes and sensors are not those of {self._segments[0].path.name}; "
-                        "choose a shorter stretch with --from and --to"
-                    )
-        assert found is not None  # noqa: S101 (there is a segment)
-        return found
+        """Header of the first file, and the layout of most; a file that differs from others of its run is damaged."""
+        heads = [_head(s.path) for s in self._segments]
+        usual = Counter(layout for _, layout in heads).most_common(1)[0][0]
+        runs = {place_of(s.path).name for s, (_, layout) in zip(self._segments, heads, strict=True) if layout == usual}
+        good: list[tuple[Segment, dict[str, str]]] = []
+        for segment, (header, layout) in zip(self._segments, heads, strict=True):
+            if layout == usual:
+                good.append((segment, header))
+            elif place_of(segment.path).name in runs:
+                self.troubles.append(f"log {segment.path}: its names of axes and sensors are damaged")
+            else:
+                raise LogError(
+                    f"log {segment.path}: its axes and sensors are not those of the other logs; "
+                    "choose a shorter stretch with --from and --to"
+                )
+        self._segments = [segment for segment, _ in good]
+        return {**good[0][1], "segments": ", ".join(s.path.name for s in self._segments)}, usual
 
     def _bounds(self) -> str:
         parts = [f"from {utc_text(self._from_ns)}"] if self._from_ns is not None else []
         parts += [f"to {utc_text(self._to_ns)}"] if self._to_ns is not None else []
         return " ".join(parts) or "in it"
+
+
+def _head(path: Path) -> tuple[dict[str, str], Layout]:
+    with open_log(path) as log:
+        return log.header, log.layout

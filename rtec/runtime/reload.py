@@ -38,6 +38,8 @@ def read_again(old: Setup) -> Reloaded:
     Raises:
         RtecError: something is wrong with it, or something changed that needs a new start; everything at once.
     """
+    if old.step_um:
+        raise OrderRefused("a sign check (--step) runs; end it, then start the run file itself")
     new = load_setup(old.path)
     if faults := _fixed(old, new):
         raise OrderRefused("\n".join(f"{old.path}: {fault}" for fault in faults))
@@ -59,7 +61,7 @@ def _fixed(old: Setup, new: Setup) -> list[str]:
     """What changed and may not while the loop runs."""
     out = [
         f"[{section}] changed; it is taken up at a start only: end the run and start it again"
-        for section in ("device", "role", "output", "realtime", "log")
+        for section in ("device", "role", "output", "realtime", "log", "control")
         if _plain(getattr(old.file, section)) != _plain(getattr(new.file, section))
     ]
     free = {"machine", "model", "mode"}

@@ -25,6 +25,7 @@ import mmap
 import os
 import secrets
 import threading
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -121,7 +122,9 @@ class Ring:
         """
         if capacity < 2:
             raise RtecError(f"ring capacity {capacity}: at least 2 slots are needed")
-        name = name or f"rtec-{os.getpid()}-{secrets.token_hex(4)}"
+        if name is None:
+            _remove_orphans()
+            name = f"rtec-{os.getpid()}-{secrets.token_hex(4)}"
         fd = _create_file(_path(name), _plan(layout, capacity)[1])
         names = _names(layout)
         os.pwrite(fd, names, _NAMES_OFFSET)
@@ -192,6 +195,10 @@ class Ring:
         if self._owner_pid == os.getpid():
             self._owner_pid = None
             _path(self.name).unlink(missing_ok=True)
+
+    def take_name(self) -> None:
+        """Remove the name though another process owns it: it is not needed any more, and its owner may be killed."""
+        _path(self.name).unlink(missing_ok=True)
 
     def close(self) -> None:
         """Let go of the memory, which stays mapped until the last view of it is gone; the owner removes the name."""
@@ -264,6 +271,15 @@ def _create_file(path: Path, size: int) -> int:
         path.unlink(missing_ok=True)
         raise RtecError(f"ring {path}: no room for {size} bytes: {error.strerror}") from error
     return fd
+
+
+def _remove_orphans() -> None:
+    """Remove rings of this user whose owner was killed before anybody else had them."""
+    for path in _SHM.glob("rtec-*-*"):
+        pid = path.name.split("-")[1]
+        if pid.isdigit() and not Path("/proc", pid).exists():
+            with suppress(RtecError, OSError):
+                _remove_dead(path)
 
 
 def _remove_dead(path: Path) -> None:

@@ -1,9 +1,10 @@
-"""What the signals of a daemon mean while it runs, and how a child is started deaf to them."""
+"""What the signals of a daemon mean while it runs, how a child is started deaf to them, and who started it."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
+from multiprocessing import parent_process, resource_tracker
 from types import FrameType
 from typing import Final
 
@@ -33,3 +34,12 @@ def signals_wait() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def starter() -> int:
+    """Process number of whoever started this process; `os.getppid` says another as soon as that one is gone.
+
+    It was told when this process was started: one that is killed in that very moment is missed all the same.
+    """
+    parent = parent_process()
+    return os.getppid() if parent is None or parent.pid is None else parent.pid

@@ -6,7 +6,6 @@ that neither the loop nor an operator's order waits for a disk.
 
 import multiprocessing
 import os
-import platform
 import queue
 import signal
 from collections.abc import Callable, Iterator, Mapping
@@ -17,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from rtec.errors import DriverFault, LogError, RtecError
+from rtec.errors import DriverFault, RtecError
 from rtec.runtime.clock import RealClock, wall_clock_iso
 from rtec.runtime.config import Setup
 from rtec.runtime.disk_thread import MOST_SECONDS, DiskThread
@@ -25,21 +24,21 @@ from rtec.runtime.events import Event, Events, events_path
 from rtec.runtime.fastpath import Orders, fast_path
 from rtec.runtime.log import LogWriter
 from rtec.runtime.log_keeper import Keeper
-from rtec.runtime.log_names import first_name
-from rtec.runtime.log_segment import time_header
+from rtec.runtime.log_of_run import log_folder, new_log
 from rtec.runtime.notify import Notifier
 from rtec.runtime.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.runtime.recording import Begin, Recording
 from rtec.runtime.records import MODES_BY_NAME, Commands, Layout, Samples
 from rtec.runtime.reload_desk import ReloadDesk
 from rtec.runtime.ring import Ring
+from rtec.runtime.sign_check import StepOrders
 from rtec.runtime.signals import signals, signals_wait
 from rtec.runtime.state_files import DiskState, read_memory, remove_memory, state_places
 from rtec.runtime.status import Report, Status
 from rtec.runtime.watch import Watch
 from rtec.runtime.workers import Workers
 
-__all__ = ["Report", "Status", "Supervisor", "new_log_path"]
+__all__ = ["Report", "Status", "Supervisor"]
 
 DRAIN_PERIOD_NS: Final = 20_000_000
 STOP_TIMEOUT_S: Final = 5.0
@@ -85,7 +84,8 @@ class Supervisor:
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
         self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
         self._reload = ReloadDesk(setup, self._places.memory, self._note)
-        self._interrupted, self._ended = False, False
+        self._step_orders = StepOrders(setup, self._clock)
+        self._interrupted, self._ended, self._at_once = False, False, False
         self._disk: DiskThread | None = None
 
     @property
@@ -137,19 +137,21 @@ class Supervisor:
         self._ended = True
 
     def run(self, duration_s: float | None) -> Report:
-        """Run for so long, or until a signal.
+        """Run for so long, or until a signal. A sign check lasts longer by its way back.
 
         Raises:
             RtecError: the fast path could not start, or died.
         """
         cycles = None if duration_s is None else max(1, round(duration_s * self.setup.file.run.rate_hz))
+        if self.setup.step_um:
+            self._step_orders.lasts_s, cycles = duration_s, None
         capacity = max(64, round(RING_SECONDS * self.setup.file.run.rate_hz))
         context = multiprocessing.get_context("spawn")
         workers = Workers(self.setup, self._clock, lambda text: self._note_of_disk("worker", text))
         with Ring.create(self.layout, capacity) as ring, signals(self._on_signal), workers:
             ring.orders.mode = MODES_BY_NAME[self.setup.file.run.mode]
             here, there = context.Pipe()
-            told = Orders(self.setup.path, ring.name, cycles, self._places, workers.memories)
+            told = Orders(self.setup.path, ring.name, cycles, self._places, workers.memories, self.setup.step_um)
             process = context.Process(target=fast_path, args=(told, there), name="rtec-loop", daemon=True)
             with signals_wait():
                 process.start()
@@ -178,6 +180,8 @@ class Supervisor:
             while self._drain(ring, disk):
                 pass
         self._tidy(ready["one_way"])
+        if left := self._step_orders.trouble(self.status):
+            self.warnings.append(left)
         return Report(
             summary=summary,
             warnings=self.warnings,
@@ -195,10 +199,11 @@ class Supervisor:
         while not pipe.poll() and process.is_alive():
             now = self._clock.now_ns()
             ring.consumer_heartbeat_ns = now
-            if self._interrupted or self._ended:
-                ring.stop_requested = 1
             workers.look()
             self._carry_out(ring)
+            ending = self._interrupted or self._ended
+            if self._step_orders.look(ring.orders, self._watch.status, ending) or self._at_once:
+                ring.stop_requested = 1
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
             if now >= next_flush:
@@ -262,15 +267,7 @@ class Supervisor:
         return "" if self._disk is None else self._disk.state_trouble
 
     def _new_log(self, path: Path, begin: Mapping[str, str]) -> LogWriter:
-        header = {
-            **self.setup.log_header(),
-            "host": platform.node(),
-            "python": platform.python_version(),
-            "started": wall_clock_iso(),
-            **time_header(self._clock),
-            **begin,
-        }
-        return LogWriter(path, self.layout, header)
+        return new_log(path, self.setup, self.layout, self._clock, begin)
 
     def _receive(self, pipe: Connection, process: Any) -> Any:
         try:
@@ -289,29 +286,4 @@ class Supervisor:
         elif number == signal.SIGHUP and self._notifier.asked:
             self._orders.put((Order.RELOAD, "signal HUP", "signal"))
         else:
-            self._interrupted = True
-
-
-def log_folder(setup: Setup) -> Path | None:
-    """Folder of the logs of a run file, else the one that systemd gives (LOGS_DIRECTORY); None: no log is asked for."""
-    folder = setup.file.run.log_folder
-    if folder is None:
-        given = os.environ.get("LOGS_DIRECTORY", "").split(":", maxsplit=1)[0]
-        return Path(given).resolve() if given else None
-    return (setup.base / folder).resolve()
-
-
-def new_log_path(setup: Setup) -> Path | None:
-    """Name of the log of a run that starts now: by number, date and time, in the run file's log folder.
-
-    Raises:
-        LogError: the folder cannot be made.
-    """
-    folder = log_folder(setup)
-    if folder is None:
-        return None
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise LogError(f"{folder}: cannot be made: {e.strerror}") from e
-    return first_name(folder, setup.path.stem, wall_clock_iso().replace(":", "").replace("-", ""))
+            self._at_once, self._interrupted = self._interrupted, True

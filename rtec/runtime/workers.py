@@ -1,68 +1,25 @@
-"""Slow devices in processes of their own: the worker, the loop's port to it, and who keeps the workers alive.
+"""Slow devices in processes of their own.
 
-A device that gives temperatures or the spindle speed and nothing else is opened, polled and closed by a worker. It
-publishes what it reads (`rtec.runtime.published`); in the loop's process a small port object looks at that memory. The
-supervisor starts the workers, starts those that died again, with growing waits, and ends those that hang.
+A device that gives temperatures or the spindle speed and nothing else is opened, polled and closed by a worker
+(`rtec.runtime.worker`). It publishes what it reads (`rtec.runtime.published`); in the loop's process a small port
+object looks at that memory (`rtec.runtime.worker_port`). The supervisor starts the workers, starts those that died
+again, with growing waits, and ends those that hang (`rtec.runtime.worker_keeper`).
 
 Workers are spawned by the supervisor, never by the loop's process: that one has locked memory, threads and real-time
 priority, none of which a child should begin with.
 """
 
-import ctypes
-import multiprocessing
-import os
-import signal
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Self
 
-import numpy as np
-
-from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
-from rtec.machine import Machine
-from rtec.runtime.clock import Clock, RealClock
+from rtec.errors import RtecError
+from rtec.runtime.clock import Clock
 from rtec.runtime.config import Setup
-from rtec.runtime.devices import driver_class, make_device
-from rtec.runtime.ports import FloatArray, IntArray, Resumable
-from rtec.runtime.published import FAILED, NEVER, OPEN, STARTING, Published, Reader
-from rtec.runtime.signals import SIGNALS, signals_wait
-
-POLL_NS: Final = 10_000_000
-"""A driver in a worker is asked so often; the instants of its readings are its own."""
-SILENT_NS: Final = 1_000_000_000
-"""A worker that shows no life for so long is told as silent."""
-HANGS_NS: Final = 20_000_000_000
-"""A worker that shows no life for so long is killed and started again; opening may take that long too."""
-FIRST_WAIT_NS: Final = 500_000_000
-LONGEST_WAIT_NS: Final = 30_000_000_000
-STOP_TIMEOUT_S: Final = 3.0
-PR_SET_PDEATHSIG: Final = 1
-ERRORS: Final = {kind.__name__: kind for kind in (DriverError, DriverUnavailable, DriverTimeout, DriverFault)}
-
-
-@dataclass(frozen=True)
-class Task:
-    """What a worker does; goes to its process as it stands.
-
-    Attributes:
-        name: of the device.
-        table: the device's table in the run file.
-        machine: whose sensors the readings follow.
-        path: of the run file.
-        temperatures, spindle: what is read from it.
-        memory: where it publishes.
-    """
-
-    name: str
-    table: Mapping[str, Any]
-    machine: Machine
-    path: Path
-    temperatures: bool
-    spindle: bool
-    memory: Published
+from rtec.runtime.devices import driver_class
+from rtec.runtime.published import Published
+from rtec.runtime.worker import Task
+from rtec.runtime.worker_keeper import Kept
 
 
 def names_for_workers(setup: Setup) -> list[str]:
@@ -84,222 +41,6 @@ def _in_loop(driver: object, where: str) -> bool:
         return True
 
 
-def work(task: Task) -> None:
-    """Be the worker, until the supervisor asks to end or is gone.
-
-    What cannot be opened is told in the memory; any other fault ends the process, and the supervisor says so.
-    """
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    # A worker that is stopped or hangs cannot look for its parent; the kernel can.
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    clock, memory = RealClock(), task.memory
-    with ExitStack() as stack:
-        try:
-            device: Any = make_device(task.name, task.table, task.machine, clock, task.path)
-            stack.enter_context(device)
-        except RtecError as e:
-            memory.told.write({"open": [str(e)]})
-            memory.state = FAILED
-            return
-        _Desk(task, device, clock).serve()
-
-
-class _Desk:
-    """Asks one device and publishes."""
-
-    def __init__(self, task: Task, device: Any, clock: Clock) -> None:
-        self._task, self._device, self._clock = task, device, clock
-        sensors = len(task.machine.sensor_names)
-        self._degc, self._time_ns, self._rpm = np.full(sensors, np.nan), np.full(sensors, NEVER), float("nan")
-        self._resumes = task.memory.resumes
-
-    def serve(self) -> None:
-        """Do it until told otherwise."""
-        memory, parent = self._task.memory, os.getppid()
-        while not memory.stop_requested and os.getppid() == parent:
-            now_ns = self._clock.now_ns()
-            self._once()
-            memory.heartbeat_ns, memory.state = now_ns, OPEN
-            self._clock.sleep_until_ns(now_ns + POLL_NS)
-
-    def _once(self) -> None:
-        memory, device, wrong = self._task.memory, self._device, dict[str, list[str]]()
-        if isinstance(device, Resumable):
-            if memory.resumes != self._resumes:
-                self._resumes = memory.resumes
-                device.resume()
-            if device.must_resume:
-                wrong["resume"] = [device.must_resume]
-        if self._task.temperatures:
-            try:
-                device.read_temperatures(self._degc, self._time_ns)
-            except DriverError as e:  # what is good is in the arrays all the same
-                wrong["temperatures"] = [type(e).__name__, str(e)]
-        if self._task.spindle:
-            try:
-                self._rpm = device.read_spindle()
-            except DriverError as e:
-                self._rpm = float("nan")
-                wrong["spindle"] = [type(e).__name__, str(e)]
-        memory.publish(self._degc, self._time_ns, self._rpm)
-        memory.told.write(wrong)
-
-
-class WorkerPort:
-    """The loop's side of a worker: a device like any other, that looks at memory and waits for nothing.
-
-    Args:
-        name: of the device.
-        memory: where its worker publishes.
-        sensors: of the machine.
-        clock: the monotonic one; all processes share it.
-    """
-
-    def __init__(self, name: str, memory: Published, sensors: int, clock: Clock) -> None:
-        self._name, self._memory, self._clock = name, memory, clock
-        self._reader = Reader(memory, sensors)
-
-    def __enter__(self) -> Self:
-        """Wait until the worker has opened its device.
-
-        Raises:
-            DriverUnavailable: it could not, or does not say.
-        """
-        memory, end_ns = self._memory, self._clock.now_ns() + HANGS_NS
-        while memory.state == STARTING and not memory.said.read() and self._clock.now_ns() < end_ns:
-            self._clock.sleep_until_ns(self._clock.now_ns() + POLL_NS)
-        if memory.state != OPEN:
-            why = memory.told.read().get("open") or memory.said.read().get("worker")
-            raise DriverUnavailable(why[0] if why else "its worker does not say whether it is open")
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Let go; the supervisor ends the worker."""
-
-    @property
-    def must_resume(self) -> str:
-        """Why the device waits for an order to resume; "" where it does not."""
-        return "".join(self._memory.told.read().get("resume", ()))
-
-    def resume(self) -> None:
-        """Hand the order on to the worker."""
-        self._memory.resumes += 1
-
-    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
-        """Fill in what the worker published last, °C and instants, ns; then tell what is wrong.
-
-        Raises:
-            DriverError: as the driver itself; or the worker is dead or silent.
-        """
-        reader = self._reader
-        reader.look()
-        np.copyto(degc, reader.degc, where=reader.read)
-        np.copyto(time_ns, reader.time_ns, where=reader.read)
-        self._check("temperatures")
-
-    def read_spindle(self) -> float:
-        """Give the spindle speed that the worker published last, 1/min.
-
-        Raises:
-            DriverError: as the driver itself; or the worker is dead or silent.
-        """
-        self._check("spindle")
-        self._reader.look()
-        return float(self._reader.rpm[0])
-
-    def _check(self, does: str) -> None:
-        memory = self._memory
-        said = memory.said.read()
-        if said:
-            raise DriverUnavailable(said["worker"][0])
-        silent_ns = self._clock.now_ns() - memory.heartbeat_ns
-        if silent_ns > SILENT_NS:
-            raise DriverTimeout(f"its worker has shown no life for {silent_ns // 1_000_000_000} s")
-        wrong = memory.told.read().get(does)
-        if wrong:
-            raise ERRORS.get(wrong[0], DriverFault)(wrong[1])
-
-
-def worker_ports(memories: Mapping[str, Published], machine: Machine, clock: Clock) -> dict[str, WorkerPort]:
-    """The loop's ports, by device."""
-    return {name: WorkerPort(name, m, len(machine.sensor_names), clock) for name, m in memories.items()}
-
-
-class _Kept:
-    """One worker and its restarts."""
-
-    def __init__(self, task: Task, clock: Clock, tell: Callable[[str], None]) -> None:
-        self._task, self._clock, self._tell = task, clock, tell
-        self._process: Any = None
-        self._wait_ns, self._begun_ns, self._again_ns = FIRST_WAIT_NS, 0, 0
-
-    def start(self) -> None:
-        """Start it; what an earlier one left in the memory is forgotten."""
-        context = multiprocessing.get_context("spawn")
-        self._task.memory.forget()
-        self._process = context.Process(
-            target=work, args=(self._task,), name=f"rtec-worker-{self._task.name}", daemon=True
-        )
-        self._begun_ns = self._clock.now_ns()
-        with signals_wait():
-            self._process.start()
-
-    def look(self, again: bool) -> None:
-        """See how it does; start it anew when its time has come, where that is wanted."""
-        now_ns, memory = self._clock.now_ns(), self._task.memory
-        if self._process is None:
-            if again and now_ns >= self._again_ns:
-                self.start()
-        elif not self._process.is_alive():
-            self._ended(now_ns, again)
-        elif now_ns - max(memory.heartbeat_ns, self._begun_ns) > HANGS_NS:
-            self._process.kill()
-        elif memory.state == OPEN and memory.said.read():
-            memory.said.write({})
-            self._tell(f"[device.{self._task.name}] its new worker has opened it")
-        if self._process is not None and now_ns - self._begun_ns > 2 * LONGEST_WAIT_NS:
-            self._wait_ns = FIRST_WAIT_NS
-
-    def ask_to_end(self) -> None:
-        """Ask; `end` waits."""
-        self._task.memory.stop_requested = 1
-
-    def end(self, clean_up: Callable[[], None]) -> None:
-        """See it gone."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.join(STOP_TIMEOUT_S)
-            if process.is_alive():
-                process.kill()
-                process.join()
-        clean_up()
-
-    def _ended(self, now_ns: int, again: bool) -> None:
-        self._process.join()
-        memory, process = self._task.memory, self._process
-        why = memory.told.read().get("open") if memory.state == FAILED else None
-        text = why[0] if why else f"its worker, process {process.pid}, ended by itself ({_how(process.exitcode)})"
-        self._process = None
-        self._again_ns = now_ns + self._wait_ns
-        if again:
-            text = f"{text}; a new one is started in {self._wait_ns * 1e-9:g} s"
-            self._tell(f"[device.{self._task.name}] {text}")
-        memory.said.write({"worker": [text]})
-        self._wait_ns = min(2 * self._wait_ns, LONGEST_WAIT_NS)
-
-
-def _how(code: int) -> str:
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        return signal.Signals(-code).name
-    except ValueError:
-        return f"signal {-code}"
-
-
 class Workers:
     """All workers of a run: starts them on entry, ends them on exit.
 
@@ -315,12 +56,12 @@ class Workers:
     def __init__(self, setup: Setup, clock: Clock, tell: Callable[[str], None]) -> None:
         role, machine = setup.file.role, setup.machine
         self.memories: dict[str, Published] = {}
-        self._kept: Sequence[_Kept] = []
+        self._kept: Sequence[Kept] = []
         kept = []
         for name in names_for_workers(setup):
             memory = self.memories[name] = Published.create(len(machine.sensor_names))
             does = (name in role.temperatures, name == role.spindle)
-            kept.append(_Kept(Task(name, setup.file.device[name], machine, setup.path, *does, memory), clock, tell))
+            kept.append(Kept(Task(name, setup.file.device[name], machine, setup.path, *does, memory), clock, tell))
         self._kept = kept
 
     def __enter__(self) -> Self:

@@ -1,0 +1,126 @@
+"""The sign check: one axis is moved by a step of known size, on purpose, so that an indicator shows the sign.
+
+Instead of the model of the run file a model of one constant is in force: "this axis stands 20 µm too low" asks for
++20 µm. It goes the way of every correction, through guard, ledger and actuator, so the limits of the run file hold.
+The run begins with the way to nothing, wherever the run before ended, and ends with it.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+from rtec.effects import EFFECTS
+from rtec.errors import ConfigError
+from rtec.model import FittedEffect, Model
+from rtec.runtime.clock import Clock
+from rtec.runtime.config import Setup
+from rtec.runtime.orders import OrderWords
+from rtec.runtime.records import MODE_OFF, MODE_ON
+from rtec.runtime.status import Status
+from rtec.tomlfile import nearest
+
+SPARE_NS: Final = 2_000_000_000
+_STEP: Final = re.compile(r"\s*(\w+)\s*=\s*([+-]?\d+(?:\.\d*)?|[+-]?\.\d+)\s*(?:um|µm|μm)?\s*")
+
+
+def step_of(text: str) -> dict[str, float]:
+    """Axis and size, µm, of a step in words: `X=20um`, `Z=-5`.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    found = _STEP.fullmatch(text)
+    if found is None:
+        raise ConfigError(f"--step {text!r}: give an axis and micrometres, as X=20um or X=-20um")
+    return {found[1]: float(found[2])}
+
+
+def with_step(setup: Setup, step_um: Mapping[str, float]) -> Setup:
+    """Give the setup with a step of one axis in place of its model; without a step, the setup as it is.
+
+    Args:
+        setup: an ordinary one.
+        step_um: µm by axis, positive where the axis itself counts up.
+
+    Raises:
+        ConfigError: no such axis, one that is not compensated, nothing to move, or more than its stop limit.
+    """
+    if not step_um:
+        return setup
+    for axis, um in step_um.items():
+        _check(setup, axis, um)
+    # Other than the file's mode: after a kill the next ordinary run then begins as its run file says.
+    mode = "off" if setup.file.run.mode != "off" else "hold"
+    file = setup.file.model_copy(update={"run": setup.file.run.model_copy(update={"mode": mode})})
+    return replace(setup, file=file, model=_model(setup.model, step_um), step_um=dict(step_um))
+
+
+def _check(setup: Setup, axis: str, um: float) -> None:
+    names, where = setup.machine.axis_names, f"--step {axis}={um:g}um"
+    if axis not in names:
+        raise ConfigError(f"{where}: machine {setup.machine.name!r} has no axis {axis!r}{nearest(axis, names)}")
+    if not setup.machine.axis(axis).compensate:
+        raise ConfigError(f"{where}: axis {axis} has `compensate = false` in the machine file; nothing moves it")
+    stop_um = setup.file.limits[axis].stop_um
+    if um == 0.0 or not math.isfinite(um) or abs(um) > stop_um:
+        raise ConfigError(f"{where}: give a step that is not zero and at most stop_um of [limits.{axis}], {stop_um:g}")
+
+
+def _model(model: Model, step_um: Mapping[str, float]) -> Model:
+    machine = model.machine
+    kind = EFFECTS["polynomial_position"]
+    effects = []
+    for axis, um in step_um.items():
+        component = f"E{machine.axis(axis).direction}{axis}"
+        table = {"effect": "polynomial_position", "component": component, "axis": axis, "degrees": [0]}
+        effects.append(FittedEffect(kind.model_validate(table), {"c0": -um}))
+    return Model(machine, tuple(effects), name=" ".join(f"step {axis} {um:+g} um" for axis, um in step_um.items()))
+
+
+class StepOrders:
+    """Gives the orders of a sign check: to nothing, then the step, at the end to nothing again.
+
+    In an ordinary run it gives none, and the run may end at once.
+
+    Args:
+        setup: what runs.
+        clock: monotonic.
+
+    Attributes:
+        lasts_s: after so long the way back begins by itself; None: it does not.
+    """
+
+    def __init__(self, setup: Setup, clock: Clock) -> None:
+        self._setup, self._clock = setup, clock
+        self._begins = bool(setup.step_um)
+        self._last_ns: int | None = None
+        self.lasts_s: float | None = None
+
+    def look(self, orders: OrderWords, status: Status, ending: bool) -> bool:
+        """Order what comes next; whether the run may end now. Called some 50 times a second."""
+        if not self._setup.step_um:
+            return ending
+        ending = ending or (self.lasts_s is not None and status.time_s >= self.lasts_s)
+        there = status.cycles > 0 and not any(status.applied_um.values())
+        if ending:
+            orders.mode = MODE_OFF
+            return there or self._too_late()
+        if self._begins:
+            self._begins = not there
+            orders.mode = MODE_ON if there else MODE_OFF
+        return False
+
+    def trouble(self, status: Status) -> str:
+        """What the end of the run left undone; "" where nothing."""
+        left = [f"{axis} {um:+.2f} µm" for axis, um in status.applied_um.items() if um and self._setup.step_um]
+        return f"the way back to nothing was not finished, and is held at {', '.join(left)}" if left else ""
+
+    def _too_late(self) -> bool:
+        """Something holds the correction where it is: the run ends all the same."""
+        if self._last_ns is None:
+            limits = self._setup.file.limits.values()
+            longest_s = max(2.0 * (x.stop_um / x.slew_um_s + x.slew_um_s / x.acceleration_um_s2) for x in limits)
+            self._last_ns = self._clock.now_ns() + round(longest_s * 1e9) + SPARE_NS
+        return self._clock.now_ns() > self._last_ns
