@@ -13,7 +13,7 @@ override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: install check-paths install-venv install-files uninstall help demo test lint check bench soak fuzz discovery figures lock format clean
+.PHONY: install check-paths install-venv install-files uninstall help demo test lint check bench soak fuzz discovery proof figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -52,8 +52,12 @@ fuzz: $(STAMP)  ## a million spoilt inputs for every reader of text from outside
 discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many are found; half an hour
 	$(BIN)/python -m tests.discovery
 
+proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines
+	$(BIN)/python -m tests.unit.ball_bar_proof
+
 figures: $(STAMP)  ## the figures of the documentation, made by the commands of the tutorial
 	$(BIN)/python -m tests.replay.tutorial docs/figures
+	$(BIN)/python -m tests.replay.campaign docs/figures
 
 format: $(STAMP)  ## rewrite the code in the project's format
 	$(BIN)/ruff format .

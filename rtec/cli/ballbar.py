@@ -26,11 +26,20 @@ def ballbar(
     machine: Annotated[Path, typer.Option("--machine", "-m", help="Machine file.", show_default=False)],
     model: Annotated[_Model, typer.Option(help="Guides taken as straight, or as bent.")] = _Model.auto,
     window_deg: Annotated[
-        float, typer.Option("--window", min=0.0, max=40.0, help="Not used in the fit so near to a quadrant, degrees.")
+        float,
+        typer.Option(
+            "--window",
+            min=0.0,
+            max=40.0,
+            help="So near to a quadrant readings are not used in the fit, degrees; with dynamic effects they are.",
+        ),
     ] = 5.0,
     centre: Annotated[
         _Centre, typer.Option(help="Does the table-side ball stay where it is from test to test, or not?")
     ] = _Centre.shared,
+    dynamic: Annotated[
+        bool, typer.Option("--dynamic/--no-dynamic", help="Look for dynamic effects and those of the drive, too.")
+    ] = True,
     orders: Annotated[int, typer.Option(min=3, max=60, help="Harmonics in the table.")] = 15,
     report: Annotated[
         Path | None, typer.Option("--report", metavar="DIR", help="Write figures, report.html and result.json here.")
@@ -40,10 +49,13 @@ def ballbar(
     """Say what makes a ball-bar circle what it is: scales, squareness, clearance, servo, bent and twisted guides.
 
     Two tests separate the ten parameters of straight guides: height 0 ccw, and another height cw. Bent guides have
-    fifteen and need a third: that height ccw. Also G, G(b), F, H, D of ISO 230-4, and harmonics.
+    fifteen and need a third: that height ccw. Then dynamic effects: reversal spikes, servo gain and delay (a second
+    feed tells them from scale and phase), lateral play, cyclic and indexing error of the screw, clearance that changes
+    along its axis, master-slave change-over. Also G, G(b), F, H, D of ISO 230-4, and harmonics.
 
     Example: `rtec ballbar flat-ccw.csv high-cw.csv high-ccw.csv --machine mill.toml --report out/ballbar`
     """
+    from rtec.cli.progress import bar
     from rtec.cli.show import show_page
     from rtec.machine import load_machine
     from rtec.metrology.files import load_measurements
@@ -52,7 +64,8 @@ def ballbar(
     from rtec.report.procedures import plain, write_page
 
     measurements = load_measurements(files, load_machine(machine))
-    found = diagnose(measurements, model.value, window_deg, centre.value, orders)
+    with bar(f"{len(measurements)} tests"):
+        found = diagnose(measurements, model.value, window_deg, centre.value, orders, dynamic=dynamic)
     facts = ball_bar_facts(found)
     path = write_page(ball_bar_page(found), facts, report) if report else None
     if as_json:

@@ -10,9 +10,13 @@ import numpy as np
 
 from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings
 from rtec.effects.state import Channels, Value
+from rtec.errors import ModelError
 from rtec.machine import Machine
+from rtec.tomlfile import nearest
 
 REFERENCE_MM_S = 100.0
+SWITCH_S_PER_MM = 1e6
+"""Steep enough that no axis is half a master: it goes over within a nanometre per millisecond."""
 
 
 class ServoLag(AxisEffect):
@@ -83,6 +87,54 @@ class ServoPhase(ServoLag):
         """`½ v`."""
         del theta
         return [channels.value(self.the_axis(machine).velocity_channel) * 0.5]
+
+
+class ChangeOver(ServoLag):
+    """Master-slave change-over: the slower axis follows the faster one and comes late, `e = τ v` while it is slower.
+
+    On a circle the axes change places at 45°, 135° …; there the path steps from one side to the other.
+    """
+
+    about: ClassVar[About] = About(
+        title="Master-slave change-over of two axes",
+        equation="e = tau·v while |v| < |v of the other axis|, else 0; v with its sign",
+        typical="0.05-1 ms; steps of 1-20 µm at 45°, 135°, 225°, 315°",
+        seen_by=("ball_bar", "grid_encoder"),
+        source="catalogue A2",
+        confusions=(
+            Confusion("servo_lag", "a lag that is always there does not step", "a circle read every degree or finer"),
+            Confusion("squareness", "in one sense the steps lean the circle over a little", "circles in both senses"),
+        ),
+        reveal="ball bar in both senses",
+    )
+    effect: Literal["change_over"] = "change_over"  # type: ignore[assignment]
+    other: str
+
+    @classmethod
+    def suggest(cls, around: Surroundings) -> Iterator[Effect]:
+        """Never by itself: both axes have it; a ball bar's diagnosis fits the pair."""
+        del around
+        return iter(())
+
+    def check(self, machine: Machine, where: str) -> None:
+        """Check that the other axis is another one of this machine."""
+        super().check(machine, where)
+        if self.other not in machine.axis_names:
+            hint = nearest(self.other, machine.axis_names)
+            raise ModelError(f"{where}: other = {self.other!r} is no axis of machine {machine.name!r}{hint}")
+        if self.other == self.axis:
+            raise ModelError(f"{where}: other = {self.other!r} must be another axis than the one that lags")
+
+    def channels(self, machine: Machine) -> tuple[str, ...]:
+        """Read both velocities."""
+        return (self.the_axis(machine).velocity_channel, machine.axis(self.other).velocity_channel)
+
+    def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
+        """`v` where this axis is the slower one."""
+        del theta
+        own, other = (channels.value(name) for name in self.channels(machine))
+        slower = np.minimum(np.maximum((np.abs(other) - np.abs(own)) * SWITCH_S_PER_MM, 0.0), 1.0)
+        return [own * slower]
 
 
 class GuideLift(AxisEffect):

@@ -9,7 +9,7 @@ from rtec.effects.friction import AngularReversal, LostMotion, ReversalSpike, St
 from rtec.effects.geometric import PiecewisePosition, PolynomialPosition, Scale
 from rtec.effects.guides import AngularMotion, GuideCurvature, GuideTwist, Parallelism, Squareness, Straightness
 from rtec.effects.load import CrossTalk, ForceDeflection, LoadDeformation, RamSag
-from rtec.effects.motion import GuideLift, Inertia, ServoLag, ServoPhase
+from rtec.effects.motion import ChangeOver, GuideLift, Inertia, ServoLag, ServoPhase
 from rtec.effects.plugins import plug_ins
 from rtec.effects.reversal import Backlash, BacklashLoad, BacklashPosition, BacklashTemperature, BacklashWear
 from rtec.effects.spindle import SpindleGrowth, SpindleSpeedShift, SpindleTilt
@@ -40,6 +40,7 @@ EFFECTS: dict[str, type[Effect]] = {
     "angular_reversal": AngularReversal,
     "servo_lag": ServoLag,
     "servo_phase": ServoPhase,
+    "change_over": ChangeOver,
     "lost_motion": LostMotion,
     "reversal_spike": ReversalSpike,
     "stribeck": Stribeck,
@@ -75,7 +76,7 @@ FAMILIES: dict[str, tuple[str, ...]] = {
         "backlash", "backlash_position", "backlash_wear", "backlash_load", "backlash_temperature", "angular_reversal",
         "lost_motion", "reversal_spike", "stribeck",
     ),
-    "motion": ("servo_lag", "servo_phase", "guide_lift", "inertia"),
+    "motion": ("servo_lag", "servo_phase", "change_over", "guide_lift", "inertia"),
     "heat": (
         "axis_expansion", "axis_expansion_nonuniform", "mount_expansion", "spindle_growth", "spindle_speed_shift",
         "spindle_tilt", "column_tilt", "bed_bending", "ambient_drift", "coolant_expansion",

@@ -8,20 +8,23 @@ from numpy.typing import NDArray
 from rtec import __version__
 from rtec.metrology.procedures.ball_bar import Diagnosis
 from rtec.metrology.procedures.ball_bar_design import SETTING_UP
-from rtec.metrology.procedures.ball_bar_fit import Value
+from rtec.metrology.procedures.ball_bar_effects import feeds_of
 from rtec.metrology.procedures.ball_bar_iso import Harmonic
+from rtec.metrology.procedures.ball_bar_values import Value
 from rtec.report import ball_bar_figures as draw
+from rtec.report.ball_bar_beyond import UNITS, beyond_facts, beyond_section
 from rtec.report.html import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 Floats = NDArray[np.float64]
-UNITS = {"um": "µm", "um_per_m": "µm/m", "urad": "µrad", "per_km": "1/km", "urad_per_m": "µrad/m"}
 FORMULAS = (
     "ISO 230-4, about the least-squares circle: G largest minus smallest deviation of one path; G(b) of both paths; H "
     "largest difference of the two at one angle; D least-squares radius of both minus nominal; F radial deviation.",
     "Causes after [BB Table 1], columns from the machine's own chain, fitted to the exact length of the bar. Intervals "
     "are 95 %, widened by how long readings in a row err together.",
     "Clearance: the axis lags half of it behind on either flank; it is minus the reversal value B of ISO 230-2.",
+    "Reversal spike: positive where the axis comes late, drawn outwards. Lateral play: place of the slide moving to "
+    "plus minus that moving to minus.",
 )
 CURVES = 5
 
@@ -32,8 +35,9 @@ def ball_bar_page(d: Diagnosis, figures: bool = True) -> Page:
     sections = [
         Section("Circle", _notes(d), _rounds(d), _polar(d) if figures else None),
         *([Section("Both senses", [], _pairs(d))] if d.pairs else []),
-        Section("Causes, largest first", [_explained(d)], _shares(d), _linear(d) if figures else None),
+        Section("Causes, largest first", _explained(d), _shares(d), _linear(d) if figures else None),
         Section("Parameters", [f"Model: {d.fitted.model}, because {d.reason}.", *_apart(d)], _values(d)),
+        *([beyond_section(d)] if d.dynamic else []),
     ]
     if any(s.measured for s in d.spectra):
         sections.append(Section("Harmonics", [], _spectra(d), _spectrum_figure(d) if figures else None))
@@ -69,12 +73,14 @@ def ball_bar_facts(d: Diagnosis) -> dict[str, object]:
         "parameters": {
             v.name: {
                 "value": v.value, "se": v.se, "low": v.low, "high": v.high, "unit": v.unit, "title": v.title,
-                "not_separated_from": list(v.with_),
+                "cause": v.group, "not_separated_from": list(v.with_), "note": v.note,
             }
             for v in d.fitted.values
         },
         "shares": d.shares,
+        "beyond": beyond_facts(d) if d.dynamic else None,
         "explained": d.explained,
+        "explained_by_bb_alone": d.explained_bb,
         "left_um": d.fitted.sigma_um,
         "window_deg": d.window_deg,
         "near_quadrants": d.near_quadrants,
@@ -109,16 +115,35 @@ def _pairs(d: Diagnosis) -> Table:
     return Table(["tests", "G(b), µm", "H, µm", "H at, °", "D, µm"], rows)
 
 
-def _explained(d: Diagnosis) -> str:
-    return (
-        f"The fit explains {100.0 * d.explained:.1f} % of the variance; readings within {d.window_deg:g}° of the "
-        f"quadrants ({100.0 * d.near_quadrants:.0f} % of all) were not used in it and count here."
-    )
+def _explained(d: Diagnosis) -> list[str]:
+    near = f"readings within {d.window_deg:g}° of the quadrants ({100.0 * d.near_quadrants:.0f} % of all)"
+    out = f"The fit explains {100.0 * d.explained:.1f} % of the variance; {near} "
+    if not d.found.beyond.picks:
+        return [out + "were not used in it and count here."]
+    weight = "were used in it, but where an axis still crosses its clearance"
+    bb = f"Without dynamic effects and the drive, as in [BB], it would be {100.0 * d.explained_bb:.1f} %."
+    return [f"{out}{weight}.", bb]
 
 
 def _shares(d: Diagnosis) -> Table:
-    rows = [[s.group, number(s.g_um), f"{100.0 * s.share:.1f}"] for s in d.shares]
-    return Table(["cause", "G by itself, µm", "share, %"], rows)
+    rows = [[s.group, number(s.g_um), f"{100.0 * s.share:.1f}", _sizes(d, s.group)] for s in d.shares]
+    return Table(["cause", "G by itself, µm", "share, %", "size, and its 95 % interval"], rows, words=(0, 3))
+
+
+def _sizes(d: Diagnosis, group: str) -> str:
+    """The parameters of a cause, each with its unit and interval."""
+    known = [v for v in d.fitted.values if v.group == group and np.isfinite(v.value)]
+    return "; ".join(_interval(v, len(known) > 1) for v in known)
+
+
+def _interval(v: Value, named: bool) -> str:
+    digits = _digits(v)
+    name = f"{v.title.split(', ')[-1]} " if named else ""
+    return f"{name}{number(v.value, digits)} {UNITS[v.unit]} ({number(v.low, digits)} … {number(v.high, digits)})"
+
+
+def _digits(v: Value) -> int:
+    return 4 if v.unit in ("per_km", "ms", "mm") else 2
 
 
 def _apart(d: Diagnosis) -> list[str]:
@@ -135,12 +160,13 @@ def _values(d: Diagnosis) -> Table:
 
 
 def _row(v: Value) -> list[str]:
-    digits = 2 if v.unit in ("um", "urad", "um_per_m") else 4
-    note = f"together with {', '.join(v.with_)}" if v.with_ else ""
+    digits = _digits(v)
+    notes = [f"together with {', '.join(v.with_)}"] if v.with_ else []
     if not np.isfinite(v.value):
-        note = f"in that of {v.with_[0]}" if v.with_ else "never seen"
+        notes = [f"in that of {v.with_[0]}" if v.with_ else "never seen"]
     elif v.unit == "per_km" and v.value != 0.0:
-        note = f"radius {1.0 / v.value:.4g} km" + (f"; {note}" if note else "")
+        notes = [f"radius {1.0 / v.value:.4g} km", *notes]
+    note = "; ".join([*([v.note] if v.note else []), *notes])
     return [v.title, number(v.value, digits), number(v.low, digits), number(v.high, digits), UNITS[v.unit], note]
 
 
@@ -159,12 +185,13 @@ def _spectra(d: Diagnosis) -> Table:
 
 def _traces(d: Diagnosis) -> list[draw.Trace]:
     """Measured and fitted without the place of the ball and the length of the bar: no fault of the machine."""
-    out = []
+    out, feeds = [], len(feeds_of(d.circles))
     for i, c in enumerate(d.circles):
+        name = f"{c.name}, {c.setup.feed_mm_min:g} mm/min" if feeds > 1 else c.name
         place = d.fitted.parts_um.get(SETTING_UP)
         off = place[i] if place is not None else np.zeros(len(c))
         fitted = d.fitted.fitted_um(i) - off
-        out.append(draw.Trace(c.name, c.setup.sense, c.angle_rad, c.reading_um - off, fitted))
+        out.append(draw.Trace(name, c.setup.sense, c.angle_rad, c.reading_um - off, fitted))
     return out
 
 
@@ -176,7 +203,8 @@ def _polar(d: Diagnosis) -> Figure:
 
 def _linear(d: Diagnosis) -> Figure:
     groups = [s.group for s in d.shares if s.group != "left over" and s.g_um > 0.01][:CURVES]
-    png = draw.linear(_traces(d), [(g, d.fitted.parts_um[g]) for g in groups], d.window_deg)
+    curves = [(g, d.fitted.parts_um[g]) for g in groups]
+    png = draw.linear(_traces(d), curves, d.window_deg, used=bool(d.found.beyond.picks))
     return Figure("linear.png", png, "deviation against angle: measured, fitted, and the largest causes")
 
 

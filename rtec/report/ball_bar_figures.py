@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 LOOKS = ((ON, "-"), (OFF, "--"), (LINES[3], "-."), (LINES[4], ":"))
 SCALES_UM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 MIDDLE = 1.0
+ARROW_RAD = 0.3
 ROOM = 0.3
 """Share of the circle's radius that the largest deviation takes up."""
 
@@ -54,11 +55,11 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
     for ring in (-scale, scale):
         r = MIDDLE + gain * ring
         ax.plot(r * np.cos(round_rad), r * np.sin(round_rad), color="#CCCCCC", linewidth=0.8, linestyle=":")
-    for trace, (colour, line) in zip(traces, _looks(len(traces)), strict=True):
+    for i, (trace, (colour, line)) in enumerate(zip(traces, _looks(len(traces)), strict=True)):
         _draw(ax, trace.angle_rad, MIDDLE + gain * trace.measured_um, colour, "-", 1.4, 0.55)
         label = f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}"
         _draw(ax, trace.angle_rad, MIDDLE + gain * trace.fitted_um, colour, line, 2.6, 1.0, label)
-        _arrow(ax, trace, gain, colour)
+        _arrow(ax, trace, MIDDLE + (1.06 + 0.07 * (i % len(LOOKS))) * ROOM, colour)
     reach = MIDDLE + 1.45 * ROOM
     for letter, end in zip(letters, ((reach, 0.0), (0.0, reach)), strict=True):
         start = (0.45 * end[0], 0.45 * end[1])
@@ -76,13 +77,16 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
 
 
 @_styled
-def linear(traces: Sequence[Trace], causes: Sequence[tuple[str, Sequence[Floats]]], window_deg: float) -> bytes:
-    """Deviation against angle, one panel a test: measured, fitted and the largest causes; below, what is left.
+def linear(
+    traces: Sequence[Trace], causes: Sequence[tuple[str, Sequence[Floats]]], window_deg: float, *, used: bool = False
+) -> bytes:
+    """Deviation against angle, one panel a test: measured, fitted and the largest causes.
 
     Args:
         traces: the tests.
         causes: name, and its curve in every test, µm.
-        window_deg: left out about each quadrant, shaded.
+        window_deg: about each quadrant, shaded.
+        used: readings there are used in the fit.
     """
     figure, axes = _figure(len(traces), 5.2)
     for i, (ax, trace) in enumerate(zip(axes, traces, strict=True)):
@@ -92,22 +96,25 @@ def linear(traces: Sequence[Trace], causes: Sequence[tuple[str, Sequence[Floats]
         order = np.argsort(deg, kind="stable")
         for quadrant in np.arange(90.0 * np.floor(deg.min() / 90.0), deg.max() + 90.0, 90.0):
             ax.axvspan(quadrant - window_deg, quadrant + window_deg, color="#ECECEC", zorder=0, linewidth=0)
-        ax.plot(deg[order], trace.measured_um[order], color="black", linewidth=1.2, alpha=0.6, label="measured")
-        ax.plot(deg[order], trace.fitted_um[order], color=OFF, linewidth=3.0, label="fitted")
+        # What is measured lies wide and pale under what is fitted, so that neither hides the other.
+        ax.plot(deg[order], trace.measured_um[order], color=GREY, linewidth=4.0, alpha=0.45, label="measured")
+        ax.plot(deg[order], trace.fitted_um[order], color=OFF, linewidth=1.5, label="fitted")
         for k, (name, curves) in enumerate(causes):
-            ax.plot(deg[order], curves[i][order], linewidth=1.8, color=LINES[2 + k % 6], linestyle=LINE_OF[k % 4],
-                    label=name)  # fmt: skip
+            colour, line = CAUSES[k % len(CAUSES)], LINE_OF[k % len(LINE_OF)]
+            ax.plot(deg[order], curves[i][order], linewidth=1.8, color=colour, linestyle=line, label=name)
         ax.axhline(0.0, color="black", linewidth=0.8)
         ax.set_xlim(max(deg.min(), -30.0), deg.max())
         ax.set_xticks(np.arange(90.0 * np.ceil(deg.min() / 90.0 - 1e-6), deg.max() + 1.0, 90.0))
         ax.set_title(f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}")
         ax.set_ylabel("bar longer, µm")
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=12)
-    axes[-1].set_xlabel("angle on the circle, degrees; grey: near a quadrant, not used in the fit")
+    told = "" if used else ", not used in the fit"
+    axes[-1].set_xlabel(f"angle on the circle, degrees; grey: near a quadrant{told}")
     return _png(figure)
 
 
-LINE_OF = ("-", "--", "-.", ":")
+LINE_OF = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
+CAUSES = (ON, LINES[3], LINES[4], LINES[5], "black")
 
 
 @_styled
@@ -144,16 +151,14 @@ def _draw(
                 linewidth=width, alpha=alpha, label=label if k == 0 else "")  # fmt: skip
 
 
-def _arrow(ax: "Axes", trace: Trace, gain: float, colour: str) -> None:
-    """Where the test begins, and which way it goes."""
-    i, j = 0, min(len(trace.angle_rad) // 18, len(trace.angle_rad) - 1)
-    place: list[Any] = [
-        (1.0 + gain * float(trace.fitted_um[k])) * np.array([np.cos(trace.angle_rad[k]), np.sin(trace.angle_rad[k])])
-        for k in (i, j)
-    ]
-    away = 1.0 + 0.35 * ROOM * (1.0 if trace.sense > 0 else 1.5)
-    ax.annotate("", place[1] * away, place[0] * away,
-                arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.4, "mutation_scale": 22})  # fmt: skip
+def _arrow(ax: "Axes", trace: Trace, radius: float, colour: str) -> None:
+    """Where the test begins, and which way it goes, outside of everything that is drawn."""
+    start = float(trace.angle_rad[0])
+    angle = start + trace.sense * np.linspace(0.0, ARROW_RAD, 12)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    ax.plot(x, y, color=colour, linewidth=2.4)
+    ax.annotate("", (x[-1], y[-1]), (x[-2], y[-2]),
+                arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.4, "mutation_scale": 18})  # fmt: skip
 
 
 def _bar(ax: "Axes", length: float, text: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from rtec.diagnosis.units import spoken
 from rtec.effects import Effect, State
 from rtec.effects.base import Surroundings
 from rtec.errors import ModelError
@@ -168,6 +169,9 @@ def _held(own: Axis, names: tuple[str, ...], machine: Machine, running: str) -> 
         return list(_both_ways(own, names))
     if other is not None:
         return [(f"{other.name} at {at:g} mm", {other.channel: _full(at)}) for at in (0.0, 100.0, 200.0)]
+    fast = next((a for a in machine.axes if a is not own and a.velocity_channel in names), None)
+    if fast is not None:
+        return [(f"{fast.name} at {v:g} mm/s", {fast.velocity_channel: _full(v)}) for v in (50.0, 100.0, 150.0)]
     if temperatures and running not in SENSORS:
         word = "K warmer" if len(temperatures) == 1 else "K between the two"
         return [(f"{k:g} {word}", {temperatures[0]: _full(REFERENCE_DEGC + k)}) for k in (5.0, 10.0)]
@@ -233,17 +237,3 @@ def _sizes(effect: Effect, machine: Machine) -> str:
     elif coefficients:
         parts.insert(0, f"{', '.join(p.name for p in coefficients)} of the usual size")
     return ", ".join(parts)
-
-
-def spoken(unit: str) -> str:
-    """A unit as people write it: `um_per_m_degc` is µm/(m·K)."""
-    words = {"um": "µm", "urad": "µrad", "degc": "K", "krpm": "(1000/min)", "kn": "kN", "100kg": "(100 kg)", "1": ""}
-    words |= {"krpm2": "(1000/min)²", "krpm_to_p": "(1000/min)^p", "s2": "s²"}
-    if unit.endswith("krpm_to_p"):
-        return f"{words[unit.split('_', maxsplit=1)[0]]}/(1000/min)^p"
-    above, _, below = unit.partition("_per_")
-    top = "·".join(words.get(w, w) for w in above.split("_"))
-    parts = [words.get(w, w) for w in below.split("_")] if below else []
-    if not parts:
-        return top
-    return f"{top}/{parts[0]}" if len(parts) == 1 else f"{top}/({'·'.join(parts)})"

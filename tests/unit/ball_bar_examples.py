@@ -21,9 +21,9 @@ from tests.machines import axis, machine
 Floats = NDArray[np.float64]
 
 
-def gantry() -> Machine:
-    """[BB]'s machine: X rides on Y; nothing between the axes and the ball."""
-    return machine("gantry", ["Y", "X", "Z"], [], {k: axis(k, travel_mm=[-400.0, 400.0]) for k in "XYZ"})
+def gantry(**more: Any) -> Machine:
+    """[BB]'s machine: X rides on Y; nothing between the axes and the ball. `more` goes into every axis' table."""
+    return machine("gantry", ["Y", "X", "Z"], [], {k: axis(k, travel_mm=[-400.0, 400.0], **more) for k in "XYZ"})
 
 
 def bar(m: Machine, **setup: Any) -> BallBar:
@@ -42,10 +42,11 @@ def recorded(m: Machine, instrument: BallBar, angle_deg: Floats, reading_um: Flo
     return Measurement(name, instrument, m, run, np.arange(float(n)), channels, {"reading_um": reading_um})
 
 
-def bb_reading_um(zeta: Floats, r0: float, h: float, s: int, **p: float) -> Floats:
+def bb_reading_um(zeta: Floats, r0: float, h: float, s: int, moved_um: Floats | None = None, **p: float) -> Floats:
     """[BB]'s moving ball, exactly. r0, h mm; ex ey dx dy µm; psi and angles rad; rho m; kappa rad/m.
 
-    Clearance is the mechanism: the axis lags half of it behind on either flank.
+    Clearance is the mechanism: the axis lags half of it behind on either flank. `moved_um`, (n, 3), is added to the
+    ball's place.
     """
     g = {"ex": 0.0, "ey": 0.0, "dx": 0.0, "dy": 0.0, "Sx": 1.0, "Sy": 1.0, "psi": 0.0, "phix": 0.0, "phiy": 0.0} | p
     x, y = r0 * np.cos(zeta + s * g["psi"]) - g["ex"] * 1e-3, r0 * np.sin(zeta) - g["ey"] * 1e-3
@@ -67,6 +68,8 @@ def bb_reading_um(zeta: Floats, r0: float, h: float, s: int, **p: float) -> Floa
     if "rho_pitch_y" in g:
         z -= g["rho_pitch_y"] * 1e3 * (1.0 - np.cos(along_y / (g["rho_pitch_y"] * 1e3)))
     z += np.sin(g.get("kappa", 0.0) * along_y * 1e-3) * along_x
+    if moved_um is not None:
+        x, y, z = x + moved_um[:, 0] * 1e-3, y + moved_um[:, 1] * 1e-3, z + moved_um[:, 2] * 1e-3
     return np.asarray((np.sqrt(x**2 + y**2 + z**2) - np.hypot(r0, h)) * 1e3, dtype=np.float64)
 
 

@@ -67,6 +67,11 @@ OF_MOTION: tuple[Example, ...] = (
     example("servo_lag", "EZZ", {"tau": "um_s_per_mm"}, fixed_theta(lambda s: [s.value("v_z")]), axis="Z"),
     example("servo_phase", "EZZ", {"tau": "um_s_per_mm"}, fixed_theta(lambda s: [s.value("v_z") / 2]), axis="Z"),
     example(
+        "change_over", "EXX", {"tau": "um_s_per_mm"},
+        fixed_theta(lambda s: [np.where(s.value("v_x") ** 2 < s.value("v_z") ** 2, s.value("v_x"), 0.0)]),
+        axis="X", other="Z",
+    ),
+    example(
         "guide_lift", "EYX", {"A": "um"},
         lambda s, t: [np.exp(t["q"] * np.log(np.abs(s.value("v_x")) / 100.0))], {"q": 0.6}, axis="X",
     ),

@@ -189,6 +189,16 @@ def test_overshoot_is_told_from_the_arc(direction: str, wrapped: bool, over: flo
     assert (circle.reading_um.min(), circle.reading_um.max(), circle.left_out) == (0.0, 220.0, 4 * over)
 
 
+@pytest.mark.parametrize("over", [0.0, 90.0, 180.0, 200.0])
+@pytest.mark.parametrize("begins", [0.0, 0.25, -10.0])
+def test_a_recording_may_begin_with_the_arc(over: float, begins: float) -> None:
+    """Oracle: the arc by construction; the overshoot was run and is not in the file, or only a part of it is."""
+    instrument = bar(gantry(), start_deg=-20.0, arc_deg=220.0, overshoot_deg=over)
+    way = np.arange(begins, 220.0, 0.5)
+    for angle in (-20.0 + way, (-20.0 + way) % 360.0):
+        np.testing.assert_allclose(travelled_deg(instrument.setup, angle, np.ones(len(way), np.int64)), way, atol=1e-9)
+
+
 # ---- simulated
 
 

@@ -1,6 +1,7 @@
 """`rtec simulate` to `rtec ballbar`: files, numbers, report; the oracle is what was made true on the command line."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -27,19 +28,24 @@ def machine(tmp_path: Path) -> Path:
 @pytest.fixture
 def circles(machine: Path) -> list[str]:
     """Three tests as files; the servo makes X lag, so the phase depends on feed over radius."""
-    out = []
-    for name, height, radius, direction in TESTS:
-        # The same angular speed in all three: then a lag in time is one angle, as [BB] has it.
-        setup = {"plane": "XY", "centre_mm": "[0,0,0]", "radius_mm": radius, "height_mm": height,
-                 "direction": direction, "feed_mm_min": radius * 6.0, "overshoot_deg": 10.0}  # fmt: skip
-        line = ["simulate", str(machine), "-i", "ball_bar", "--cycles", "1", "--noise", "0.1", "-o"]
-        line.append(str(machine.parent / name))
-        line += [part for k, v in setup.items() for part in ("--set", f"{k}={v}")]
-        line += [part for e in EFFECTS for part in ("--effect", e)]
-        line += ["--settings", str(quiet(machine.parent))]
-        assert status(line) == 0
-        out.append(str(machine.parent / f"{name}.csv"))
-    return out
+    # The same angular speed in all three: then a lag in time is one angle, as [BB] has it.
+    return [
+        simulated(machine, name, EFFECTS, radius_mm=radius, height_mm=height, direction=direction,
+                  feed_mm_min=radius * 6.0)
+        for name, height, radius, direction in TESTS
+    ]  # fmt: skip
+
+
+def simulated(machine: Path, name: str, effects: Sequence[str], **setup: float | str) -> str:
+    """A test as `rtec simulate` writes it."""
+    given = {"plane": "XY", "centre_mm": "[0,0,0]", "overshoot_deg": 10.0, **setup}
+    line = ["simulate", str(machine), "-i", "ball_bar", "--cycles", "1", "--noise", "0.1", "-o"]
+    line.append(str(machine.parent / name))
+    line += [part for k, v in given.items() for part in ("--set", f"{k}={v}")]
+    line += [part for e in effects for part in ("--effect", e)]
+    line += ["--settings", str(quiet(machine.parent))]
+    assert status(line) == 0
+    return str(machine.parent / f"{name}.csv")
 
 
 def quiet(folder: Path) -> Path:
@@ -82,6 +88,38 @@ def test_the_terminal_says_what_one_test_cannot_tell(
     assert "do not separate squareness and phase" in said
     assert "never see: perpendicularity_x, perpendicularity_y" in said
     assert "Model: linear, because" in said
+
+
+DYNAMIC = (
+    "backlash,component=EYY,axis=Y,B=-3", "inertia,component=EXX,axis=X,k=500",
+    "reversal_spike,component=EXX,axis=X,A=-9,s0=0.25", "change_over,component=EXX,axis=X,other=Y,tau=-0.2",
+    "change_over,component=EYY,axis=Y,other=X,tau=-0.2",
+)  # fmt: skip
+
+
+def test_dynamic_effects_and_two_feeds(machine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: what was made true: X 500 µm short for each m/s², its spike ½ of 9 µm, 0.2 ms late while slower."""
+    files = [
+        simulated(machine, f"{feed}{direction}", DYNAMIC, radius_mm=150.0, direction=direction, feed_mm_min=feed)
+        for feed, direction in ((1000, "ccw"), (1000, "cw"), (3000, "ccw"))
+    ]
+    capsys.readouterr()
+    assert status(["ballbar", *files[:2], "-m", str(machine)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "All tests were run at one feed, 1000 mm/min, which cannot tell" in said
+    assert status(["ballbar", *files, "-m", str(machine), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {f["name"] for f in found["beyond"]["found"]} == {"spike_x_f1000", "spike_x_f3000", "gain_x", "change_over"}
+    wanted = {"gain_x": 500.0, "spike_x_plus_f1000": 4.5, "spike_x_minus_f3000": 4.5, "change_over": 0.2,
+              "scale_x": 0.0, "clearance_y": 3.0}  # fmt: skip
+    for name, value in wanted.items():
+        v = found["parameters"][name]
+        assert v["value"] == pytest.approx(value, abs=4.5 * v["se"]), name
+    assert found["explained"] > 0.98
+    assert status(["ballbar", *files, "-m", str(machine), "--json", "--no-dynamic"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["beyond"] is None
+    assert plain["explained"] < 0.9
 
 
 def test_what_is_wrong_is_told(machine: Path, capsys: pytest.CaptureFixture[str]) -> None:

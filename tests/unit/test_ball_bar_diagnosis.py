@@ -37,7 +37,7 @@ def made(
         instrument = bar(m, height_mm=h, radius_mm=r, direction=direction, **setup)
         s = instrument.setup.sense
         angle = instrument.setup.start_deg + s * np.arange(0.0, instrument.setup.arc_deg + 1e-9, step_deg)
-        reading = bb_reading_um(angle * DEG, r, h, s, **truth) + noise_um * rng.standard_normal(len(angle))
+        reading = bb_reading_um(angle * DEG, r, h, s, None, **truth) + noise_um * rng.standard_normal(len(angle))
         out.append(recorded(m, instrument, angle, reading, f"test{i + 1}"))
     return out
 

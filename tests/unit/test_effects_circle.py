@@ -51,6 +51,20 @@ def test_servo_phase_is_sin_2_zeta_and_turns_over_with_the_sense(rad_s: float) -
     )
 
 
+@pytest.mark.parametrize("rad_s", [0.2, -1.5])
+def test_change_over_steps_at_45_degrees_and_turns_over_with_the_sense(rad_s: float) -> None:
+    """The slower axis comes late by τ < 0: `-½ τ ω R sin 2ζ` while X is slower, its opposite while Y is."""
+    tau_um_s_per_mm = -0.05
+    error = np.zeros(len(ZETA))
+    for axis, other, arm in (("X", "Y", np.cos(ZETA)), ("Y", "X", np.sin(ZETA))):
+        given = {"effect": "change_over", "component": f"E{axis}{axis}", "axis": axis, "other": other}
+        (value,) = EFFECTS["change_over"].model_validate(given).basis(MACHINE, circle(rad_s), {})
+        error += tau_um_s_per_mm * value * arm
+    wanted_um = -0.5 * tau_um_s_per_mm * rad_s * RADIUS_MM * np.sin(2 * ZETA) * np.sign(np.cos(2 * ZETA))
+    away = np.abs(np.cos(2 * ZETA)) > 1e-6
+    np.testing.assert_allclose(error[away], wanted_um[away], atol=1e-9)
+
+
 def test_the_same_lag_in_both_axes_draws_nothing() -> None:
     """Both axes late by the same time: the circle is drawn late, and is a circle (to first order)."""
     assert np.abs(radial(circle(0.7), "servo_lag", 0.04, 0.04)).max() < 1e-9

@@ -20,8 +20,8 @@ SENSORS = ("T_spindle", "T_air", "T_coolant", "T_bed", "T_column", "T_front", "T
 MILL = replace(vertical_mill(), sensors=tuple(Sensor(s) for s in SENSORS))
 LATHE = turning_centre()
 MOST = 150
-NEVER_BY_ITSELF = {"servo_phase", "expression"}
-"""A phase mismatch in one axis is a lag; an expression is the user's."""
+NEVER_BY_ITSELF = {"servo_phase", "change_over", "expression"}
+"""A phase mismatch in one axis is a lag; both axes change over; an expression is the user's."""
 ONLY_GEOMETRY = {"squareness", "parallelism"}
 """Constant angles: a machine at rest has them too."""
 

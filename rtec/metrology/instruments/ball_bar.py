@@ -28,6 +28,8 @@ Positive = Annotated[float, Field(gt=0)]
 Plane = Literal["XY", "YZ", "ZX", "XZ"]
 JUST_BEFORE_RAD = 1e-6
 """An axis that stands exactly at its turning point still has the direction in which it came."""
+EARLIER_DEG = 90.0
+"""A recording may begin so much earlier than the set-up's overshoot says."""
 
 
 class BallBarSetup(Setup):
@@ -203,13 +205,14 @@ def circle_channels(machine: Machine, setup: BallBarSetup, angle_rad: Floats) ->
 def travelled_deg(setup: BallBarSetup, angle_deg: Floats, run: Ints) -> Floats:
     """How far along the circle each reading is from the start of the arc, degrees, (n,), run by run.
 
-    Below zero before the arc, beyond `arc_deg` after it; angles may start again at 360 or go on.
+    Below zero before the arc, beyond `arc_deg` after it; angles may start again at 360 or go on. A recording may begin
+    with the overshoot or with the arc.
     """
     out = np.empty(len(angle_deg))
     for number in np.unique(run):
         rows = run == number
         way = setup.sense * (np.rad2deg(np.unwrap(np.deg2rad(angle_deg[rows]))) - setup.start_deg)
-        out[rows] = way - 360.0 * np.round((way[0] + setup.overshoot_deg) / 360.0)
+        out[rows] = way - 360.0 * np.floor((way[0] + setup.overshoot_deg + EARLIER_DEG) / 360.0)
     return out
 
 

@@ -1,16 +1,18 @@
-"""Diagnosis of ball-bar tests after [BB], with the choice between its two models made as its section 6 advises."""
+"""Diagnosis of ball-bar tests: [BB]'s parameters, and what they leave out, found together."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.procedures.ball_bar_choice import Choice, chosen
 from rtec.metrology.procedures.ball_bar_circle import Circle, circles_of
 from rtec.metrology.procedures.ball_bar_design import SETTING_UP, Centre
-from rtec.metrology.procedures.ball_bar_fit import Fitted, fit
+from rtec.metrology.procedures.ball_bar_fit import Beyond, Fitted, fit
 from rtec.metrology.procedures.ball_bar_iso import (
     BothWays,
     Harmonic,
@@ -20,12 +22,11 @@ from rtec.metrology.procedures.ball_bar_iso import (
     least_squares_circle,
     roundness,
 )
+from rtec.metrology.procedures.ball_bar_search import Found, search
+from rtec.metrology.procedures.ball_bar_wanted import Wanted, wanted
 
 Floats = NDArray[np.float64]
-Choice = Literal["auto", "linear", "non-linear"]
 WINDOW_DEG = 5.0
-SURE = 1e-3
-"""The non-linear model is taken where its advantage would be chance less often than this."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,12 @@ class Diagnosis:
         shares: ranked, largest first.
         spectra: harmonics, test by test.
         explained: share of the readings' variance (without the set-up's centre and zero) that the fit explains.
-        window_deg: left out about each quadrant.
-        near_quadrants: share of the readings that this left out.
+        explained_bb: that [BB]'s parameters alone would, fitted away from the quadrants.
+        window_deg: about each quadrant; readings there are not used, or judged by a noise of their own.
+        near_quadrants: share of the readings there.
+        found: what was looked for beyond [BB]'s parameters, what was found, and what could not be.
+        centre: as asked.
+        dynamic: was anything beyond [BB]'s parameters looked for?
     """
 
     circles: tuple[Circle, ...]
@@ -76,8 +81,18 @@ class Diagnosis:
     shares: tuple[Share, ...]
     spectra: tuple[Spectrum, ...]
     explained: float
+    explained_bb: float
     window_deg: float
     near_quadrants: float
+    found: Found = field(default_factory=Found)
+    centre: Centre = "shared"
+    dynamic: bool = True
+
+    @cached_property
+    def wanted(self) -> tuple[Wanted, ...]:
+        """Further tests that would show what these do not."""
+        with one_blas_thread():
+            return wanted(self.circles, self.found.left_out, self.centre)
 
 
 def diagnose(
@@ -86,21 +101,34 @@ def diagnose(
     window_deg: float = WINDOW_DEG,
     centre: Centre = "shared",
     orders: int = 15,
+    *,
+    dynamic: bool = True,
 ) -> Diagnosis:
     """Diagnose tests of one plane together.
 
     Args:
         measurements: of instrument ball_bar, on one machine.
         model: which of [BB]'s models, or the choice of its section 6.
-        window_deg: readings nearer than this to a quadrant are not used in the fit.
+        window_deg: readings nearer than this to a quadrant are not used in the fit; where something beyond [BB]'s
+            parameters is found they are, with a noise of their own.
         centre: does the table-side ball stay where it is from test to test?
         orders: harmonics.
+        dynamic: look for causes beyond [BB]'s parameters.
 
     Raises:
         MeasurementError: other instruments, planes or machines; too few readings.
     """
-    circles = circles_of(measurements)
-    fitted, reason = _chosen(circles, model, window_deg, centre)
+    with one_blas_thread():
+        return _diagnose(circles_of(measurements), model, window_deg, centre, orders, dynamic)
+
+
+def _diagnose(
+    circles: tuple[Circle, ...], model: Choice, window_deg: float, centre: Centre, orders: int, dynamic: bool
+) -> Diagnosis:
+    still = fit(circles, bent=False, window_deg=window_deg, centre=centre)
+    found = search(circles, still, window_deg, centre) if dynamic else Found()
+    fitted, reason = chosen(circles, model, window_deg, centre, found.beyond)
+    bb = chosen(circles, model, window_deg, centre, Beyond())[0] if found.beyond.picks else fitted
     near = sum(int(c.near_quadrant(window_deg).sum()) for c in circles) / sum(len(c) for c in circles)
     return Diagnosis(
         circles=circles,
@@ -110,67 +138,14 @@ def diagnose(
         reason=reason,
         shares=_shares(circles, fitted),
         spectra=tuple(_spectrum(c, fitted.fitted_um(i), orders) for i, c in enumerate(circles)),
-        explained=_explained(circles, fitted),
+        explained=_explained(circles, fitted, fitted),
+        explained_bb=_explained(circles, bb, fitted),
         window_deg=window_deg,
         near_quadrants=near,
+        found=found,
+        centre=centre,
+        dynamic=dynamic,
     )
-
-
-def _chosen(circles: Sequence[Circle], model: Choice, window_deg: float, centre: Centre) -> tuple[Fitted, str]:
-    if model != "auto":
-        return fit(circles, bent=model == "non-linear", window_deg=window_deg, centre=centre), "as asked"
-    straight = fit(circles, bent=False, window_deg=window_deg, centre=centre)
-    bent = fit(circles, bent=True, window_deg=window_deg, centre=centre)
-    if bent.rank.rank <= straight.rank.rank or (not bent.rank.complete and straight.rank.complete):
-        what = "; ".join(" and ".join(s) for s in bent.rank.confounded) or ", ".join(bent.rank.never)
-        return straight, f"these tests do not separate the non-linear model's parameters ({what})"
-    third, chance = third_harmonic(circles, straight, window_deg)
-    if chance < SURE:
-        return bent, (
-            f"what the linear model leaves has a third harmonic of {third:.2f} µm, which bent guides make and noise "
-            f"would not"
-        )
-    better = _better(straight, bent)
-    if better < SURE:
-        return bent, (
-            f"the error is large enough: the linear model leaves {straight.sigma_um:.3g} µm (standard deviation), the "
-            f"non-linear {bent.sigma_um:.3g} µm, more than chance"
-        )
-    return straight, (
-        f"the linear model leaves {straight.sigma_um:.3g} µm, the non-linear one {bent.sigma_um:.3g} µm, and no third "
-        f"harmonic beyond noise ({third:.2f} µm): the simpler one is surer"
-    )
-
-
-def third_harmonic(circles: Sequence[Circle], fitted: Fitted, window_deg: float) -> tuple[float, float]:
-    """Largest third harmonic in what a fit leaves, µm, and how often noise alone would make one as large."""
-    from rtec.metrology.procedures.fitting import correlation_time
-
-    largest, least = 0.0, 1.0
-    for circle, left in zip(circles, fitted.left_um, strict=True):
-        keep = ~circle.near_quadrant(window_deg)
-        angle, values = circle.angle_rad[keep], left[keep]
-        waves = np.stack([np.cos(3 * angle), np.sin(3 * angle)], axis=1)
-        found = np.linalg.lstsq(waves, values, rcond=None)[0]
-        noise = values - waves @ found
-        power = float(noise @ noise) / len(noise) * correlation_time(noise) * 2.0 / len(noise)
-        size = float(np.hypot(*found))
-        largest = max(largest, size)
-        least = min(least, float(np.exp(-0.5 * size**2 / power)) if power > 0 else float(size == 0.0))
-    return largest, min(1.0, least * len(circles))
-
-
-def _better(straight: Fitted, bent: Fitted) -> float:
-    """How often chance alone would make the non-linear model so much better (F test)."""
-    from scipy.special import fdtrc
-
-    count = bent.rank.rank - straight.rank.rank
-    whole = straight.used / bent.correlation
-    free = whole - bent.rank.rank
-    rss = [f.sigma_um**2 * (f.used - f.rank.rank) for f in (straight, bent)]
-    if free <= 1.0 or rss[1] <= 0.0:
-        return 1.0
-    return float(fdtrc(count, free, max(rss[0] / rss[1] - 1.0, 0.0) * free / count))
 
 
 def _shares(circles: Sequence[Circle], fitted: Fitted) -> tuple[Share, ...]:
@@ -197,10 +172,11 @@ def _spectrum(circle: Circle, fitted: Floats, orders: int) -> Spectrum:
     )
 
 
-def _explained(circles: Sequence[Circle], fitted: Fitted) -> float:
+def _explained(circles: Sequence[Circle], fitted: Fitted, best: Fitted) -> float:
+    """By one fit; the set-up's own part is always taken from the best one."""
     rest, whole = 0.0, 0.0
     for i, circle in enumerate(circles):
-        machine_um = circle.reading_um - fitted.parts_um.get(SETTING_UP, (np.zeros(len(circle)),) * len(circles))[i]
+        machine_um = circle.reading_um - best.parts_um.get(SETTING_UP, (np.zeros(len(circle)),) * len(circles))[i]
         rest += float(np.sum((fitted.left_um[i] - fitted.left_um[i].mean()) ** 2))
         whole += float(np.sum((machine_um - machine_um.mean()) ** 2))
     return 1.0 - rest / whole if whole > 0 else 0.0

@@ -51,6 +51,7 @@ class Cause:
         shape: one unit of it in that component, µm or µrad.
         centre: 0 or 1: a centre offset along the plane's first or second letter.
         square: what goes with the square of the parameter, where that is as large as other second orders.
+        also: further component errors that the same parameter feeds, each with one unit of it.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Cause:
     shape: Shape | None = None
     centre: int | None = None
     square: Shape | None = None
+    also: tuple[tuple[str, Shape], ...] = ()
 
 
 def causes(circle: Circle, *, bent: bool) -> tuple[Cause, ...]:
@@ -119,21 +121,27 @@ def tip_um(cause: Cause, circle: Circle, origin: Circle, *, square: bool = False
         origin: the test whose centre shapes and lever arms count from.
         square: what goes with the square of the parameter instead.
     """
-    pose, setup, shape = circle.pose_mm, circle.setup, cause.square if square else cause.shape
-    out = np.zeros((len(pose), 3))
+    setup, shape = circle.setup, cause.square if square else cause.shape
+    out = np.zeros((len(circle), 3))
     if cause.centre is not None and not square:
         out[:, setup.rows[cause.centre]] = -1.0
-    if shape is None:
-        return out
+    fed = [] if shape is None else [(cause.component, shape)]
     first, second = setup.rows[:2]
     p = setup.centre_mm[first] - origin.setup.centre_mm[first] + setup.radius_mm * np.cos(circle.angle_rad)
     q = setup.centre_mm[second] - origin.setup.centre_mm[second] + setup.radius_mm * np.sin(circle.angle_rad)
+    for component, of in fed if square else [*fed, *cause.also]:
+        out += _arms(component, circle, origin) * of(At(circle, p, q))[:, None]
+    return out
+
+
+def _arms(component: str, circle: Circle, origin: Circle) -> Floats:
+    """How one unit of a component error moves the tip, (n, 3), or (3,) where it is the same everywhere."""
     chain = circle.machine.chain
-    terms = chain.terms[:, chain.components.index(cause.component)]
+    terms = chain.terms[:, chain.components.index(component)]
     # A turn's arms count from the origin, too; a shift's are the same everywhere.
-    turn = cause.component[1] in "ABC"
-    arms = (pose - _centre_pose(origin)) @ terms[:, 1:].T if turn else np.tile(terms[:, 0], (len(pose), 1))
-    return np.asarray(arms * shape(At(circle, p, q))[:, None], dtype=np.float64)
+    if component[1] in "ABC":
+        return np.asarray((circle.pose_mm - _centre_pose(origin)) @ terms[:, 1:].T, dtype=np.float64)
+    return np.asarray(terms[:, 0], dtype=np.float64)
 
 
 def _centre_pose(circle: Circle) -> Floats:

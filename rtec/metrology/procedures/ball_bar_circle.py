@@ -7,12 +7,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.effects import State
+from rtec.effects.derived import FAR_MM
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import (
     JUST_BEFORE_RAD,
     BallBar,
     BallBarSetup,
+    axis_along,
     circle_channels,
     travelled_deg,
 )
@@ -21,6 +24,7 @@ from rtec.metrology.measurement import Ints, Measurement
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 END_DEG = 0.01  # commanded positions are rounded to 1 µm
+QUADRANT_RAD = np.deg2rad(0.05)
 LEAST = 24
 """Readings on an arc; fewer do not show its shape."""
 
@@ -61,12 +65,44 @@ class Circle:
         """Does it go all the way round?"""
         return self.setup.arc_deg > 359.0
 
+    @property
+    def omega_rad_s(self) -> float:
+        """Angular speed on the circle."""
+        return self.setup.feed_mm_min / 60.0 / self.setup.radius_mm
+
+    @property
+    def step_rad(self) -> float:
+        """From one reading to the next, typically."""
+        apart = np.abs(np.diff(self.angle_rad))
+        return float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else float("inf")
+
     @cached_property
     def pose_mm(self) -> Floats:
         """Commanded axis positions, (n, axes)."""
         channels = circle_channels(self.machine, self.setup, self.angle_rad)
         zero = np.zeros(len(self))
         return np.stack([channels.get(a.channel, zero) for a in self.machine.axes], axis=1)
+
+    @cached_property
+    def state(self) -> State:
+        """What effects see: positions, directions, velocities, accelerations, and way since the last reversal."""
+        channels = circle_channels(self.machine, self.setup, self.angle_rad)
+        for place, letter in enumerate(self.setup.letters[:2]):
+            axis = axis_along(self.machine, letter)
+            if axis is not None:
+                channels[axis.since_reversal_channel] = self.since_reversal_mm(place)
+        return State(self.machine, np.zeros(len(self)), channels)
+
+    def since_turn_rad(self, place: int) -> Floats:
+        """Angle since the plane's first (0) or second (1) letter turned round last, (n,); π where it turns just now."""
+        turns = self.setup.sense * (self.angle_rad - 0.5 * np.pi * place) - JUST_BEFORE_RAD
+        return np.asarray(turns % np.pi + JUST_BEFORE_RAD, dtype=np.float64)
+
+    def since_reversal_mm(self, place: int) -> Floats:
+        """Way since that reversal, (n,); FAR_MM where the machine had not begun to move at it."""
+        angle = self.since_turn_rad(place)
+        seen = np.rad2deg(angle) <= self.travel_deg + self.setup.overshoot_deg + END_DEG
+        return np.where(seen, self.setup.radius_mm * (1.0 - np.cos(angle)), FAR_MM)
 
     def way(self, place: int) -> Floats:
         """Direction of motion along the plane's first (0) or second (1) letter, -1 or +1, (n,)."""
@@ -78,6 +114,16 @@ class Circle:
         """Which readings are nearer than `window_deg` to 0, 90, 180 or 270 degrees, (n,)."""
         off = np.rad2deg(self.angle_rad) % 90.0
         return np.asarray(np.minimum(off, 90.0 - off) < window_deg)
+
+    def taking_up(self, clearance_um: tuple[float, float]) -> Bools:
+        """Which readings are so near to a reversal that its axis may still cross the clearance there, (n,)."""
+        out = np.zeros(len(self), dtype=np.bool_)
+        for place, clearance in enumerate(clearance_um):
+            way = min(abs(clearance) * 1e-3 / self.setup.radius_mm, 1.0)
+            # Angles are rounded: a reading at a quadrant may be on either side of it.
+            after = self.since_turn_rad(place)
+            out |= np.minimum(after, np.pi - after) < max(float(np.arccos(1.0 - way)), QUADRANT_RAD)
+        return out
 
     def rows(self, keep: Bools) -> "Circle":
         """Only these readings."""

@@ -56,7 +56,9 @@ def stacked_design(of: Sequence[Cause], circles: Sequence[Circle]) -> Floats:
     return np.concatenate(parts)
 
 
-def design_of(circles: Sequence[Circle], *, bent: bool, centre: Centre = "shared") -> Design:
+def design_of(
+    circles: Sequence[Circle], *, bent: bool, centre: Centre = "shared", more: Sequence[Cause] = ()
+) -> Design:
     """[BB]'s parameters in several tests, and the zero of a bar that was not calibrated.
 
     Args:
@@ -64,8 +66,9 @@ def design_of(circles: Sequence[Circle], *, bent: bool, centre: Centre = "shared
         bent: the non-linear model.
         centre: "shared": the table-side ball stays where it is from test to test, as [BB] has it; "each": it does
             not, and then nothing separates perpendicularity from its place.
+        more: causes beyond [BB]'s; they come after these.
     """
-    of = causes(circles[0], bent=bent)
+    of = (*causes(circles[0], bent=bent), *more)
     labels, tips, squares = [], [], []
     rows = np.repeat(np.arange(len(circles)), [len(c) for c in circles])
     for cause in of:

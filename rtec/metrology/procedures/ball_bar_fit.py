@@ -1,4 +1,4 @@
-"""Least-squares fit of [BB]'s causes to several ball-bar tests at once, to the exact length of the bar."""
+"""Least-squares fit of causes to several ball-bar tests at once, to the exact length of the bar."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,38 +7,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.ball_bar_causes import Cause
+from rtec.metrology.procedures.ball_bar_beyond import Candidate
+from rtec.metrology.procedures.ball_bar_causes import At, Cause
 from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_design import SETTING_UP, Centre, design_of
+from rtec.metrology.procedures.ball_bar_design import SETTING_UP, Centre, Design, design_of
+from rtec.metrology.procedures.ball_bar_noise import WHITE, Noise
 from rtec.metrology.procedures.ball_bar_rank import Rank, rank_of
-from rtec.metrology.procedures.fitting import correlation_time, unit_errors
+from rtec.metrology.procedures.ball_bar_solve import solve
+from rtec.metrology.procedures.ball_bar_values import (
+    UNKNOWN,
+    Number,
+    Value,
+    note_of,
+    of_cause,
+    of_wave,
+    of_width,
+    quantile,
+)
 
 Floats = NDArray[np.float64]
-ROUNDS = 3
-"""Linear fits in a row, each with the second order that the one before has found; a third changes nothing any more."""
+STEP = 1e-3
+"""Share by which the way to a spike's top is changed to see what that does."""
 
 
 @dataclass(frozen=True)
-class Value:
-    """A fitted parameter.
+class Pick:
+    """A cause beyond [BB]'s that the readings show.
 
     Attributes:
-        name, title, unit, group: as `Cause`.
-        value: NaN where it cannot be found.
-        se: standard error.
-        low, high: 95 % confidence interval.
-        with_: parameters that it cannot be separated from; the value is then what they do together.
+        candidate: which.
+        way_mm: from the reversal to the top, where it is a spike.
+        heights_um: of that spike at each end where the axis turns round on an arc.
+        chance: how often noise alone would make as much of it, all that was looked for taken together.
     """
 
-    name: str
-    title: str
-    unit: str
-    group: str
-    value: float
-    se: float
-    low: float
-    high: float
-    with_: tuple[str, ...] = ()
+    candidate: Candidate
+    way_mm: float = 0.0
+    heights_um: tuple[float, ...] = ()
+    chance: float = 0.0
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """What is fitted beyond [BB]'s parameters, and how readings near the quadrants are then used.
+
+    Attributes:
+        picks: the causes.
+        noise: of the readings.
+        clearance_um: of both axes; readings where an axis still crosses it are not used.
+    """
+
+    picks: tuple[Pick, ...] = ()
+    noise: Noise = WHITE
+    clearance_um: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -54,6 +75,7 @@ class Fitted:
         sigma_um: standard deviation of what is left in the readings that were used.
         used: number of those.
         correlation: so many of them count as one.
+        beyond: what is fitted beyond [BB]'s parameters.
     """
 
     model: str
@@ -64,6 +86,7 @@ class Fitted:
     sigma_um: float
     used: int
     correlation: float
+    beyond: Beyond = Beyond()
 
     def value(self, name: str) -> Value:
         """One parameter by its name."""
@@ -74,53 +97,73 @@ class Fitted:
         return np.asarray(np.sum([p[test] for p in self.parts_um.values()], axis=0), dtype=np.float64)
 
 
-def fit(circles: Sequence[Circle], *, bent: bool, window_deg: float, centre: Centre = "shared") -> Fitted:
-    """Fit one of [BB]'s two models.
+def fit(
+    circles: Sequence[Circle], *, bent: bool, window_deg: float, centre: Centre = "shared", beyond: Beyond | None = None
+) -> Fitted:
+    """Fit one of [BB]'s two models, alone or with causes beyond it.
 
     Args:
         circles: tests of one plane.
         bent: the non-linear model with its 15 parameters, else the linear one with 10.
-        window_deg: readings nearer than this to a quadrant are not used.
+        window_deg: readings nearer than this to a quadrant are not used; with causes beyond [BB]'s they are.
         centre: see `design_of`.
+        beyond: those causes.
 
     Raises:
         MeasurementError: too few readings are left.
     """
-    used = [c.rows(~c.near_quadrant(window_deg)) for c in circles]
-    near = design_of(used, bent=bent, centre=centre)
+    beyond = beyond or Beyond()
+    more = [c for p in beyond.picks for c in causes_of(p)]
+    used = used_rows(circles, window_deg, beyond)
+    near = design_of(used, bent=bent, centre=centre, more=more)
     reading = np.concatenate([c.reading_um for c in used])
     rank = rank_of(near.columns, [c.name for c in near.labels])
     kept = list(rank.kept)
-    free = len(reading) - len(kept)
-    if free < len(kept):
+    if len(reading) - len(kept) < len(kept):
         raise MeasurementError(
             f"{len(reading)} readings farther than {window_deg:g}° from the quadrants, for {len(kept)} parameters; "
             "take a smaller window or more readings"
         )
-    columns = near.columns[:, kept]
-    size = np.linalg.norm(columns, axis=0)
-    found = np.zeros(len(kept))
-    for _ in range(ROUNDS):
-        first_order = reading - near.second_order_um(kept, found)
-        found = np.linalg.lstsq(columns / size, first_order, rcond=None)[0] / size
-    left = first_order - columns @ found
-    ends = np.cumsum([len(c) for c in used])[:-1]
-    rows = max(correlation_time(part) for part in np.split(left, ends))
-    sigma = float(np.sqrt(left @ left / free))
-    errors = sigma * np.sqrt(rows) * unit_errors(columns)
-    wide = _quantile(max(len(reading) / rows - len(kept), 1.0))
-    numbers = {k: (float(v), float(se)) for k, v, se in zip(kept, found, errors, strict=True)}
-    values = tuple(_value(label, numbers.get(i), wide, _with(label.name, rank)) for i, label in enumerate(near.labels))
-    parts = _parts(circles, bent, centre, numbers)
+    solved = solve(near, kept, reading, used, beyond.noise)
+    numbers = {k: (float(v), float(se)) for k, v, se in zip(kept, solved.found, solved.errors, strict=True)}
+    wide = quantile(max(len(reading) / solved.correlation - len(kept), 1.0))
+    whole = design_of(circles, bent=bent, centre=centre, more=more)
+    parts = _parts(circles, whole, numbers)
     after = tuple(c.reading_um - np.sum([p[i] for p in parts.values()], axis=0) for i, c in enumerate(circles))
+    values = _values(near, numbers, wide, rank, circles, beyond)
     name = "non-linear" if bent else "linear"
-    return Fitted(name, values, rank, parts, after, sigma, len(reading), rows)
+    return Fitted(name, values, rank, parts, after, solved.sigma_um, len(reading), solved.correlation, beyond)
 
 
-def _parts(
-    circles: Sequence[Circle], bent: bool, centre: Centre, numbers: dict[int, tuple[float, float]]
-) -> dict[str, tuple[Floats, ...]]:
-    whole = design_of(circles, bent=bent, centre=centre)
+def used_rows(circles: Sequence[Circle], window_deg: float, beyond: Beyond) -> tuple[Circle, ...]:
+    """The readings that a fit uses."""
+    if not beyond.picks:
+        return tuple(c.rows(~c.near_quadrant(window_deg)) for c in circles)
+    return tuple(c.rows(~c.taking_up(beyond.clearance_um)) for c in circles)
+
+
+def causes_of(pick: Pick) -> tuple[Cause, ...]:
+    """Causes of a pick; of a spike also what a longer way to its top does."""
+    of = pick.candidate.make(pick.way_mm)
+    return (*of, _longer(pick)) if pick.candidate.kind == "spike" else of
+
+
+def _longer(pick: Pick) -> Cause:
+    """A spike's change with the logarithm of its way, at the heights that were found."""
+    longer, shorter = (pick.candidate.make(pick.way_mm * (1.0 + sign * STEP)) for sign in (1.0, -1.0))
+
+    def shape(at: At) -> Floats:
+        out = np.zeros(len(at.circle))
+        for height, up, down in zip(pick.heights_um, longer, shorter, strict=True):
+            if up.shape is not None and down.shape is not None:
+                out += height * (up.shape(at) - down.shape(at)) / (2.0 * STEP)
+        return out
+
+    of = longer[0]
+    return Cause(f"{pick.candidate.name}_way", "", "1", of.group, of.component, shape)
+
+
+def _parts(circles: Sequence[Circle], whole: Design, numbers: dict[int, Number]) -> dict[str, tuple[Floats, ...]]:
     second = whole.second_order_um(list(numbers), np.array([v for v, _ in numbers.values()]))
     ends = np.cumsum([len(c) for c in circles])[:-1]
     out: dict[str, Floats] = {SETTING_UP: second}  # a large centre offset makes nearly all of it
@@ -130,19 +173,22 @@ def _parts(
     return {group: tuple(np.split(curve, ends)) for group, curve in out.items()}
 
 
-def _value(label: Cause, number: tuple[float, float] | None, wide: float, together: tuple[str, ...]) -> Value:
-    value, se = number or (float("nan"), float("nan"))
-    return Value(
-        label.name, label.title, label.unit, label.group, float(value), float(se),
-        float(value - wide * se), float(value + wide * se), together,
-    )  # fmt: skip
-
-
-def _with(name: str, rank: Rank) -> tuple[str, ...]:
-    return tuple(n for group in rank.confounded if name in group for n in group if n != name)
-
-
-def _quantile(free: float) -> float:
-    from scipy.special import stdtrit
-
-    return float(stdtrit(free, 0.975))
+def _values(
+    design: Design, numbers: dict[int, Number], wide: float, rank: Rank, circles: Sequence[Circle], beyond: Beyond
+) -> tuple[Value, ...]:
+    named = {design.labels[i].name: number for i, number in numbers.items()}
+    special = {c.name: p for p in beyond.picks if p.candidate.kind != "plain" for c in causes_of(p)}
+    out = []
+    for i, label in enumerate(design.labels):
+        if label.name not in special:
+            out.append(of_cause(label, numbers.get(i), wide, rank, note_of(label, named, circles)))
+    for pick in beyond.picks:
+        of = [named.get(c.name, UNKNOWN) for c in causes_of(pick)]
+        if pick.candidate.kind == "wave":
+            out += of_wave(pick.candidate, of[0], of[1], wide)
+        elif pick.candidate.kind == "spike":
+            out += [of_cause(c, n, wide, rank) for c, n in zip(pick.candidate.make(pick.way_mm), of, strict=False)]
+            change, se = of[-1]
+            way = pick.way_mm * float(np.exp(change))
+            out.append(of_width(pick.candidate, way, way * se, circles, wide))
+    return tuple(out)

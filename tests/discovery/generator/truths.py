@@ -3,9 +3,9 @@
 None is shaped as the program's formulas are (`shapes.py`). Those with a `same` are told by more than one name, for
 the reason written there.
 
-Left out, because no such measurement can show them: servo_phase (two axes on a circle), force_deflection (no force was
-recorded), daily_drift and wear_drift (in one record of nine hours a day's swing or a straight line in time cannot be
-told from the drift of instrument and machine), the nuisances of other instruments.
+Left out, because no such measurement can show them: servo_phase and change_over (two axes on a circle),
+force_deflection (no force was recorded), daily_drift and wear_drift (in one record of nine hours a day's swing or a
+straight line in time cannot be told from the drift of instrument and machine), the nuisances of other instruments.
 """
 
 from tests.discovery.generator import shapes

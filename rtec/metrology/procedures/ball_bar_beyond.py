@@ -1,0 +1,235 @@
+"""What a ball bar shows beyond [BB]'s parameters: dynamic effects and those of the drive, each from the catalogue.
+
+[BB] leaves the reversals and the servo loops out, and names them as the likely other half of the error. Every candidate
+here is an effect of `rtec effects` in the axes of the plane; its basis functions, the machine's chain and the bar's
+geometry make its columns, in any test.
+
+Signs: a spike is positive where the axis comes late (it sticks, drawn outwards); a lateral play is the place of the
+slide moving to plus minus that moving to minus; a delay is the time by which the plane's first axis leads.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.effects import Effect
+from rtec.effects.derived import FAR_MM
+from rtec.metrology.procedures.ball_bar_causes import At, Cause, Shape
+from rtec.metrology.procedures.ball_bar_circle import Circle
+from rtec.metrology.procedures.ball_bar_effects import along, axis_of, feeds_of, same_feed, shape_of
+
+Floats = NDArray[np.float64]
+Kind = Literal["plain", "wave", "spike"]
+WIDEST_DEG = 15.0
+"""A spike that has its top farther from the reversal is none: smooth causes make that, too."""
+SHORTEST_MM = 0.02
+"""Way to the top of the narrowest spike that is tried."""
+PER_WAVE = 2.0
+"""Readings that a wave needs where its axis is fastest."""
+HALF_WAYS = (0.2319610, 2.6783470)
+"""Where `u exp(1 - u)` is a half: a spike is half as high there."""
+WIDTH = HALF_WAYS[1] - HALF_WAYS[0]
+End = tuple[str, str, float]
+ENDS: tuple[End, ...] = (("plus", "+", 1.0), ("minus", "-", -1.0))
+"""Ends of an axis: word, mark, and the sign of the way towards it."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A cause beyond [BB]'s, with what is found out about it as one.
+
+    Attributes:
+        name: short and fixed.
+        title: for people.
+        group: what is shown together as one cause.
+        effect: name in the catalogue.
+        kind: "plain": each parameter is a size; "wave": sine and cosine; "spike": heights, and the way to its top.
+        make: its causes, for a way to the top in mm where it is a spike; any number else.
+        ways_mm: ways to try.
+        missing: why the tests cannot show it at all, in words; else empty.
+        axis: place of its axis in the plane.
+        feed_mm_min: of the tests that it is for; 0: all.
+        wave_mm: length of its wave.
+    """
+
+    name: str
+    title: str
+    group: str
+    effect: str
+    kind: Kind
+    make: Callable[[float], tuple[Cause, ...]]
+    ways_mm: tuple[float, ...] = ()
+    missing: str = ""
+    axis: int = 0
+    feed_mm_min: float = 0.0
+    wave_mm: float = 0.0
+
+
+def candidates(circles: Sequence[Circle]) -> tuple[Candidate, ...]:
+    """Everything beyond [BB]'s parameters that is looked for in tests of one plane."""
+    return (*_servo(circles), *_both(circles), *_change_over(circles))
+
+
+def _both(circles: Sequence[Circle]) -> Iterator[Candidate]:
+    for place in (0, 1):
+        yield from _spikes(circles, place)
+        yield from _plays(circles, place)
+        yield from _positions(circles, place)
+        yield from _waves(circles, place)
+
+
+def _servo(circles: Sequence[Circle]) -> Iterator[Candidate]:
+    first, (a, b, _) = circles[0], circles[0].setup.letters
+    delay = along(first, "servo_lag", 0)
+    # A time τ ahead is `p(t + τ)`: its second order is ½ τ² a.
+    late = along(first, "inertia", 0)
+    cause = Cause("delay", f"servo delay mismatch: time by which {a} leads {b}", "ms", "servo delay", delay.component,
+                  shape_of(delay), square=shape_of(late, gain=0.5))  # fmt: skip
+    yield Candidate("delay", f"servo delay mismatch {a}-{b}", cause.group, "servo_lag", "plain", _only(cause))
+    for place, letter in enumerate((a, b)):
+        gain = along(first, "inertia", place)
+        name = f"gain_{letter}".lower()
+        size = Cause(name, f"servo gain error of {letter}: too short by, for each m/s²", "um_s2_per_m",
+                     f"servo gain {letter}", gain.component, shape_of(gain))  # fmt: skip
+        yield Candidate(name, f"servo gain error of {letter}", size.group, "inertia", "plain", _only(size), axis=place)
+
+
+def _change_over(circles: Sequence[Circle]) -> Iterator[Candidate]:
+    first, (a, b, _) = circles[0], circles[0].setup.letters
+    one = along(first, "change_over", 0, other=axis_of(first, 1).name)
+    two = along(first, "change_over", 1, other=axis_of(first, 0).name)
+    cause = Cause("change_over", f"master-slave change-over {a}-{b}: the slower axis late by", "ms",
+                  "master-slave change-over", one.component, shape_of(one, gain=-1.0),
+                  also=((two.component, shape_of(two, gain=-1.0)),))  # fmt: skip
+    coarse = max(c.step_rad for c in circles) > np.deg2rad(5.0)
+    why = "readings are more than 5° apart: steps at 45° do not show" if coarse else ""
+    yield Candidate(
+        "change_over",
+        f"master-slave change-over {a}-{b}",
+        cause.group,
+        "change_over",
+        "plain",
+        _only(cause),
+        missing=why,
+    )
+
+
+def _spikes(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+    """One at each feed: how an axis sticks depends on it."""
+    letter = circles[0].setup.letters[place]
+    feeds = feeds_of(circles)
+    effect = along(circles[0], "reversal_spike", place)
+    grid = effect.nonlinear(circles[0].machine)[0].grid
+    for feed in feeds:
+        here = [c for c in circles if same_feed(c.setup.feed_mm_min, feed)]
+        most = min(c.setup.radius_mm for c in here) * (1.0 - np.cos(np.deg2rad(WIDEST_DEG)))
+        least = min(c.setup.radius_mm * (1.0 - np.cos(c.step_rad)) for c in here)
+        # Half a step of the catalogue's grid apart, so that none falls between two and leaves much at the quadrants.
+        whole = (SHORTEST_MM, *grid)
+        finer = sorted({*whole, *(float(np.sqrt(u * w)) for u, w in itertools.pairwise(whole))})
+        ways = tuple(w for w in finer if least <= w <= most)
+        at = f" at {feed:g} mm/min" if len(feeds) > 1 else ""
+        suffix = f"_f{feed:g}" if len(feeds) > 1 else ""
+        ends = tuple(end for end in ENDS if any(_turns(c, place, end[2]) for c in here))
+        missing = "" if ways else "readings are too far apart for a spike"
+        yield Candidate(
+            f"spike_{letter}{suffix}".lower(), f"reversal spike (stick-slip) of {letter}{at}",
+            f"reversal spike {letter}", "reversal_spike", "spike",
+            _spike(effect, letter, place, suffix, feed, at, ends), ways,
+            missing if ends else f"{letter} does not turn round on the arc{at}", place, feed,
+        )  # fmt: skip
+
+
+def _turns(circle: Circle, place: int, sign: float) -> bool:
+    """Are there readings just after the axis turned round at that end?"""
+    near = circle.since_turn_rad(place) < np.deg2rad(WIDEST_DEG)
+    seen = circle.since_reversal_mm(place) < FAR_MM
+    return bool((near & seen & (circle.way(place) * sign < 0.0)).any())
+
+
+def _spike(
+    effect: Effect, letter: str, place: int, suffix: str, feed: float, at: str, ends: Sequence[End]
+) -> Callable[[float], tuple[Cause, ...]]:
+    def made(way_mm: float) -> tuple[Cause, ...]:
+        def end(sign: float) -> Shape:
+            of = shape_of(effect, gain=-2.0, theta={"s0": way_mm})
+
+            def shape(where: At) -> Floats:
+                # Coming away from the + end the axis moves to minus.
+                here = (where.circle.way(place) * sign < 0.0) & same_feed(where.circle.setup.feed_mm_min, feed)
+                return np.where(here, of(where), 0.0)
+
+            return shape
+
+        return tuple(
+            Cause(f"spike_{letter}_{word}{suffix}".lower(), f"reversal spike of {letter}, {mark} end{at}", "um",
+                  f"reversal spike {letter}", effect.component, end(sign))
+            for word, mark, sign in ends
+        )  # fmt: skip
+
+    return made
+
+
+def _plays(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+    first, letters = circles[0], circles[0].setup.letters
+    own = letters[place]
+    for across in (letters[1 - place], letters[2]):
+        effect = along(first, "backlash", place, towards=across)
+        name = f"play_{own}_{across}".lower()
+        cause = Cause(name, f"lateral play of {own} along {across}", "um", f"lateral play {own}", effect.component,
+                      shape_of(effect))  # fmt: skip
+        yield Candidate(name, cause.title, cause.group, "backlash", "plain", _only(cause), axis=place)
+
+
+def _positions(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+    """Clearance that changes along its axis, counted from the first test's centre."""
+    first, letter = circles[0], circles[0].setup.letters[place]
+    effect = along(first, "backlash_position", place, degree=2)
+    axis = axis_of(first, place)
+    half_m = 0.5e-3 * (axis.travel_mm[1] - axis.travel_mm[0])
+    for degree, name, unit, how in (
+        (1, "slope", "um_per_m", "growing along its axis"), (2, "bow", "um_per_m2", "larger away from the middle"),
+    ):  # fmt: skip
+        # e = -½ δ d as for clearance itself, δ = slope · p.
+        shape = shape_of(effect, degree, gain=-0.5 * half_m**degree, middle=place)
+        cause = Cause(f"clearance_{name}_{letter}".lower(), f"clearance {letter} {how}", unit,
+                      f"clearance {letter} by position", effect.component, shape)  # fmt: skip
+        yield Candidate(cause.name, cause.title, cause.group, "backlash_position", "plain", _only(cause), axis=place)
+
+
+def _waves(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+    first, letter = circles[0], circles[0].setup.letters[place]
+    axis = axis_of(first, place)
+    for name, effect_name, turns, words in (
+        ("cyclic", "cyclic_screw", 1.0, "at the pitch"),
+        ("indexing", "coupling_misalignment", 2.0, "(two waves a turn)"),
+    ):
+        title, group = f"{name} error of {letter} {words}", f"{name} error {letter}"
+        named = f"{name}_{letter}".lower()
+        if axis.pitch_mm is None:
+            why = f"the machine file names no pitch_mm of axis {axis.name}"
+            yield Candidate(named, title, group, effect_name, "wave", _only(), missing=why, axis=place)
+            continue
+        wave = axis.pitch_mm / turns
+        step = min(c.setup.radius_mm * c.step_rad for c in circles)
+        why = ""
+        if step * PER_WAVE > wave:
+            apart = f"readings are {step:.3g} mm apart where {letter} is fastest"
+            why = f"{apart}; a wave of {wave:g} mm needs {wave / 2:.3g}"
+        effect = along(first, effect_name, place)
+        theta = {"pitch": wave} if name == "cyclic" else {"period": wave}
+        of = tuple(
+            Cause(
+                f"{named}_{part}", f"{title}, {part}", "um", group, effect.component, shape_of(effect, i, theta=theta)
+            )
+            for i, part in enumerate(("sine", "cosine"))
+        )
+        yield Candidate(named, title, group, effect_name, "wave", _only(*of), missing=why, axis=place, wave_mm=wave)
+
+
+def _only(*causes: Cause) -> Callable[[float], tuple[Cause, ...]]:
+    return lambda _: causes

@@ -1,0 +1,208 @@
+"""Which causes beyond [BB]'s some ball-bar tests show: all are fitted together, and what is not significant is dropped.
+
+One after another would not do: while half of the causes are missing, what is left looks like noise that goes on for a
+quarter of the circle, and hides the others. So everything that separates is fitted at once, the noise is judged with
+all of it in the mean, and causes are dropped from the least significant on until each that stays would be chance less
+often than `FAMILY` divided by the number of those looked for. [BB]'s own bent guides are always among what explains
+first.
+
+Readings near the quadrants have a noise of their own: where the spikes are not shaped as the catalogue has them, what
+is left there must not pull at the rest.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.metrology.procedures.ball_bar_beyond import Candidate
+from rtec.metrology.procedures.ball_bar_circle import Circle
+from rtec.metrology.procedures.ball_bar_columns import NotLookedFor, Table, table_of
+from rtec.metrology.procedures.ball_bar_design import Centre, stacked_design
+from rtec.metrology.procedures.ball_bar_fit import Beyond, Fitted, Pick
+from rtec.metrology.procedures.ball_bar_noise import WHITE
+from rtec.metrology.procedures.ball_bar_solve import in_a_row, solve
+from rtec.metrology.procedures.ball_bar_work import Least, Work, best_ways, gain, judged, least, work_of
+
+Floats = NDArray[np.float64]
+FAMILY = 0.01
+"""How often a machine without any of these causes is told that it has one."""
+SMALLEST_UM = 0.05
+"""A cause that makes less of a circle than this is none."""
+SURE_SE = 4.0
+"""A cause of so many standard errors would have been found."""
+NOISE_ROUNDS = 2
+FINER = 12
+"""Steps of the golden section for the way to a spike's top."""
+
+
+@dataclass(frozen=True)
+class NotFound:
+    """A cause that was looked for and is not significant.
+
+    Attributes:
+        candidate: which.
+        limit: a parameter of this size would have been found.
+        unit: of it.
+    """
+
+    candidate: Candidate
+    limit: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search gives.
+
+    Attributes:
+        beyond: what to fit.
+        not_found: looked for, not significant.
+        left_out: not looked for, and why.
+    """
+
+    beyond: Beyond = field(default_factory=Beyond)
+    not_found: tuple[NotFound, ...] = ()
+    left_out: tuple[NotLookedFor, ...] = ()
+
+
+def search(circles: Sequence[Circle], still: Fitted, window_deg: float, centre: Centre) -> Found:
+    """Find what the readings show beyond [BB]'s parameters.
+
+    Args:
+        circles: tests of one plane.
+        still: fit of [BB]'s parameters away from the quadrants.
+        window_deg: so near to a quadrant readings have a noise of their own.
+        centre: see `design_of`.
+    """
+    a, b = (letter.lower() for letter in circles[0].setup.letters[:2])
+    clearance = (_number(still, f"clearance_{a}"), _number(still, f"clearance_{b}"))
+    table = table_of([c.rows(~c.taking_up(clearance)) for c in circles], centre)
+    count = sum(len(c) for c in table.circles)
+    if not table.tried or count < 2 * (table.base.shape[1] + sum(c[0].shape[1] for c in table.columns)):
+        return Found(Beyond(clearance_um=clearance), (), (*table.left_out, *_too_few(table, count)))
+    reading = _reading(table)
+    work = work_of(table, reading, replace(WHITE, window_deg=window_deg), tuple(len(c) // 2 for c in table.columns))
+    for _ in range(NOISE_ROUNDS):
+        work = best_ways(work)
+        likeliest, worst = judged(work, window_deg)
+        work = work_of(table, reading, likeliest, work.way)
+    work = work_of(table, reading, worst, work.way)
+    rows = in_a_row(least(work, work.everything).left, [len(c) for c in table.circles])
+    stays, chance = _eliminate(work, rows)
+    picks = tuple(_pick(work, stays, i, p) for i, p in zip(stays, chance, strict=True))
+    # The ways are finer now than those on the list.
+    best = replace(table, columns=tuple(_at_best(work, picks)))
+    noise = judged(work_of(best, reading, work.noise, (0,) * len(work.way)), window_deg)[0]
+    return Found(Beyond(picks, noise, clearance), tuple(_limits(work, stays, rows)), table.left_out)
+
+
+def _too_few(table: Table, count: int) -> Iterator[NotLookedFor]:
+    why = f"{count} readings are too few for so many causes"
+    for candidate in table.tried:
+        yield NotLookedFor(replace(candidate, missing=why), why)
+
+
+def _number(fitted: Fitted, name: str) -> float:
+    value = fitted.value(name).value
+    return value if np.isfinite(value) else 0.0
+
+
+def _reading(table: Table) -> Floats:
+    """Readings less the second order of [BB]'s parameters: a large centre offset makes nearly all of it."""
+    reading = np.concatenate([c.reading_um for c in table.circles])
+    kept = list(table.rank.kept)
+    found = solve(table.design, kept, reading, table.circles, WHITE).found
+    return reading - table.design.second_order_um(kept, found)
+
+
+def _eliminate(work: Work, rows: float) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Drop the least significant until all that stay are; their places, and how often chance would make each."""
+    stays = list(work.everything)
+    tried = len(stays)
+    while stays:
+        chance = _chances(work, stays, least(work, stays), rows)
+        worst = int(np.argmax(chance))
+        if chance[worst] < FAMILY / tried:
+            return tuple(stays), tuple(p * tried for p in chance)
+        stays.pop(worst)
+    return (), ()
+
+
+def _chances(work: Work, places: Sequence[int], fitted: Least, rows: float) -> list[float]:
+    """How often noise alone would make as much of each."""
+    from scipy.special import fdtrc
+
+    free = max(len(fitted.left) / rows - len(fitted.found), 1.0)
+    out, start = [], work.base.shape[1]
+    for i in places:
+        columns = work.table.columns[i][work.way[i]]
+        at = slice(start, start + columns.shape[1])
+        start += columns.shape[1]
+        found = fitted.found[at]
+        if np.ptp(columns @ found) < SMALLEST_UM:
+            out.append(1.0)
+            continue
+        gained = float(found @ np.linalg.solve(fitted.inverse[at, at], found)) / len(found)
+        tries = len(work.own[i])
+        out.append(min(1.0, tries * float(fdtrc(len(found), free, gained / (fitted.sigma**2 * rows)))))
+    return out
+
+
+def _pick(work: Work, stays: Sequence[int], place: int, chance: float) -> Pick:
+    candidate = work.table.tried[place]
+    if candidate.kind != "spike":
+        return Pick(candidate, chance=chance)
+    basis, left = work.beside([i for i in stays if i != place])
+
+    def made(log_way: float) -> Floats:
+        causes = candidate.make(float(np.exp(log_way)))
+        return work.noise.whiten(work.table.circles, stacked_design(causes, work.table.circles))
+
+    ways, at = np.log(candidate.ways_mm), work.way[place]
+    ends = float(ways[max(at - 1, 0)]), float(ways[min(at + 1, len(ways) - 1)])
+    way = _golden(lambda x: gain(basis, left, made(x)), *ends)
+    own = made(way)
+    heights = np.linalg.lstsq(own - basis @ (basis.T @ own), left, rcond=None)[0]
+    return Pick(candidate, float(np.exp(way)), tuple(float(h) for h in heights), chance)
+
+
+def _at_best(work: Work, picks: Sequence[Pick]) -> Iterator[tuple[Floats, ...]]:
+    """Columns of every candidate at one way each: the best that is known."""
+    ways = {p.candidate.name: p.way_mm for p in picks if p.candidate.kind == "spike"}
+    for i, candidate in enumerate(work.table.tried):
+        own = work.table.columns[i][work.way[i]]
+        if candidate.name in ways:
+            own = stacked_design(candidate.make(ways[candidate.name]), work.table.circles)
+        yield (own,)
+
+
+def _golden(gain: Callable[[float], float], low: float, high: float) -> float:
+    """Place of the largest gain between two ends."""
+    part = 0.5 * (np.sqrt(5.0) - 1.0)
+    ends = [low, high]
+    inner = [high - part * (high - low), low + part * (high - low)]
+    values = [gain(inner[0]), gain(inner[1])]
+    for _ in range(FINER):
+        if values[0] > values[1]:
+            ends[1], inner[1], values[1] = inner[1], inner[0], values[0]
+            inner[0] = ends[1] - part * (ends[1] - ends[0])
+            values[0] = gain(inner[0])
+        else:
+            ends[0], inner[0], values[0] = inner[0], inner[1], values[1]
+            inner[1] = ends[0] + part * (ends[1] - ends[0])
+            values[1] = gain(inner[1])
+    return 0.5 * (ends[0] + ends[1])
+
+
+def _limits(work: Work, stays: Sequence[int], rows: float) -> Iterator[NotFound]:
+    """Of each that was dropped: what would have been found beside those that stay."""
+    for i in work.everything:
+        if i in stays:
+            continue
+        fitted = least(work, [*stays, i])
+        columns = work.own[i][work.way[i]].shape[1]
+        se = fitted.sigma * np.sqrt(rows * np.diag(fitted.inverse)[-columns:].max())
+        candidate = work.table.tried[i]
+        yield NotFound(candidate, float(SURE_SE * se), candidate.make(1.0)[0].unit)
