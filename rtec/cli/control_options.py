@@ -9,10 +9,6 @@ Config = Annotated[
     Path | None,
     typer.Argument(metavar="[CONFIG]", help="Run file of the daemon; without it, the only one.", show_default=False),
 ]
-ConfigOption = Annotated[
-    Path | None,
-    typer.Option("--config", "-c", help="Run file of the daemon; without it, the only one.", show_default=False),
-]
 At = Annotated[
     str | None, typer.Option("--at", metavar="HOST:PORT", help="A daemon on the network.", show_default=False)
 ]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtec.cli.control_options import At, ConfigOption, Json, KeyFile
+from rtec.cli.control_options import At, Config, Json, KeyFile
 
 if TYPE_CHECKING:
     from rtec.runtime.orders import Order
@@ -15,7 +15,7 @@ app = typer.Typer(no_args_is_help=True, help="Order a running daemon about: enab
 
 
 @app.command()
-def enable(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
+def enable(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Let the correction follow the model, from where it stands, within its limits.
 
     Example: rtec ctl enable
@@ -24,16 +24,16 @@ def enable(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_j
 
 
 @app.command()
-def hold(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
+def hold(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Let the correction stay where it is.
 
-    Example: rtec ctl hold --config configs/turning-centre-sim.toml
+    Example: rtec ctl hold configs/turning-centre-sim.toml
     """
     _give("hold", "", config, at, key, as_json)
 
 
 @app.command()
-def fade(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
+def fade(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Let the correction go to nothing at its slew limit.
 
     Example: rtec ctl fade
@@ -42,7 +42,7 @@ def fade(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_jso
 
 
 @app.command()
-def resume(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
+def resume(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Let devices that stopped by themselves go on: a box that started anew, a position that was lost.
 
     Exit status 1 where a device is still in trouble.
@@ -53,7 +53,7 @@ def resume(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_j
 
 
 @app.command()
-def reload(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
+def reload(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Read run file and model again; limits and model change without a jump.
 
     Exit status 1 where the old ones stay, with the reason.
@@ -66,7 +66,7 @@ def reload(config: ConfigOption = None, at: At = None, key: KeyFile = None, as_j
 @app.command()
 def mark(
     text: Annotated[str, typer.Argument(metavar="TEXT", help="What to write beside the log.")],
-    config: ConfigOption = None,
+    config: Config = None,
     at: At = None,
     key: KeyFile = None,
     as_json: Json = False,
@@ -88,7 +88,8 @@ def _give(name: str, text: str, config: Path | None, at: str | None, key: Path |
     with Client(find(config, at, key)) as client:
         outcome = carry_out(client, order, text, RealClock())
     if as_json:
-        typer.echo(json.dumps({"done": outcome.done, "text": outcome.text, "status": outcome.status}, indent=2))
+        found = {"done": outcome.done, "text": outcome.text, "status": outcome.status}
+        typer.echo(json.dumps(found, indent=2, ensure_ascii=False))
     else:
         typer.echo(outcome.text)
     if not outcome.done:

@@ -29,7 +29,9 @@ from rtec.cli import (
     replay,
     run,
     simulate,
-    status,
+)
+from rtec.cli import (
+    status as status_command,
 )
 from rtec.errors import RtecError
 
@@ -64,7 +66,7 @@ for _procedure in (procedures.iso230, procedures.straightness, procedures.parall
     app.command()(_procedure)
 for _instrument in (ballbar.ballbar, grid.grid):
     app.command()(_instrument)
-app.command("status")(status.status)
+app.command("status")(status_command.status)
 app.add_typer(ctl.app, name="ctl")
 app.add_typer(keys.app, name="keys")
 app.add_typer(log.app, name="log")

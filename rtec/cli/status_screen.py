@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rtec.runtime.control_client import Client
 
 PERIOD_NS: Final = 250_000_000
+PAGE_NS: Final = 1_000_000_000
 
 
 def show(found: dict[str, Any]) -> None:
@@ -29,12 +30,15 @@ def show(found: dict[str, Any]) -> None:
 
 
 def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
-    """Show the status again and again; with `as_json` a line each time."""
-    if as_json:
-        while True:
+    """Show the status again and again; with `as_json` a line each time; where no terminal is, page below page."""
+    console = Console(highlight=False)
+    while as_json or not console.is_terminal:
+        if as_json:
             typer.echo(json.dumps(client.status(), ensure_ascii=False))
-            clock.sleep_until_ns(clock.now_ns() + PERIOD_NS)
-    with Live(page(client.status()), console=Console(highlight=False), auto_refresh=False) as live:
+        else:
+            show(client.status())
+        clock.sleep_until_ns(clock.now_ns() + (PERIOD_NS if as_json else PAGE_NS))
+    with Live(page(client.status()), console=console, auto_refresh=False) as live:
         while True:
             clock.sleep_until_ns(clock.now_ns() + PERIOD_NS)
             live.update(page(client.status()), refresh=True)
@@ -42,7 +46,7 @@ def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
 
 def page(found: dict[str, Any]) -> RenderableType:
     """Everything in one piece."""
-    axes = _table(("axis", "requested, µm", "applied, µm", "output, units", "counts"), axis_rows(found))
+    axes = _table(("axis", "requested, µm", "applied, µm", "left, µm", "output, units", "counts"), axis_rows(found))
     inputs = _table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else [])
     return Group(
         *(Text(line) for line in headline(found)),

@@ -5,6 +5,7 @@ Numbers, names, `+ - * / **` and a few functions; nothing in the text is ever ru
 
 import ast
 import math
+import warnings
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -67,7 +68,9 @@ def parse(expression: str) -> ast.expr:
     if not expression.isascii():  # Python takes look-alike letters for others; here a name is what it looks like
         raise ValueError(f"{expression!r}: letters without accents, digits and signs only")
     try:
-        tree = ast.parse(expression.strip(), mode="eval").body
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # odd literals are refused below, in words of our own
+            tree = ast.parse(expression.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as e:
         raise ValueError(f"{expression!r} is no expression: {getattr(e, 'msg', e)}") from e
     _check(tree, 0)

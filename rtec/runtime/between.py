@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rtec.errors import RtecError
 from rtec.runtime.loop import Loop, Row, bind_rows
 from rtec.runtime.ring import Ring
+from rtec.runtime.signals import starter
 from rtec.runtime.state import StateWriter
 from rtec.runtime.step import Step, StepSettings
 
@@ -37,7 +38,7 @@ class Between:
 
     def __init__(self, loop: Loop, ring: Ring, pipe: Connection, image: NDArray[np.uint8], rate_hz: float) -> None:
         self._loop, self._ring, self._pipe, self._image = loop, ring, pipe, image
-        self._parent = os.getppid()
+        self._parent = starter()
         self._note_cycles = max(1, round(rate_hz / NOTES_PER_S))
         self._resumes, self._reloads = ring.orders.resumes, ring.orders.reloads
         self._making: _Making | None = None

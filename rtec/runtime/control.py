@@ -8,7 +8,8 @@ some thousand messages a second.
 import os
 import pwd
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -17,16 +18,19 @@ import zmq
 from rtec.runtime.clock import Clock, wall_clock_iso
 from rtec.runtime.config import Setup
 from rtec.runtime.control_desk import Daemon, Desk, Peer
+from rtec.runtime.control_left import Left
 from rtec.runtime.control_lines import Incoming, local_socket, network_socket, receive, send
 from rtec.runtime.control_message import TOPIC, answer
-from rtec.runtime.control_places import ORDERS, STATUS, LocalSocket, listen, socket_path
+from rtec.runtime.control_places import ORDERS, STATUS, LocalSocket, answers, listen, socket_path
 from rtec.runtime.control_zap import Door
 from rtec.runtime.keys import CLIENTS, AllowList, read_server
+from rtec.runtime.prometheus import Endpoint
 
 AT_ONCE: Final = 50
 BREATH_NS: Final = 10_000_000
 """Rest after so many messages at once: the supervisor's own work comes first."""
 END_S: Final = 2.0
+ENDING_NS: Final = 2_000_000_000
 
 
 class Control:
@@ -43,7 +47,8 @@ class Control:
 
     def __init__(self, setup: Setup, daemon: Daemon, clock: Clock) -> None:
         self._setup, self._table, self._clock = setup, setup.file.control, clock
-        self.desk = Desk(daemon, clock, _origin(setup))
+        compared = None if self._table.compared is None else setup.base / self._table.compared
+        self.desk = Desk(daemon, clock, _origin(setup), Left(compared))
         self._daemon = daemon
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="rtec-control", daemon=True)
@@ -53,14 +58,17 @@ class Control:
         self._door: Door | None = None
         self._allowed: AllowList | None = None
         self._told = ""
+        self._endpoint = ExitStack()
 
     def __enter__(self) -> Self:
         self._context = zmq.Context(io_threads=1)
         try:
             if self._table.local:
                 self._open_local()
+            if self._table.prometheus is not None:
+                self._endpoint.enter_context(Endpoint(self._table.prometheus, self.desk.status))
             if self._table.keys is not None:
-                self._open_network()
+                self._open_network(self._setup.base / self._table.keys)
         except BaseException:
             self._close()
             raise
@@ -80,13 +88,19 @@ class Control:
 
     def _open_local(self) -> None:
         for suffix, kind, sockets in ((ORDERS, zmq.ROUTER, self._routers), (STATUS, zmq.PUB, self._publishers)):
-            local = listen(socket_path(self._setup.path, suffix), self._table.access)
+            path = socket_path(self._setup.path, suffix)
+            self._until_free(path)
+            local = listen(path, self._table.access)
             self._locals.append(local)
             sockets.append(local_socket(self._context, kind, local))
 
-    def _open_network(self) -> None:
-        assert self._table.keys is not None
-        folder = self._setup.base / self._table.keys
+    def _until_free(self, path: Path) -> None:
+        """A daemon that is just ending gets two seconds for it, as for its state."""
+        last_ns = self._clock.now_ns() + ENDING_NS
+        while answers(path) and self._clock.now_ns() < last_ns:
+            self._clock.sleep_until_ns(self._clock.now_ns() + BREATH_NS)
+
+    def _open_network(self, folder: Path) -> None:
         pair, self._allowed = read_server(folder), AllowList(folder / CLIENTS)
         self._door = Door(self._context, self._allowed)
         if self._table.tcp is not None:
@@ -95,6 +109,7 @@ class Control:
             self._publishers.append(network_socket(self._context, zmq.PUB, self._table.tcp_status, pair))
 
     def _close(self) -> None:
+        self._endpoint.close()
         self._context.destroy(linger=0)
         for local in self._locals:
             local.remove()
@@ -111,17 +126,17 @@ class Control:
             left_ms = max(0, (next_ns - self._clock.now_ns()) // 1_000_000)
             ready = dict(poller.poll(min(left_ms + 1, 100)))
             if self._door is not None and self._door.socket in ready:
-                self._let_in()
-            if any([self._answer(socket) == AT_ONCE for socket in self._routers if socket in ready]):
+                self._let_in(self._door)
+            answered = [self._answer(socket) for socket in self._routers if socket in ready]
+            if AT_ONCE in answered:
                 self._clock.sleep_until_ns(self._clock.now_ns() + BREATH_NS)
             if self._clock.now_ns() >= next_ns:
                 self._publish()
                 next_ns = max(next_ns + period_ns, self._clock.now_ns())
 
-    def _let_in(self) -> None:
-        assert self._door is not None
-        self._door.serve()
-        for address in self._door.turned_away:
+    def _let_in(self, door: Door) -> None:
+        door.serve()
+        for address in door.turned_away:
             self.desk.tally.not_let_in += 1
             self.desk.refusal(f"{address}: its key is not on the list")
 

@@ -9,11 +9,11 @@ from typing import Any, Final, Self
 import zmq
 
 from rtec.errors import RtecError
-from rtec.runtime.control_message import RequestError, read_answer, request
+from rtec.runtime.control_message import RequestError, may_be_text, read_answer, request
 from rtec.runtime.control_places import all_of, answers, of_config
 from rtec.runtime.control_settings import PLACE
 from rtec.runtime.keys import ClientKeys, read_client
-from rtec.runtime.orders import Order, OrderRefused
+from rtec.runtime.orders import LONGEST_TEXT, Order, OrderRefused
 
 WAIT_S: Final = 2.0
 
@@ -44,7 +44,9 @@ def find(config: Path | None, at: str | None, key: Path | None) -> Place:
     """
     if at is not None:
         if key is None or not PLACE.fullmatch(at):
-            raise RtecError('a daemon on the network needs --at "host:port" and --key FILE (made by `rtec keys client`)')
+            raise RtecError(
+                'a daemon on the network needs --at "host:port" and --key FILE (made by `rtec keys client`)'
+            )
         return Place(f"tcp://{at}", read_client(key))
     candidates = all_of() if config is None else of_config(config)
     alive = [path for path in candidates if answers(path)]
@@ -99,6 +101,8 @@ class Client:
             OrderRefused: the daemon does not take it; the message says why.
             RtecError: it does not answer; the order may or may not have reached it.
         """
+        if not may_be_text(text):
+            raise OrderRefused(f"the text may have at most {LONGEST_TEXT} printable characters, and no line breaks")
         session = self._ask("session")["session"]
         self._seq += 1
         return str(self._ask("order", session=session, seq=self._seq, order=str(order), text=text)["done"])

@@ -9,6 +9,7 @@ from typing import Any, Final, Literal, Protocol
 
 from rtec.runtime.clock import Clock
 from rtec.runtime.config import Setup
+from rtec.runtime.control_left import Left
 from rtec.runtime.control_message import Request, RequestError, answer, numbers, read_request
 from rtec.runtime.events import Event
 from rtec.runtime.orders import Order, OrderRefused
@@ -96,6 +97,7 @@ class Desk:
         daemon: is told the orders.
         clock: monotonic.
         origin: what does not change while the daemon runs; stands in every status.
+        left: knows what the last measurement says.
 
     Attributes:
         tally: of everything so far.
@@ -104,6 +106,7 @@ class Desk:
     daemon: Daemon
     clock: Clock
     origin: Mapping[str, Any]
+    left: Left = field(default_factory=lambda: Left(None))
     tally: Tally = field(default_factory=Tally)
     _sessions: OrderedDict[bytes, _Session] = field(default_factory=OrderedDict)
     _tell: _Tell = field(default_factory=_Tell)
@@ -131,16 +134,17 @@ class Desk:
         total, newest = self.daemon.recent_events(EVENTS)
         age_s = (self.clock.now_ns() - status.time_ns) * 1e-9 if status.time_ns else None
         facts = {**dataclasses.asdict(status), "flags": [f.name for f in status.flags], "reasons": status.reasons}
-        return {
+        content = {
             **self.origin,
             "model": model.name,
-            "model_left_um": model.noise_um,
-            "status": numbers(facts),
+            "left": self.left.facts(model),
+            "status": facts,
             "status_age_s": age_s,
             "events_total": total,
             "events": [dataclasses.asdict(event) for event in newest],
             "control": dataclasses.asdict(self.tally),
         }
+        return {key: numbers(value) for key, value in content.items()}
 
     def refusal(self, text: str) -> None:
         """Put a refusal into the events, if none was there in the last minute."""

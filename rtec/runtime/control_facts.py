@@ -5,6 +5,7 @@ from typing import Any, Final
 
 STANDS_S: Final = 1.0
 """A row that is older: the loop stands."""
+_UNITS: Final = {"um": "µm", "urad": "µrad"}
 _MODES: Final = {
     "on": "on: the correction follows the model",
     "off": "off: the correction goes to nothing, or has gone there",
@@ -19,13 +20,14 @@ def well(found: Mapping[str, Any]) -> bool:
 
 
 def axis_rows(found: Mapping[str, Any]) -> list[list[str]]:
-    """Of each axis: name, requested and applied correction, output, raw counts."""
-    status = found["status"]
+    """Of each axis: name, requested and applied correction, what the last measurement says is left, output, counts."""
+    status, left = found["status"], found["left"]["axes"]
     return [
         [
             axis,
             _um(status["requested_um"][axis]),
             _um(status["applied_um"][axis]),
+            f"{left[axis]['rms_um']:.2f}" if axis in left else "not known",
             f"{status['output'][axis]:+d}",
             f"{status['counts'][axis]:d}",
         ]
@@ -59,8 +61,7 @@ def footer(found: Mapping[str, Any]) -> list[str]:
     hours = status["time_s"] / 3600
     lasted = f"{hours:.1f} h" if hours >= 1 else f"{status['time_s']:.0f} s"
     lines = [f"{status['cycles']} cycles in {lasted}, {status['misses']} deadlines missed"]
-    if found["model_left_um"] is not None:
-        lines.append(f"measurements that the model was fitted to: {found['model_left_um']:.2f} µm are left (noise, 1 σ)")
+    lines += _left(found["left"])
     if status["reload"]:
         lines.append(status["reload"])
     control = found["control"]
@@ -69,6 +70,22 @@ def footer(found: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"control: {control['refused']} requests refused, {control['malformed']} not understood, "
             f"{control['not_let_in']} not let in"
+        )
+    return lines
+
+
+def _left(left: Mapping[str, Any]) -> list[str]:
+    """Where the figures of what is left come from; without a comparison, what the model's history says."""
+    lines = [
+        f"left of {axis}: root mean square of {', '.join(of['from'])}; noise {of['noise_um']:.2f} µm"
+        for axis, of in left["axes"].items()
+    ]
+    if left["trouble"]:
+        lines.append(f"left: {left['trouble']}")
+    elif not lines and left["model"]["rms"] is not None:
+        unit = _UNITS.get(left["model"]["unit"], left["model"]["unit"])
+        lines.append(
+            f"left by the model: {left['model']['rms']:.2f} {unit} on runs left out of its fit, all axes together"
         )
     return lines
 

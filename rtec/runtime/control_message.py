@@ -83,6 +83,11 @@ def read_answer(message: bytes) -> dict[str, Any]:
     return _object(message, longest=None)
 
 
+def may_be_text(value: str) -> bool:
+    """May it go with an order? In logs and terminals control characters do things; half a surrogate breaks a file."""
+    return len(value) <= LONGEST_TEXT and value.isprintable()
+
+
 def numbers(value: Any) -> Any:
     """The same with None where a number is not finite, which JSON has no word for."""
     if isinstance(value, Mapping):
@@ -133,7 +138,6 @@ def _order(data: Mapping[str, Any]) -> Order:
 
 def _text(data: Mapping[str, Any]) -> str:
     value = data.get("text", "")
-    # Printable: it goes to logs and terminals, where control characters do things, and half a surrogate breaks a file.
-    if not isinstance(value, str) or len(value) > LONGEST_TEXT or not value.isprintable():
+    if not isinstance(value, str) or not may_be_text(value):
         raise RequestError(f"'text' must be a text of at most {LONGEST_TEXT} printable characters")
     return value

@@ -100,7 +100,7 @@ def answers(path: Path) -> bool:
         except BlockingIOError:  # alive, and busy
             return True
         except PermissionError as e:
-            raise RtecError(f"{path}: may not be used by this user; call rtec as the user that the daemon runs as") from e
+            raise RtecError(f"{path}: not for this user; call rtec as the user that the daemon runs as") from e
         except OSError:
             return False
     return True

@@ -7,10 +7,10 @@ A client's own file holds its two keys and the daemon's public one; it goes to t
 import os
 import re
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeVar
 
 import tomli_w
 from pydantic import Field
@@ -32,12 +32,13 @@ class Pair(Strict):
     secret: Key
 
 
-class ClientKeys(Strict):
+class ClientKeys(Pair):
     """A client's own file: its two keys, and the public key of the daemon that it knows the daemon by."""
 
-    public: Key
-    secret: Key
     server: Key
+
+
+P = TypeVar("P", bound=Pair)
 
 
 class Client(Strict):
@@ -111,6 +112,8 @@ def read_clients(path: Path) -> dict[str, Client]:
     Raises:
         ConfigError: it is not there, or something in it is wrong.
     """
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file; `rtec keys server {path.parent}` makes keys and an empty list")
     clients = validated(Clients, read_toml(path), str(path)).client
     for name, client in clients.items():
         same = [other for other, c in clients.items() if c.key == client.key]
@@ -160,6 +163,8 @@ def add_client(folder: Path, name: str, role: Role, key: str | None, out: Path) 
     if name in clients:
         raise ConfigError(f"{folder / CLIENTS}: {name} is on the list; take it off first: `rtec keys remove`")
     pair = _new_pair() if key is None else None
+    if key is not None and not re.fullmatch(Z85, key):
+        raise ConfigError(f"{key[:60]!r} is no public key: 40 characters, as `zmq.curve_keypair()` gives them first")
     entry = validated(Client, {"key": pair.public if pair else key, "role": role}, f"client {name}")
     if any(c.key == entry.key for c in clients.values()):
         raise ConfigError(f"{folder / CLIENTS}: this key is on the list under another name")
@@ -183,7 +188,7 @@ def remove_client(folder: Path, name: str) -> None:
     _write_clients(folder, {n: c for n, c in clients.items() if n != name})
 
 
-def _secret(path: Path, kind: Callable[..., Any], way: str) -> Any:
+def _secret(path: Path, kind: type[P], way: str) -> P:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError as e:
@@ -192,7 +197,7 @@ def _secret(path: Path, kind: Callable[..., Any], way: str) -> Any:
         raise ConfigError(f"{path}: cannot be read: {e.strerror}") from e
     if mode & 0o077:
         raise ConfigError(f"{path}: others may read this secret; `chmod 600 {path}`")
-    pair = validated(kind, read_toml(path), str(path))  # type: ignore[type-var]
+    pair = validated(kind, read_toml(path), str(path))
     import zmq
 
     try:

@@ -1,6 +1,7 @@
 """The supervisor's side of a reload: reads again, hands it to the loop, sees that the loop has it."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -56,7 +57,8 @@ class ReloadDesk:
         elif found is not None:
             self._coming = found
             self._generation += 1
-            pipe.send_bytes(found.message)
+            with suppress(BrokenPipeError, ConnectionResetError):  # the loop died; who waits for its end says so
+                pipe.send_bytes(found.message)
             ring.orders.reloads = self._generation
 
     def look(self, ring: Ring, disk: DiskThread) -> None:

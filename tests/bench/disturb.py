@@ -1,4 +1,5 @@
-"""Deadlines that the loop misses at 1 kHz: quiet, with the supervisor stopped, with a log disk that stalls."""
+"""Deadlines that the loop misses at 1 kHz: quiet, with the supervisor stopped, with a log disk that stalls, with
+a hundred subscribers."""
 
 import json
 import os
@@ -12,8 +13,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import zmq
+
 from rtec.runtime.clock import RealClock
 from rtec.runtime.config import Setup
+from rtec.runtime.control_message import TOPIC
+from rtec.runtime.control_places import STATUS, socket_path
 from rtec.runtime.supervisor import Supervisor
 from tests import setups
 from tests.bench.table import Row
@@ -22,6 +27,7 @@ SECONDS = 10.0
 DISTURBED_S = 5.0
 BEFORE_S = 2.0
 TURNS = 2
+SUBSCRIBERS = 100
 SLACK_MISSES = 5
 """What two quiet runs differ by on a computer that does other things too."""
 
@@ -34,6 +40,7 @@ def rows() -> list[Row]:
         "quiet": _quiet,
         f"supervisor stopped for {DISTURBED_S:g} s": _stopped,
         f"log disk stalled for {DISTURBED_S:g} s": _stalled,
+        f"{SUBSCRIBERS} subscribers for {DISTURBED_S:g} s": _subscribed,
     }
     found: dict[str, list[Facts]] = {name: [] for name in runs}
     for _ in range(TURNS):
@@ -48,7 +55,7 @@ def rows() -> list[Row]:
 def _row(name: str, facts: Facts, quiet: int) -> Row:
     misses, cycles = facts["deadline_misses"], facts["cycles"]
     value = f"{misses} of {cycles}, wake-up p99.9 {facts['wake_up']['p99_9_us']:.0f} µs"
-    against = f"quiet: {quiet}; rows not logged: {facts['rows_not_logged']}"
+    against = f"quiet: {quiet}; rows not logged: {facts['rows_not_logged']}{facts.get('more', '')}"
     if name == "quiet":
         return Row(f"deadlines missed, {name}", value, None, against, "", True)
     ratio = (misses + 1) / (quiet + 1)
@@ -67,17 +74,60 @@ def _here(setup: Setup, folder: Path) -> Facts:
 
 def _stopped(folder: Path) -> Facts:
     """The whole supervisor stands still, by SIGSTOP; its loop is another process."""
+
+    def disturb(config: Path, pid: int) -> str:
+        del config
+        os.kill(pid, signal.SIGSTOP)
+        _after(DISTURBED_S)
+        os.kill(pid, signal.SIGCONT)
+        return ""
+
+    return _elsewhere(folder, disturb)
+
+
+def _subscribed(folder: Path) -> Facts:
+    """A hundred listen to the published status, all of them by sockets of their own, attached at once."""
+
+    def disturb(config: Path, pid: int) -> str:
+        del pid
+        heard, count = _listen(f"ipc://{socket_path(config, STATUS)}")
+        return f"; {heard} subscribers heard {count} statuses"
+
+    return _elsewhere(folder, disturb)
+
+
+def _listen(address: str) -> tuple[int, int]:
+    """Attach; give how many heard anything, and how many statuses all of them heard together."""
+    clock, context, heard = RealClock(), zmq.Context(), [0] * SUBSCRIBERS
+    poller, numbers = zmq.Poller(), dict[Any, int]()
+    try:
+        for k in range(SUBSCRIBERS):
+            made: Any = context.socket(zmq.SUB)
+            made.subscribe(TOPIC)
+            made.connect(address)
+            poller.register(made, zmq.POLLIN)
+            numbers[made] = k
+        last_ns = clock.now_ns() + round(DISTURBED_S * 1e9)
+        while clock.now_ns() < last_ns:
+            for socket, _ in poller.poll(100):
+                socket.recv_multipart()
+                heard[numbers[socket]] += 1
+    finally:
+        context.destroy(linger=0)
+    return sum(n > 0 for n in heard), sum(heard)
+
+
+def _elsewhere(folder: Path, disturb: Callable[[Path, int], str]) -> Facts:
+    """`rtec run` as a process, disturbed after a while; what the disturbance says goes with the facts."""
     config = setups.write(folder, setups.tables(folder))
     command = [sys.executable, "-m", "rtec.cli.main", "run", str(config), "--json", "--duration", str(SECONDS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         process.stderr.readline()  # it says when the loop begins
         _after(BEFORE_S)
-        os.kill(process.pid, signal.SIGSTOP)
-        _after(DISTURBED_S)
-        os.kill(process.pid, signal.SIGCONT)
+        more = disturb(config, process.pid)
         told, _ = process.communicate()
-    facts: Facts = json.loads(told)
+    facts: Facts = {**json.loads(told), "more": more}
     return facts
 
 

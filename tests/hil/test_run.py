@@ -124,10 +124,14 @@ def test_a_killed_run_keeps_its_log_but_for_the_last_second(tmp_path: Path) -> N
     assert rings_left() == []
 
 
-def test_without_its_supervisor_the_loop_holds_and_ends(tmp_path: Path) -> None:
-    """The pipe that the test reads ends when the last process that could write to it has ended: the loop's."""
+@pytest.mark.parametrize("at_cycle", [1 - faulty.REHEARSAL, 300])
+def test_without_its_supervisor_the_loop_holds_and_ends(tmp_path: Path, at_cycle: int) -> None:
+    """The pipe that the test reads ends when the last process that could write to it has ended: the loop's.
+
+    Killed while the loop still makes itself ready, at its very first reading, and in the middle of the run.
+    """
     told = tmp_path / "told"
-    done = faulty_run(tmp_path, happens="kill_supervisor", at_cycle=300, told=str(told))
+    done = faulty_run(tmp_path, happens="kill_supervisor", at_cycle=at_cycle, told=str(told))
     assert done.returncode == -9
     lines = told.read_text().splitlines()
     assert lines[-2:] == ["held", "closed"]

@@ -252,6 +252,29 @@ def test_killed_owner_leaks_nothing_for_long() -> None:
     assert not (SHM / name).exists()
 
 
+_HOLD_ANY = """
+import signal
+from rtec.runtime.records import Layout
+from rtec.runtime.ring import Ring
+print(Ring.create(Layout(("X",), ()), 8).name, flush=True)
+signal.pause()
+"""
+
+
+def test_a_ring_of_a_killed_owner_goes_with_the_next_one_that_is_made() -> None:
+    """Whatever its name, as long as nobody else had it; that of a living owner stays."""
+    with subprocess.Popen([sys.executable, "-c", _HOLD_ANY], stdout=subprocess.PIPE) as owner:
+        try:
+            assert owner.stdout is not None
+            name = owner.stdout.readline().decode().strip()
+            with Ring.create(LAYOUT, 8):
+                assert (SHM / name).exists()
+        finally:
+            owner.send_signal(signal.SIGKILL)
+    with Ring.create(LAYOUT, 8):
+        assert not (SHM / name).exists()
+
+
 _QUIET = """
 import sys
 from rtec.runtime.ring import Ring

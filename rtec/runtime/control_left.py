@@ -1,0 +1,137 @@
+"""What the last measurement says is left, axis by axis: the third of the three numbers that stand in every status.
+
+The daemon cannot know it: it measures nothing. What it shows is what `rtec compare --json` said last, in a file that
+the run file names; without one, what the model's own history says of runs that were left out of its fit.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from rtec.machine import Machine
+from rtec.model import Model
+
+LARGEST_BYTES: Final = 16 * 1024 * 1024
+_Number = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Item(BaseModel):
+    """Of one reading column of one measurement; there are more keys in the file than are looked at here."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    name: str
+    column: str = ""
+    unit: str
+    n: Annotated[int, Field(gt=0, le=2**53)]
+    rms_residual_um: _Number
+    noise_floor_um: _Number
+    components: tuple[str, ...] = ()
+
+
+class _Compared(BaseModel):
+    model_config = ConfigDict(extra="ignore")
+
+    model: str
+    measurements: tuple[_Item, ...]
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What stood in the file when it was looked at: its stamp, the comparison, or what is wrong with it."""
+
+    stamp: tuple[int, int, int] | None = None
+    compared: _Compared | None = None
+    trouble: str = ""
+
+
+class Left:
+    """Reads the comparison again whenever its file has changed; asked from several threads.
+
+    Args:
+        path: the JSON of `rtec compare`; None: there is none.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path, self._read = path, _Read()
+
+    def facts(self, model: Model) -> dict[str, Any]:
+        """Plain data: of each axis that was measured `rms_um`, `noise_um`, `from`; of the model; what is wrong."""
+        read = self._look()
+        found, trouble = read.compared, read.trouble
+        if found is not None and found.model != model.name:
+            trouble = f"{self._path}: compares model {found.model!r}, and {model.name!r} runs: compare anew"
+            found = None
+        axes = {} if found is None else _by_axis(found.measurements, model.machine)
+        return {"axes": axes, "model": _of_history(model), "trouble": trouble}
+
+    def _look(self) -> _Read:
+        if self._path is None:
+            return self._read
+        try:
+            found = self._path.stat()
+            stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
+            if stamp != self._read.stamp:
+                self._read = _read(self._path, stamp)
+        except FileNotFoundError:
+            self._read = _Read(
+                trouble=f"{self._path}: no such file yet; `rtec compare MODEL MEASUREMENT --json` makes it"
+            )
+        except OSError as e:
+            self._read = _Read(trouble=f"{self._path}: cannot be read: {e.strerror}")
+        return self._read
+
+
+def _read(path: Path, stamp: tuple[int, int, int]) -> _Read:
+    if stamp[1] > LARGEST_BYTES:
+        return _Read(stamp, trouble=f"{path}: too large for a comparison")
+    try:
+        return _Read(stamp, _Compared.model_validate_json(path.read_bytes()))
+    except ValidationError:
+        return _Read(stamp, trouble=f"{path}: is not what `rtec compare --json` prints")
+
+
+def _by_axis(items: tuple[_Item, ...], machine: Machine) -> dict[str, dict[str, Any]]:
+    """Of each axis that corrects: all readings along its direction together, as root mean square."""
+    out = {}
+    for axis in machine.axes:
+        along = [i for i in items if i.unit == "um" and axis.compensate and _direction(i) == axis.direction]
+        if along:
+            out[axis.name] = {
+                "rms_um": _pooled([(i.n, i.rms_residual_um) for i in along]),
+                "noise_um": _pooled([(i.n, i.noise_floor_um) for i in along]),
+                "from": list(dict.fromkeys(i.name for i in along)),
+            }
+    return out
+
+
+def _direction(item: _Item) -> str | None:
+    """X, Y or Z: the machine coordinate that was read; None where a reading mixes several, as a ball bar's does."""
+    for letter in "XYZ":
+        if item.column == f"reading_{letter.lower()}_um":
+            return letter
+    # A laser off the axis sees its rotations, too; the direction is that of the one displacement among them.
+    seen = {component[1:2] for component in item.components if component.startswith("E")} & set("XYZ")
+    return seen.pop() if len(seen) == 1 else None
+
+
+def _pooled(sizes: list[tuple[int, float]]) -> float:
+    return math.sqrt(sum(n * rms**2 for n, rms in sizes) / sum(n for n, _ in sizes))
+
+
+def _of_history(model: Model) -> dict[str, Any]:
+    """What the newest entry that says it says: left on runs that were left out of the fit."""
+    for entry in reversed(model.history):
+        rms = _number(entry, "rms_after", "rms_held_out")
+        if rms is not None:
+            return {"rms": rms, "unit": str(entry.get("unit", "um"))[:20], "noise_um": model.noise_um}
+    return {"rms": None, "unit": "um", "noise_um": model.noise_um}
+
+
+def _number(entry: Mapping[str, Any], *names: str) -> float | None:
+    found = [entry[n] for n in names if isinstance(entry.get(n), int | float) and not isinstance(entry[n], bool)]
+    return float(found[0]) if found and math.isfinite(found[0]) else None

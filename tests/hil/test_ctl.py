@@ -1,0 +1,241 @@
+"""`rtec run` in a process of its own, looked at and ordered about by `rtec status` and `rtec ctl` in others.
+
+Oracles: what the commands say against the log's rows and the events beside it; the exit status.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+import zmq
+
+from rtec.correction.guard import Flag
+from rtec.runtime.clock import RealClock
+from rtec.runtime.control_client import Client, find
+from rtec.runtime.control_message import TOPIC
+from rtec.runtime.control_places import ORDERS, STATUS, answers, socket_path
+from rtec.runtime.keys import add_client, make_server, read_client
+from rtec.runtime.log import LogReader
+from tests import setups
+from tests.hil.test_run import rtec
+from tests.unit.control_rig import free_place, lock
+
+pytestmark = pytest.mark.xdist_group("real-clock")
+PERIOD_NS = 20_000_000
+START_NS = 120_000_000_000
+SLEW_UM_S = 50.0
+
+
+class Running:
+    """A daemon that runs until it is told to end."""
+
+    def __init__(self, config: Path, log: Path) -> None:
+        self.config, self.log = config, log
+        command = [sys.executable, "-m", "rtec.cli.main", "run", str(config), "--log", str(log), "--json"]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+
+    def until_it_runs(self) -> None:
+        """Wait for its first row."""
+        clock = RealClock()
+        last_ns = clock.now_ns() + START_NS
+        while clock.now_ns() < last_ns:
+            assert self.process.poll() is None, self.process.communicate()[1]
+            if answers(socket_path(self.config, ORDERS)):
+                with Client(find(self.config, None, None), wait_s=20.0) as client:
+                    if client.status()["status"]["cycles"]:
+                        return
+            clock.sleep_until_ns(clock.now_ns() + PERIOD_NS)
+        raise AssertionError("the daemon did not begin")
+
+    def end(self) -> dict[str, Any]:
+        """End it in order; give its summary."""
+        self.process.send_signal(signal.SIGTERM)
+        out, err = self.process.communicate(timeout=60)
+        assert self.process.returncode == 130, err
+        found = json.loads(out)
+        assert isinstance(found, dict)
+        return found
+
+
+@pytest.fixture
+def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    make_server(tmp_path / "keys")
+    add_client(tmp_path / "keys", "office", "read", None, tmp_path / "office.key")
+    add_client(tmp_path / "keys", "cell", "operate", None, tmp_path / "cell.key")
+    content = setups.tables(tmp_path)
+    content["control"] = {"tcp": free_place(), "tcp_status": free_place(), "keys": "keys", "status_hz": 50}
+    running = Running(setups.write(tmp_path, content), tmp_path / "log.arrows")
+    try:
+        running.until_it_runs()
+        yield running
+    finally:
+        running.process.kill()
+        running.process.communicate()
+
+
+def events(running: Running) -> list[dict[str, Any]]:
+    lines = running.log.with_suffix(".events.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def test_every_order_by_the_command_line(daemon: Running) -> None:
+    """Each says what came of it; the log has it at the row that the events name, and nowhere a jump."""
+    said = {}
+    for name in ("hold", "enable", "fade", "resume"):
+        done = rtec("ctl", name, daemon.config)
+        assert done.returncode == 0, done.stderr
+        said[name] = done.stdout
+    assert "stays where it is; applied now: X " in said["hold"]
+    assert "goes to nothing" in said["fade"]
+    assert "go on from where they are" in said["resume"]
+    marked = rtec("ctl", "mark", "first part", daemon.config, "--json")
+    assert json.loads(marked.stdout)["text"].endswith(": first part")
+
+    content = tomllib.loads(daemon.config.read_text(encoding="utf-8"))
+    content["limits"]["X"]["stop_um"] = 80.0
+    daemon.config.write_text(tomli_w.dumps(content), encoding="utf-8")
+    assert rtec("ctl", "reload", daemon.config).stdout == "reloaded: limits of X\n"
+    daemon.config.write_text("[run", encoding="utf-8")
+    spoilt = rtec("ctl", "reload", daemon.config)
+    assert spoilt.returncode == 1
+    assert "the old one stays in force" in spoilt.stdout
+
+    shown = rtec("status", daemon.config)
+    assert shown.returncode == 0, shown.stdout
+    assert "mode off: the correction goes to nothing" in shown.stdout
+    assert "deadlines missed" in shown.stdout
+    summary = daemon.end()
+    found = events(daemon)
+    assert [e["what"] for e in found] == [
+        *("hold", "enable", "fade", "resume", "mark"),
+        *("reload", "reloaded", "reload", "not reloaded"),
+    ]
+    with LogReader(daemon.log) as reader:
+        blocks = list(reader.blocks())
+    flags = [int(f) for _, commands in blocks for f in commands.flags]
+    um = np.concatenate([commands.applied_um for _, commands in blocks])
+    ns = np.concatenate([samples.time_ns for samples, _ in blocks])
+    assert (np.abs(np.diff(um, axis=0)).max(axis=1) <= SLEW_UM_S * np.diff(ns) * 1e-9 * (1 + 1e-9)).all()
+    held = [k for k, f in enumerate(flags) if f & Flag.ORDERED_HOLD and k < found[2]["row"]]
+    assert found[0]["row"] <= held[0] <= found[0]["row"] + 500
+    assert held[-1] <= found[1]["row"] + 500
+    sys.stdout.write(f"deadlines missed: {summary['deadline_misses']} of {summary['cycles']}\n")
+
+
+def test_over_the_network(daemon: Running) -> None:
+    """With the keys of the command line: `office` reads, `cell` operates, the events say who it was."""
+    at = json.loads(rtec("status", daemon.config, "--json").stdout)
+    folder, place = daemon.config.parent, setup_place(daemon.config)
+    by_office = ("--at", place, "--key", folder / "office.key")
+    assert json.loads(rtec("status", *by_office, "--json").stdout)["pid"] == at["pid"]
+    refused = rtec("ctl", "fade", *by_office)
+    assert (refused.returncode, refused.stderr) == (2, "rtec: refused: office may read, not operate\n")
+    assert rtec("ctl", "fade", "--at", place, "--key", folder / "cell.key").returncode == 0
+    assert rtec("keys", "remove", folder / "keys", "cell").returncode == 0
+    shut = rtec("ctl", "enable", "--at", place, "--key", folder / "cell.key")
+    assert shut.returncode == 2
+    assert "is this key on its list" in shut.stderr
+    daemon.end()
+    assert [(e["what"], e["who"]) for e in events(daemon)][:2] == [("refused", "rtec"), ("fade", "cell")]
+
+
+def setup_place(config: Path) -> str:
+    """The place that the run file gives for clients on the network."""
+    from rtec.runtime.config import load_setup
+
+    place = load_setup(config).file.control.tcp
+    assert place is not None
+    return place
+
+
+def test_a_hundred_subscribers_slow_and_dead_ones_too(daemon: Running) -> None:
+    """All that listen hear every row's status; whoever does not read, or vanished, keeps nobody waiting.
+
+    Deadlines missed are told, not judged: the test's own hundred sockets share the processors with the loop.
+    """
+    folder = daemon.config.parent
+    before = status(daemon)["status"]
+    context: Any = zmq.Context()
+    dead: Any = zmq.Context()
+    try:
+        listening = [subscriber(context, f"ipc://{socket_path(daemon.config, STATUS)}") for _ in range(100)]
+        slow = subscriber(context, f"ipc://{socket_path(daemon.config, STATUS)}", 1)
+        from rtec.runtime.config import load_setup
+
+        made = subscriber(dead, f"tcp://{load_setup(daemon.config).file.control.tcp_status}", 1, folder / "office.key")
+        assert made.poll(20_000)
+        dead.destroy(linger=0)
+        seen = [0] * len(listening)
+        for _ in range(50):
+            for k, one in enumerate(listening):
+                assert one.poll(20_000)
+                cycles = json.loads(one.recv_multipart()[1])["status"]["cycles"]
+                assert cycles >= seen[k]
+                seen[k] = cycles
+        assert slow.poll(20_000)
+    finally:
+        context.destroy(linger=0)
+        dead.destroy(linger=0)
+    after = status(daemon)["status"]
+    assert after["overruns"] == 0
+    daemon.end()
+    sys.stdout.write(
+        f"deadlines missed: {before['misses']} of {before['cycles']} before, "
+        f"{after['misses'] - before['misses']} of {after['cycles'] - before['cycles']} meanwhile\n"
+    )
+
+
+def subscriber(context: Any, address: str, most: int = 1000, key: Path | None = None) -> Any:
+    made = context.socket(zmq.SUB)
+    made.rcvhwm = most
+    lock(made, None if key is None else read_client(key))
+    made.subscribe(TOPIC)
+    made.connect(address)
+    return made
+
+
+def status(running: Running) -> dict[str, Any]:
+    with Client(find(running.config, None, None)) as client:
+        return client.status()
+
+
+def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message says how to go on; what a killed daemon left behind is no daemon, and is in nobody's way."""
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    config = setups.write(tmp_path, setups.tables(tmp_path))
+    for arguments in (("status", config), ("ctl", "hold", config)):
+        found = rtec(*arguments)
+        assert found.returncode == 2
+        assert f"no daemon runs with {config}: start one with `rtec run {config}`" in found.stderr
+    running = Running(config, tmp_path / "log.arrows")
+    try:
+        running.until_it_runs()
+        os.killpg(running.process.pid, signal.SIGKILL)
+    finally:
+        running.process.communicate()
+    assert socket_path(config, ORDERS).exists()
+    assert rtec("status", config).returncode == 2
+    again = Running(config, tmp_path / "log-2.arrows")
+    try:
+        again.until_it_runs()
+        second = rtec("run", config, "--duration", 1)
+        assert second.returncode == 2
+        assert "another rtec runs with this run file" in second.stderr
+        assert rtec("status", config).returncode == 0
+        again.end()
+    finally:
+        again.process.kill()
+        again.process.communicate()
+    assert not socket_path(config, ORDERS).exists()

@@ -1,0 +1,116 @@
+"""A daemon without a loop behind the real sockets of control, and a client that says what it likes."""
+
+import json
+import socket
+from collections.abc import Sequence
+from typing import Any
+
+import zmq
+
+from rtec.correction.guard import Flag
+from rtec.runtime.config import Setup
+from rtec.runtime.control_message import SCHEMA
+from rtec.runtime.events import Event, Events
+from rtec.runtime.keys import ClientKeys
+from rtec.runtime.orders import Order, OrderRefused
+from rtec.runtime.status import Status
+
+LONG_MS = 20_000
+SHORT_MS = 500
+
+
+class FakeDaemon:
+    """Takes every order but `reload`, and remembers it."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup, self.orders, self._events = setup, list[tuple[Order, str, str]](), Events(None)
+        self.status = Status(
+            time_s=7200.0,
+            time_ns=1,
+            cycles=7_200_000,
+            misses=3,
+            mode="on",
+            requested_um={"X": 1.5, "Z": -2.5},
+            applied_um={"X": 1.25, "Z": float("nan")},
+            output={"X": 2, "Z": -5},
+            counts={"X": 100, "Z": -7},
+            flags=Flag(0),
+            degc={"T_bed": 21.25, "T_air": float("nan")},
+            degc_age_s={"T_bed": 0.5, "T_air": 9e9},
+        )
+
+    def order(self, order: Order, text: str = "", who: str = "local") -> str:
+        """Remember it."""
+        if order is Order.RELOAD:
+            raise OrderRefused("an earlier order to reload is not done with yet")
+        self.orders.append((order, text, who))
+        return f"{order} ordered"
+
+    def note(self, what: str, text: str) -> None:
+        """Remember it."""
+        self._events.note(Event(0, 0, "2026-01-01T00:00:00Z", what, text, "rtec"))
+
+    def recent_events(self, most: int) -> tuple[int, Sequence[Event]]:
+        """The newest."""
+        return self._events.total, list(self._events.newest)[-most:]
+
+    @property
+    def notes(self) -> list[str]:
+        """Texts of the events."""
+        return [event.text for event in self._events.newest]
+
+
+class Line:
+    """A raw connection to the orders' socket."""
+
+    def __init__(self, address: str, keys: ClientKeys | None = None) -> None:
+        self.context: Any = zmq.Context()
+        self.socket: Any = self.context.socket(zmq.DEALER)
+        self.socket.linger = 0
+        lock(self.socket, keys)
+        self.socket.connect(address)
+
+    def __enter__(self) -> "Line":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.context.destroy(linger=0)
+
+    def send(self, message: bytes) -> None:
+        """Send, unread."""
+        self.socket.send_multipart([b"", message])
+
+    def receive(self, wait_ms: int = LONG_MS) -> dict[str, Any] | None:
+        """The next answer; None where none comes."""
+        if not self.socket.poll(wait_ms):
+            return None
+        found = json.loads(self.socket.recv_multipart()[-1])
+        assert isinstance(found, dict)
+        assert found["schema"] == SCHEMA
+        return found
+
+    def ask(self, wait_ms: int = LONG_MS, **content: object) -> dict[str, Any] | None:
+        """Send what is asked as JSON; give the answer."""
+        self.send(json.dumps({"schema": SCHEMA, **content}).encode())
+        return self.receive(wait_ms)
+
+    def order(self, **changed: object) -> bytes:
+        """Open a session; give the text of an order in it, unsent."""
+        found = self.ask(ask="session")
+        assert found is not None
+        content = {"schema": SCHEMA, "ask": "order", "session": found["session"], "seq": 1, "order": "hold"}
+        return json.dumps({**content, **changed}).encode()
+
+
+def lock(made: Any, keys: ClientKeys | None) -> None:
+    """Give a socket a client's keys."""
+    if keys is not None:
+        made.curve_serverkey = keys.server.encode()
+        made.curve_publickey, made.curve_secretkey = keys.public.encode(), keys.secret.encode()
+
+
+def free_place() -> str:
+    """A place on the loopback where nobody listens."""
+    with socket.socket() as trial:
+        trial.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{trial.getsockname()[1]}"
