@@ -1,17 +1,22 @@
 """What is true of the machine that is measured: effects of a model file, and effects written on one line."""
 
+import ast
+import itertools
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rtec.effects import effect_class
+from rtec.effects.arithmetic import degree, parse
+from rtec.effects.expression import Expression
 from rtec.errors import ModelError
 from rtec.machine import Machine
 from rtec.model import FittedEffect, Model, load_model
 from rtec.model.model import names_of
 from rtec.tomlfile import nearest, validated
 
+MOST_NAMES = 8
 FORM = "write NAME,key=value,…, for example scale,component=EXX,axis=X,k=12"
 
 
@@ -31,6 +36,8 @@ def truth_of(machine: Machine, file: Path | None = None, effects: Sequence[str] 
 def effect_from_text(text: str, machine: Machine) -> FittedEffect:
     """Read `NAME,key=value,…`: arguments, coefficients and non-linear parameters of one effect, in any order.
 
+    An expression of one's own is written so, too: `expression,component=EYX,expression=A*exp(-((x-c)/w)**2),A=3,…`.
+
     Raises:
         ModelError: what is wrong in it.
     """
@@ -45,6 +52,8 @@ def effect_from_text(text: str, machine: Machine) -> FittedEffect:
         if key.strip() in given:
             raise ModelError(f"{where}: {key.strip()!r} stands twice")
         given[key.strip()] = toml_value(value)
+    if kind is Expression and "linear" not in given:
+        given |= _declared(given, where)
     arguments = {k: v for k, v in given.items() if k in kind.model_fields}
     effect = validated(kind, {"effect": head.strip(), **arguments}, where, ModelError)
     effect.check(machine, where)
@@ -60,6 +69,43 @@ def effect_from_text(text: str, machine: Machine) -> FittedEffect:
         raise ModelError(f"{where}: {missing[0]!r} is missing; it has the numbers {', '.join((*linear, *free))}")
     pick = {k: float(v) for k, v in numbers.items()}
     return FittedEffect(effect, {k: pick[k] for k in linear}, {k: pick[k] for k in free})
+
+
+def _declared(given: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """What an expression declares of its numbers: as many as can be are linear, the others are free.
+
+    A free one may take any value within a factor of ten: true values are not searched for.
+
+    Raises:
+        ModelError: it is no expression.
+    """
+    numbers = [k for k, v in given.items() if type(v) in (int, float) and k not in Expression.model_fields]
+    try:
+        tree = parse(str(given.get("expression", "")))
+    except ValueError as e:
+        raise ModelError(f"{where}: expression: {e}") from e
+    linear = next((s for s in _subsets(numbers) if _is_linear(tree, s)), set[str]())
+    unit = "urad" if str(given.get("component", ""))[1:2] in ("A", "B", "C") else "um"
+    free = {k: _free(float(given[k])) for k in numbers if k not in linear}
+    return {"linear": dict.fromkeys((k for k in numbers if k in linear), unit), "free": free}
+
+
+def _subsets(names: Sequence[str]) -> Iterator[set[str]]:
+    """All of them, the largest first; of many names only the whole and each alone."""
+    sizes = range(len(names), 0, -1) if len(names) <= MOST_NAMES else (len(names), 1)
+    return (set(chosen) for size in sizes for chosen in itertools.combinations(names, size))
+
+
+def _is_linear(tree: ast.expr, names: set[str]) -> bool:
+    try:
+        return degree(tree, names) == 1
+    except ValueError:
+        return False
+
+
+def _free(value: float) -> dict[str, float]:
+    low, high = sorted((value / 10.0, value * 10.0)) if value else (-1.0, 1.0)
+    return {"start": value, "low": low, "high": high}
 
 
 def split(text: str) -> list[str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from rtec.cli.main import status
+from rtec.effects import State
 from rtec.errors import ConfigError, MeasurementError, RtecError
 from rtec.machine import Machine, load_machine
 from rtec.machine.exact import exact_tip_error_um
@@ -410,9 +411,26 @@ def test_an_effect_on_one_line_is_the_effect() -> None:
     assert fitted.effect.model_dump()["harmonics"] == 2
 
 
+def test_an_expression_on_one_line() -> None:
+    """Oracle: the formula by numpy; which of its numbers are linear follows from it."""
+    machine = turning_centre()
+    hump = effect_from_text("expression,component=EZX,expression=A*exp(-((x-c)/w)**2),A=3,c=100,w=30", machine)
+    assert hump.values == {"A": 3.0}
+    assert hump.theta == {"c": 100.0, "w": 30.0}
+    x = np.linspace(0.0, 300.0, 7)
+    state = State(machine, np.zeros(7), {"x": x})
+    said = 3.0 * np.asarray(hump.effect.basis(machine, state, hump.theta)[0])
+    np.testing.assert_allclose(said, 3.0 * np.exp(-(((x - 100.0) / 30.0) ** 2)))
+    line = effect_from_text("expression,component=EBX,expression=A*x+B*sin(x/p),A=1,B=2,p=7", machine)
+    assert line.values == {"A": 1.0, "B": 2.0}
+    assert line.effect.model_dump()["linear"] == {"A": "urad", "B": "urad"}
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("expression,component=EXX,expression=A*(,A=3", ["is no expression"]),
+        ("expression,component=EXX,expression=A*foo,A=3", ["'foo' is neither a channel nor a parameter"]),
         ("scal,component=EXX,axis=X,k=1", ["'scal'", "did you mean 'scale'"]),
         ("scale,component=EXX,axis=X", ["'k' is missing"]),
         ("scale,component=EXX,axis=X,q=1", ["unknown key 'q'"]),
