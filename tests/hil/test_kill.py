@@ -65,17 +65,15 @@ def rtec_again(tmp_path: Path, name: str, *options: str) -> "subprocess.Complete
     return subprocess.run(command, capture_output=True, text=True, env=env, timeout=240, check=False)
 
 
-def test_the_daemon_after_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_daemon_after_a_kill(tmp_path: Path, runtime_folder: Path) -> None:
     """Supervisor and loop die together; the next start finds ledger and mode, and a machine that has lost its own.
 
     The simulated machine dies with the loop that it lives in: the next one begins with a ledger of zero, as a box that
     was reset. So the correction holds at what the machine has until the order to resume comes; it never does here.
     """
-    (tmp_path / "run").mkdir()
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))
     done = faulty_run(tmp_path, happens="kill_all", at_cycle=2000)
     assert done.returncode < 0
-    (kept,) = (tmp_path / "run").glob("rtec.*.state")
+    (kept,) = runtime_folder.glob("rtec.*.state")
     assert kept.stat().st_mode & 0o777 == 0o600
     for log in (tmp_path / "logs").glob("*.arrows"):
         log.unlink()
@@ -95,14 +93,13 @@ def test_the_daemon_after_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert any("stopped while it waited" in w for w in third["warnings"])
 
 
-def test_one_run_file_one_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("runtime_folder")
+def test_one_run_file_one_loop(tmp_path: Path) -> None:
     """Two loops on one machine would each undo the other's correction. Oracle: the kernel's file lock."""
     import fcntl
 
     from rtec.runtime.state_files import state_places
 
-    (tmp_path / "run").mkdir()
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))
     config = setups.write(tmp_path, setups.tables(tmp_path))
     path = state_places(config, None).memory
     fd = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
