@@ -54,7 +54,9 @@ def fit(
     known = load_machine(machine)
     _check_out(out, [machine, *files])
     wanted = read_wanted(effects, known) if effects else None
-    with _stages() as stage:
+    from rtec.cli.stopping import told_when_stopped
+
+    with told_when_stopped(), _stages() as stage:
         stage("reading", 0, 1)
         measurements = load_measurements(files, known)
         result = characterise(measurements, wanted=wanted, leave_out_h=leave_out_h, name=out.stem, stage=stage)

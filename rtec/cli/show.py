@@ -3,11 +3,17 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.table import Table as Grid
 
     from rtec.report.html import Page, Table
 
 PIPED_WIDTH = 120
+WHOLE = 30
+"""Letters of a word that is not broken where there is any room for it."""
+BETWEEN, EDGES = 3, 2
+"""Blanks between columns, and at both ends."""
 
 
 def show_page(page: "Page") -> None:
@@ -23,21 +29,48 @@ def show_page(page: "Page") -> None:
             continue
         console.print(section.heading, style="bold")
         for sentence in section.text:
-            console.print(f"- {sentence}")
+            # A command to be copied stays on one line, however long.
+            command = sentence.startswith("rtec ")
+            console.print(f"{'  ' if command else '- '}{sentence}", soft_wrap=command)
         if section.table is not None:
-            console.print(grid(section.table))
+            console.print(grid(section.table, console.width))
         console.print()
 
 
-def grid(table: "Table") -> "Grid":
-    """A table as the terminal shows it."""
+def grid(table: "Table", width: int | None = None) -> "Grid":
+    """A table as a terminal of so many columns shows it: nothing is cut, what does not fit is folded."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as Grid
     from rich.text import Text
 
     out = Grid(box=SIMPLE_HEAD, pad_edge=False)
-    for k, name in enumerate(table.head):
-        out.add_column(Text(name), justify="left" if k in table.words else "right")
+    for k, (name, wide) in enumerate(zip(table.head, _widths(table, width), strict=True)):
+        out.add_column(Text(name), justify="left" if k in table.words else "right", overflow="fold", width=wide)
     for row in table.rows:
         out.add_row(*(Text(cell) for cell in row))
     return out
+
+
+def _widths(table: "Table", width: int | None) -> "Sequence[int | None]":
+    """Widths at which words stay whole, and those columns are narrowed that lose least; None leaves it to chance."""
+    if width is None:
+        return [None] * len(table.head)
+    columns = [[table.head[k], *(row[k] for row in table.rows)] for k in range(len(table.head))]
+    full = [max(map(len, column)) for column in columns]
+    room = width - EDGES - BETWEEN * (len(columns) - 1)
+    if sum(full) <= room:
+        return [None] * len(columns)
+    wide = [
+        max(_longest_word([head]), _longest_word(cells) if k in table.words else max(map(len, cells), default=0))
+        for k, (head, *cells) in enumerate(columns)
+    ]
+    if sum(wide) > room:
+        return [None] * len(columns)
+    while sum(wide) < room:
+        tightest = max(range(len(wide)), key=lambda k: full[k] / max(wide[k], 1))
+        wide[tightest] += 1
+    return wide
+
+
+def _longest_word(cells: "Sequence[str]") -> int:
+    return min(max((len(word) for cell in cells for word in cell.split()), default=0), WHOLE)

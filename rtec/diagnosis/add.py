@@ -13,8 +13,11 @@ from rtec.diagnosis.entry import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.floor import Unit
 from rtec.diagnosis.joint import LOOSE, Joint, joint_fit
 from rtec.diagnosis.noise import least_noise
+from rtec.diagnosis.ranged import ranged
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import held_out
+from rtec.diagnosis.rivals import Rival
+from rtec.diagnosis.usable import apart, check_enough, check_finite, unsure
 from rtec.effects import Effect
 from rtec.errors import ModelError
 from rtec.metrology.characterise.threads import one_blas_thread
@@ -26,6 +29,9 @@ from rtec.model.model import names_of
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
 
+WORTH = 1e-3
+"""A relative fall of the held-out error of less is none: numbers that are free to move always find a little."""
+
 
 @dataclass(frozen=True)
 class Added:
@@ -36,11 +42,13 @@ class Added:
         labels: what was added.
         before: the model as it was, refitted to the same measurements.
         after: with the new effects.
-        floor: what noise alone leaves; never more than is left.
+        floor: what noise alone leaves, as `compare` has it.
         unit: "um", "urad", or "noise" (multiples of it).
-        better: whether the error on runs left out fell.
+        better: whether the error on runs left out fell, by more than nothing.
         smoothed: held-out error with temperatures smoothed both ways in time, which the loop cannot do.
         notes: what else is to be known, in words.
+        floor_from: "repeats", "fitted noise model", or both.
+        passed_over: what these readings cannot tell from what was added.
     """
 
     model: Model
@@ -52,6 +60,8 @@ class Added:
     better: bool
     smoothed: float
     notes: tuple[str, ...] = ()
+    floor_from: str = ""
+    passed_over: tuple[Rival, ...] = ()
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""
@@ -61,8 +71,11 @@ class Added:
             "before": vars(self.before),
             "after": vars(self.after),
             "noise_floor": self.floor,
+            "noise_floor_um": self.floor,
+            "noise_floor_from": self.floor_from,
             "better": self.better,
             "held_out_with_smoothed_temperatures": self.smoothed,
+            "passed_over": [r.facts() for r in self.passed_over],
             "notes": list(self.notes),
             "history": [dict(h) for h in self.model.history],
             "model_sha256": self.model.hash,
@@ -117,29 +130,58 @@ def _add(
     model: Model, new: Sequence[FittedEffect], measurements: Sequence[Measurement], margin: Margin, tell: Stage
 ) -> Added:
     _check_new(model, new)
+    check_enough(measurements)
     tell("refitting the model as it is", 0, 3)
     readings = clean_readings(model, measurements)
     # Readings that the model was fitted to before say nothing new of how sure its numbers are.
     again = any(m.sha256 in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None
     before = joint_fit(model.effects, readings, loose=loose)
-    for fitted in new:
-        if not np.abs(readings.columns(fitted.effect, fitted.theta)).max(initial=0.0) > 0.0:
-            raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
-    tell("refitting with what is new", 1, 3)
-    least = least_noise(readings, floor.cleaned(readings, before.left)) if new else ()
-    after = joint_fit((*model.effects, *new), readings, loose=loose, least=least)
+    tell("refitting with what is new" if new else "refitting", 1, 3)
+    after, searched = (before, ()) if not new else _with_new(model, new, before, readings, loose)
     tell("runs left out", 2, 3)
-    scale = _scale(after, readings)
-    pair = [_errors(j, after, readings, scale) for j in (before, after)]
+    made = _judged(model, new, measurements, readings, (before, after), margin)
+    tell("runs left out", 3, 3)
+    return replace(made, notes=(*made.notes, *searched))
+
+
+def _with_new(
+    model: Model, new: Sequence[FittedEffect], before: Joint, readings: Readings, loose: float | None
+) -> tuple[Joint, tuple[str, ...]]:
+    """Refit with what is new; also what its search is to be told of, in words."""
+    found: list[FittedEffect] = []
+    words: list[str] = []
+    for fitted in new:
+        placed, said = ranged(fitted, before, readings)
+        columns = check_finite(placed, readings)
+        if not np.abs(columns).max(initial=0.0) > 0.0:
+            raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
+        found.append(placed)
+        words += said
+    least = least_noise(readings, floor.cleaned(readings, before.left))
+    return joint_fit((*model.effects, *found), readings, loose=loose, least=least), tuple(words)
+
+
+def _judged(
+    model: Model,
+    new: Sequence[FittedEffect],
+    measurements: Sequence[Measurement],
+    readings: Readings,
+    fits: tuple[Joint, Joint],
+    margin: Margin,
+) -> Added:
+    """What both fits leave, and the model with its history."""
+    after, unit = fits[1], floor.unit_of(readings)
+    floors, sources = floor.as_compared(readings, floor.cleaned(readings, after.left), after.columns)
+    scale = 1.0 / np.maximum(floors, 1e-12) if unit == "noise" else np.ones(len(floors))
+    was, now = (_errors(j, after, readings, scale) for j in fits)
     left = floor.cleaned(readings, readings.values - predicted(model.effects, readings))
     given = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-    # A noise that has swallowed what is still missing would leave more than there is.
-    noise = min(floor.pooled(readings, floor.floors(after.whitener), scale), pair[1].inside)
+    # What a refit is compared with is the model as it stands.
+    was = replace(was, as_given=given) if new else Errors(given, given, given)
+    noise, source = floor.pooled(readings, floors, scale), " and ".join(sorted(set(sources)))
     labels = tuple(f.label for f in new)
-    unit = floor.unit_of(readings)
-    was = Errors(given, pair[0].inside, pair[0].held_out)
-    entry = entry_of(labels, was, pair[1], noise, unit, measurements, len(readings))
+    entry = entry_of(labels, was, now, (noise, source), unit, measurements, len(readings), model)
     made = replace(
         model,
         effects=after.effects,
@@ -148,19 +190,18 @@ def _add(
         measurements={**model.measurements, **{m.name: m.sha256 for m in measurements if m.sha256}},
         history=(*model.history, entry),
     )
-    tell("runs left out", 3, 3)
-    better = pair[1].held_out < pair[0].held_out
-    return Added(
-        made,
-        labels,
-        was,
-        pair[1],
-        noise,
-        unit,
-        better,
-        _with_smooth(after, measurements, model, scale),
-        notes_of(model, measurements),
-    )
+    better = now.held_out < (1.0 - WORTH) * was.held_out
+    smooth = _with_smooth(after, measurements, model, scale)
+    notes = (*unsure(after.effects[len(model.effects) :]), *notes_of(model, measurements))
+    return Added(made, labels, was, now, noise, unit, better, smooth, notes, source)
+
+
+def refused(added: Added) -> str:
+    """Why an addition is not worth its place, in words."""
+    before, after = apart(added.before.held_out, added.after.held_out)
+    if added.after.held_out < added.before.held_out:
+        return f"the error on runs left out falls from {before} to {after}, which is next to nothing"
+    return f"the error on runs left out rises from {before} to {after}"
 
 
 def clean_readings(model: Model, measurements: Sequence[Measurement]) -> Readings:
@@ -187,12 +228,6 @@ def _check_new(model: Model, new: Sequence[FittedEffect]) -> None:
             raise ModelError(
                 f"add: {fitted.label} is in the model already; its numbers are refitted whenever something is added"
             )
-
-
-def _scale(joint: Joint, readings: Readings) -> Floats:
-    if floor.unit_of(readings) != "noise":
-        return np.ones(len(readings.series))
-    return 1.0 / np.maximum(floor.floors(joint.whitener), 1e-12)
 
 
 def _errors(joint: Joint, after: Joint, readings: Readings, scale: Floats) -> Errors:

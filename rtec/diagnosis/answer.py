@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Un
 from rtec.diagnosis.screen import Projected, Screen
 from rtec.diagnosis.separating import fitted_to
 from rtec.diagnosis.tried import Prepared, Tried
+from rtec.diagnosis.typed import Typed, propose
 from rtec.diagnosis.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.errors import RtecError
@@ -262,7 +264,7 @@ class _Answer:
             noise_floor=noise,
             adequacy=adequacy,
             findings=findings,
-            unknown=unknown,
+            unknown=self._located(unknown),
             not_testable=(*untestable(self.s.untried, found), *unseen),
             absent=absent,
             notes=(
@@ -282,18 +284,37 @@ class _Answer:
         )
         return words.with_sentence(draft, smallest)
 
+    @cached_property
+    def _typed(self) -> Typed | None:
+        """What has no name, as an expression that can be typed."""
+        if self.s.unknown is None or self.s.shape is None or not self.s.explain:
+            return None
+        return propose(self.readings, self.s.prepared.base, self.s.shape)
+
+    def _located(self, unknown: Unknown | None) -> Unknown | None:
+        if unknown is None or self._typed is None:
+            return unknown
+        t = self._typed
+        return replace(unknown, where=t.where, expression=t.expression, parameters=t.parameters, feeds=t.component)
+
     def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:
         """The picture of what was found."""
         if unknown is not None:
             shape = self.s.shape
             if shape is None:
                 return None
+            if self._typed is not None:
+                label = f"{self._typed.component}: {self._typed.where or 'what has no name'}"
+                return picture.of_effect(
+                    self.readings, self.s.prepared.base, shape.fit.whitener, label, self._typed.effect,
+                    self._typed.theta,
+                )  # fmt: skip
             return picture.of_shape(
                 self.readings, self.s.prepared.base, self.s.prepared.whitener, shape.columns, shape.shape.variables
             )
         if findings and findings[0].accepted:
             first = findings[0]
             return picture.of_effect(
-                self.readings, self.s.prepared.base, self.s.prepared.whitener, first.label, first.effect, first.theta
+                self.readings, self.s.prepared.base, self._noise(findings), first.label, first.effect, first.theta
             )
         return None

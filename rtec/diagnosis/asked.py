@@ -2,10 +2,11 @@
 
 import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from rtec.diagnosis.add import new_effect
-from rtec.effects import Effect, effect_class
+from rtec.effects import Effect, all_effects, effect_class
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model
 from rtec.tomlfile import nearest, validated
@@ -19,6 +20,7 @@ def asked_effect(name: str, component: str | None, settings: Sequence[str], mode
     Raises:
         ModelError: what is missing or wrong, with what is allowed.
     """
+    name = name.lower() if name.lower() in all_effects() else name
     where = f"effect {name!r}"
     kind = effect_class(name, "rtec add")
     given = dict(_pair(text, where) for text in settings)
@@ -33,6 +35,18 @@ def asked_effect(name: str, component: str | None, settings: Sequence[str], mode
     effect = validated(kind, {"effect": name, "component": component, **arguments}, where, ModelError)
     numbers = {k: _number(k, v, where) for k, v in given.items() if k not in arguments}
     return new_effect(effect, model, values=numbers)
+
+
+def check_one(name: str | None, expr: str | None, refit: bool) -> None:
+    """Check that one thing was asked for: a name, an expression, or a refit.
+
+    Raises:
+        ModelError: more than one; a file in the place of the name belongs to `--data A B C`.
+    """
+    named = name is not None and name.lower() in all_effects() and not Path(name).exists()
+    said = [f"effect {name!r}"] * named + ["--expr"] * (expr is not None) + ["--refit"] * refit
+    if len(said) > 1:
+        raise ModelError(f"add: {' and '.join(said)} together: give either a name, or --expr, or --refit")
 
 
 def _pair(text: str, where: str) -> tuple[str, Any]:

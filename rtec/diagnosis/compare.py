@@ -21,6 +21,7 @@ from rtec.diagnosis.locate import locate
 from rtec.diagnosis.locate_bins import MOVES, unit_of
 from rtec.diagnosis.noise import Whitener, find_noise
 from rtec.diagnosis.readings import Readings, Series, read
+from rtec.diagnosis.usable import check_enough
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.characterise.threads import one_blas_thread
@@ -35,6 +36,8 @@ ABOVE = 1.1
 SURELY = 1.5
 """So many times the floor are never left by noise alone."""
 NO_ARM, NOTHING = 1e-12, 1e-9
+FEWEST = 4
+"""Readings below which nothing can be told from noise."""
 
 
 def compare(
@@ -53,6 +56,7 @@ def compare(
     """
     tell = stage or (lambda *_: None)
     _check(model, measurements)
+    check_enough(measurements, FEWEST)
     with one_blas_thread():
         tell("reading, predicting", 0, 1)
         readings, columns, notes = _without_spikes(model, read(measurements, model.reference_degc, smooth=False))
@@ -66,7 +70,17 @@ def compare(
     items = tuple(
         _compared(model, traces, s, float(f), w) for s, f, w in zip(readings.series, fitted, worst, strict=True)
     )
-    return Comparison(model.name, items, notes, seed, traces)
+    return Comparison(model.name, items, (*_stuck(readings), *notes), seed, traces)
+
+
+def _stuck(readings: Readings) -> tuple[str, ...]:
+    """Words for each reading column that shows one value from beginning to end."""
+    return tuple(
+        f"{readings.measurements[s.source].name} {s.column}: the display does not move: all {len(s)} readings are "
+        f"{readings.values[s.start]:.6g}; look at the instrument and its cable"
+        for s in readings.series
+        if float(np.ptp(readings.values[s.part])) == 0.0
+    )
 
 
 def _check(model: Model, measurements: Sequence[Measurement]) -> None:

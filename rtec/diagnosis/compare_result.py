@@ -42,6 +42,8 @@ class Region:
         p: chance that noise alone shows such a contrast anywhere in the comparison.
         words: in plain words.
         same: other regions, in words, that hold nearly the same readings: the data cannot say which of them it is.
+        apart: how far readings going + and going - lie apart, with its sign, where they do so by the same amount
+            everywhere: then it is no place, and `elsewhere` is what is left with that taken out; None otherwise.
     """
 
     bounds: tuple[Bound, ...]
@@ -52,6 +54,7 @@ class Region:
     p: float
     words: str
     same: tuple[str, ...] = ()
+    apart: float | None = None
 
     def facts(self) -> dict[str, Any]:
         """As plain data; keys as in the documented JSON."""
@@ -69,6 +72,7 @@ class Region:
             "p": self.p,
             "words": self.words,
             "same_readings_as": list(self.same),
+            "directions_apart_um": self.apart,
         }
 
 

@@ -59,7 +59,9 @@ def _of_neighbours(values: Floats, own: Floats, s: Series) -> Floats:
         s: the series.
     """
     n = len(values)
-    shifts = [k for k in range(-REACH, REACH + 1) if k]
+    shifts = [k for k in range(-REACH, REACH + 1) if k and abs(k) < n]
+    if not shifts:
+        return own
     there = np.full((len(shifts), n), np.nan)
     for row, k in zip(there, shifts, strict=True):
         to = slice(max(k, 0), n + min(k, 0))

@@ -44,12 +44,24 @@ def entry_of(
     labels: Sequence[str],
     before: Errors,
     after: Errors,
-    noise: float,
+    noise: tuple[float, str],
     unit: str,
     measurements: Sequence[Measurement],
     readings: int,
+    model: Model,
 ) -> Mapping[str, Any]:
-    """The entry of the history; `rms_before` and `rms_after` are those of runs left out."""
+    """The entry of the history; `rms_before` and `rms_after` are those of runs left out.
+
+    Args:
+        labels: of what was added; none for a refit.
+        before, after: errors; of a refit `before` is what the model left as it stood.
+        noise: its floor and where that comes from.
+        unit: of all of these.
+        measurements: given now.
+        readings: how many.
+        model: as it was.
+    """
+    given, known = {m.sha256 for m in measurements}, set(model.measurements.values())
     return {
         "change": "add" if labels else "refit",
         "effects": list(labels),
@@ -58,10 +70,12 @@ def entry_of(
         "rms_after": after.held_out,
         "rms_inside_before": before.inside,
         "rms_inside": after.inside,
-        "noise_floor": noise,
+        "noise_floor": noise[0],
+        "noise_floor_from": noise[1],
         "unit": unit,
         "readings": readings,
         "measurements": [m.name for m in measurements],
+        "same_measurements": bool(known) and given == known,
         "rtec": __version__,
     }
 

@@ -6,8 +6,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis.compare_floor import repeats_floor
+from rtec.diagnosis.compare_noise import flexible_columns
 from rtec.diagnosis.kalman import drift_draws
-from rtec.diagnosis.noise import Whitener
+from rtec.diagnosis.noise import Whitener, find_noise
 from rtec.diagnosis.readings import Readings
 from rtec.diagnosis.refit import solve, without_nuisance
 
@@ -37,6 +39,32 @@ def floors(whitener: Whitener, seed: int = 1) -> Floats:
         left = without_nuisance(readings, np.concatenate([d[:, k] for d in drawn]))
         total += [float(np.mean(left[s.part] ** 2)) for s in readings.series]
     return np.sqrt(total / DRAWS)
+
+
+def as_compared(readings: Readings, left: Floats, columns: Floats) -> tuple[Floats, tuple[str, ...]]:
+    """The floor of each series as `rtec compare` has it, and where it comes from: repeats where there are enough.
+
+    A noise fitted along with a wrong model holds a part of what the model misses; what differs between repeats does
+    not.
+
+    Args:
+        readings: the readings.
+        left: what the model leaves of them, nuisances taken out, (m,).
+        columns: of the model and the set-up, (m, p).
+
+    Returns:
+        Root mean square, (series,), and "repeats" or "fitted noise model" for each.
+    """
+    repeated = [repeats_floor(readings, s, left[s.part]) for s in readings.series]
+    if None in repeated:
+        # Noise is never more than what is left.
+        fitted = np.minimum(
+            floors(find_noise(readings, flexible_columns(readings, columns))), rms_by_series(readings, left)
+        )
+    else:
+        fitted = np.zeros(len(repeated))
+    values = np.array([f if r is None else r for r, f in zip(repeated, fitted, strict=True)])
+    return values, tuple("fitted noise model" if r is None else "repeats" for r in repeated)
 
 
 def _draws(whitener: Whitener, number: int, rng: np.random.Generator) -> Floats:

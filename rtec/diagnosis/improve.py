@@ -1,13 +1,15 @@
 """Diagnose and add, again and again, until nothing significant is left or the error is at the noise floor."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from rtec.diagnosis.absent import SURE
 from rtec.diagnosis.add import Added, add, new_effect
 from rtec.diagnosis.diagnose import ALPHA, DRAWS, diagnose
 from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.diagnosis.rivals import rivals_of, said
+from rtec.diagnosis.usable import check_enough
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 
@@ -45,17 +47,20 @@ class Improved:
         steps: what was added, in order.
         diagnoses: one for each step, and the last, which found nothing more or was not followed.
         reason: why it ended.
+        refit: the model's own numbers fitted anew before all steps, where that was worth it.
     """
 
     model: Model
     steps: tuple[Added, ...]
     diagnoses: tuple[Diagnosis, ...]
     reason: Reason
+    refit: Added | None = None
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""
         return {
             "reason": self.reason,
+            "refit": self.refit.facts() if self.refit else None,
             "steps": [s.facts() for s in self.steps],
             "last_diagnosis": self.diagnoses[-1].facts() if self.diagnoses else None,
             "model_sha256": self.model.hash,
@@ -67,26 +72,63 @@ def improve(
     measurements: Sequence[Measurement],
     *,
     ask: Callable[[Choice], Finding | None] | None = None,
+    ask_refit: Callable[[Added], bool] | None = None,
     seed: int = 1,
     alpha: float = ALPHA,
     draws: int = DRAWS,
     stage: Stage | None = None,
     step: Callable[[Added], None] | None = None,
 ) -> Improved:
-    """Add what is missing until nothing significant is.
+    """Fit the model's own numbers anew where they are out of date, then add what is missing until nothing is.
 
     Args:
         model: the current model.
         measurements: of its machine.
         ask: which candidate to add, None to stop; without it the best is added where the readings decide, and also
-            where several cannot be told apart (they predict the same here).
+            where several cannot be told apart (they predict the same here); the rivals are told in its notes and
+            its entry of the history.
+        ask_refit: whether to keep a refit that is worth it; without it, it is kept.
         seed, alpha, draws: of the diagnosis.
         stage: told how far it is.
-        step: given each addition as soon as it is made.
+        step: given the refit and each addition as soon as it is made.
 
     Raises:
-        MeasurementError: as `diagnose`.
+        MeasurementError: as `diagnose`, or there are too few readings.
     """
+    check_enough(measurements)
+    refit = _refit(model, measurements, ask_refit, stage)
+    if refit is None:
+        return _grown(model, measurements, ask, (seed, alpha, draws), stage, step)
+    if step:
+        step(refit)
+    return replace(_grown(refit.model, measurements, ask, (seed, alpha, draws), stage, step), refit=refit)
+
+
+def _refit(
+    model: Model,
+    measurements: Sequence[Measurement],
+    ask: Callable[[Added], bool] | None,
+    stage: Stage | None,
+) -> Added | None:
+    """The model's own numbers fitted anew; None where that buys little on runs left out, or is not wanted."""
+    if not model.effects:
+        return None
+    made = add(model, [], measurements, stage=stage)
+    if made.after.held_out > (1.0 - LITTLE) * made.before.held_out:
+        return None
+    return made if ask is None or ask(made) else None
+
+
+def _grown(
+    model: Model,
+    measurements: Sequence[Measurement],
+    ask: Callable[[Choice], Finding | None] | None,
+    chance: tuple[int, float, int],
+    stage: Stage | None,
+    step: Callable[[Added], None] | None,
+) -> Improved:
+    """Diagnose and add, again and again; `chance` is seed, alpha and draws."""
+    seed, alpha, draws = chance
     steps: list[Added] = []
     diagnoses: list[Diagnosis] = []
     while len(steps) < MOST:
@@ -99,7 +141,7 @@ def improve(
         if picked is None:
             return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
         others = [] if ask else [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]
-        added = _first_gain(model, [picked, *others], measurements, stage)
+        added = _first_gain(model, found, [picked, *others], measurements, stage)
         if added is None:
             return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
         steps.append(added)
@@ -110,7 +152,11 @@ def improve(
 
 
 def _first_gain(
-    model: Model, findings: Sequence[Finding], measurements: Sequence[Measurement], stage: Stage | None
+    model: Model,
+    found: Diagnosis,
+    findings: Sequence[Finding],
+    measurements: Sequence[Measurement],
+    stage: Stage | None,
 ) -> Added | None:
     """Add the first that makes runs left out better on the channels as the loop has them."""
     for finding in findings:
@@ -118,8 +164,18 @@ def _first_gain(
         new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
         added = add(model, new, measurements, stage=stage)
         if added.after.held_out <= (1.0 - LITTLE) * added.before.held_out:
-            return added
+            return _with_rivals(added, found, finding)
     return None
+
+
+def _with_rivals(added: Added, found: Diagnosis, taken: Finding) -> Added:
+    """The same with what was passed over: in the notes and in the history."""
+    rivals = rivals_of(found, taken)
+    if not rivals:
+        return added
+    entry = {**added.model.history[-1], "passed_over": [r.facts() for r in rivals]}
+    model = replace(added.model, history=(*added.model.history[:-1], entry))
+    return replace(added, model=model, notes=(*said(taken, rivals), *added.notes), passed_over=rivals)
 
 
 def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare_floor import draws
 from rtec.diagnosis.compare_result import Bound, Region
+from rtec.diagnosis.locate_apart import both_ways
 from rtec.diagnosis.locate_bins import COARSE, FINE, Variable, variables_of, words_of
 from rtec.diagnosis.locate_scan import Bools, Scan, Spot, scan
 from rtec.diagnosis.noise import Whitener
@@ -65,6 +66,7 @@ class _Search:
 
     def __init__(self, readings: Readings, series: Series, left: Floats, noise: Floats) -> None:
         self.readings, self.series, self.left = readings, series, left
+        self.noise = noise
         self.squares = np.concatenate([left[:, None] ** 2, noise**2], axis=1).astype(np.float32)
         self.fine = variables_of(readings, series, FINE)
         self.pairs = _pairs(self.fine, variables_of(readings, series, COARSE))
@@ -75,7 +77,10 @@ class _Search:
         return scan(self.fine, self.pairs, self.squares, self.free)
 
     def regions(self, first: Scan, chance: Floats) -> tuple[Region, ...]:
-        """Take the best region, set its readings aside, and look again."""
+        """Take the best region, set its readings aside, and look again; where both ways lie apart, tell that alone."""
+        apart = both_ways(self.readings, self.series, self.left, self.noise, self.fine)
+        if apart is not None:
+            return (apart,)
         limit = float(np.quantile(chance, LEVEL)) if np.isfinite(chance).all() else np.inf
         found: list[tuple[Spot, Bools, tuple[str, ...], float]] = []
         now = first

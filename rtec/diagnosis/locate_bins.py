@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare_result import Bound
 from rtec.diagnosis.readings import Readings, Series
+from rtec.diagnosis.units import spoken
 from rtec.diagnosis.words import unit_of_channel
 from rtec.machine import Machine
 
@@ -156,8 +157,7 @@ def _words(b: Bound, machine: Machine, moving: int, span_s: float) -> str:
     name = {"spindle_rpm": "spindle", "load_kg": "load", "feed_mm_min": "feed"}.get(b.channel, b.channel)
     if axis is not None:
         name = axis.name if b.channel == axis.channel else f"velocity of {axis.name}"
-    unit = {"degC": "°C", "mm/s2": "mm/s²"}.get(b.unit, b.unit)
-    return f"{name} {_range(b.low, b.high)} {unit}"
+    return f"{name} {_range(b.low, b.high)} {spoken(b.unit)}"
 
 
 def _sign(b: Bound) -> str:

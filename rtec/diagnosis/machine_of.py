@@ -22,6 +22,8 @@ def load_with_machine(model: Path, machine: Path | None = None) -> Model:
     Raises:
         ModelError: the model cannot be read, or no machine file belongs to it.
     """
+    if model.suffix.lower() == ".csv":
+        raise ModelError(f"{model}: is a table of readings; a model file is expected first, then the measurements")
     if machine is not None:
         return load_model(model, load_machine(machine))
     head = read_toml(model, ModelError).get("model")

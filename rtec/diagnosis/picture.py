@@ -1,20 +1,22 @@
 """What a figure of a finding shows: residuals against what drives them, and what the finding says of them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import floor, words
+from rtec.diagnosis import floor, units, words
 from rtec.diagnosis.noise import Whitener
-from rtec.diagnosis.readings import Readings
+from rtec.diagnosis.readings import Readings, Series
 from rtec.diagnosis.refit import solve
 from rtec.diagnosis.result import Picture
 from rtec.effects import Effect
 
 Floats = NDArray[np.float64]
-SEEN = 1e-3
-"""Readings in which a finding does less than this share of its largest are of another instrument."""
+PANELS = 3
+HARDLY = 0.3
+"""Reading columns of whose residual a finding makes less than this share of the most are not shown."""
 
 
 def of_effect(
@@ -28,7 +30,8 @@ def of_shape(
     readings: Readings, base: Floats, whitener: Whitener, columns: Floats, variables: Sequence[str]
 ) -> Picture | None:
     """Picture of a shape without a name: its columns, (m, k), and what it depends on."""
-    return _picture(readings, base, whitener, columns, " and ".join(variables), variables)
+    label = f"what depends on {' and '.join(map(units.named, variables))}"
+    return _picture(readings, base, whitener, columns, label, variables)
 
 
 def _picture(
@@ -40,32 +43,45 @@ def _picture(
     residual = readings.values - base @ values[: base.shape[1]]
     # Run by run the two lose the same zero, so that they lie on each other where the effect explains the residual.
     part, residual = floor.cleaned(readings, part), floor.cleaned(readings, residual)
-    units = {s.unit for s in readings.series}
-    strongest = max(units, key=lambda u: _most(readings, part, u))
-    rows = np.concatenate([np.full(len(s), s.unit == strongest) for s in readings.series])
-    rows &= np.abs(columns).max(axis=1) > SEEN * np.abs(columns).max()
-    if not rows.any():
+    moved = np.array([
+        float(np.std(part[s.part])) / max(float(np.std(residual[s.part])), 1e-9) for s in readings.series
+    ])  # fmt: skip
+    if not moved.max(initial=0.0) > 0.0:
         return None
-    drivers = [(name, readings.channel(name)) for name in _by_interest(readings, channels)]
-    seen = [(n, words.unit_of_channel(n), v[rows]) for n, v in drivers if np.isfinite(v[rows]).all()]
+    strongest = np.argsort(-moved, kind="stable")[:PANELS]
+    shown = [
+        _of_series(readings, readings.series[i], residual, part, label, channels)
+        for i in strongest
+        if moved[i] >= HARDLY * moved.max()
+    ]
+    return replace(shown[0], others=tuple(shown[1:]))
+
+
+def _of_series(
+    readings: Readings, series: Series, residual: Floats, part: Floats, label: str, channels: Sequence[str]
+) -> Picture:
+    rows, machine = series.part, readings.machine
+    drivers = [(name, readings.channel(name)[rows]) for name in _by_interest(readings, channels)]
+    seen = [(n, "degC" if n in machine.sensor_names else words.unit_of_channel(n), v) for n, v in drivers]
+    # What stood still in this measurement tells nothing.
+    seen = sorted((s for s in seen if np.isfinite(s[2]).all()), key=lambda s: np.ptp(s[2]) == 0.0)
     direction = None
-    axis = next((a for a in readings.machine.axes if seen and a.channel == seen[0][0]), None)
+    axis = next((a for a in machine.axes if seen and a.channel == seen[0][0]), None)
     if axis is not None:
         found = readings.channel(axis.direction_channel)[rows]
         direction = found if np.isfinite(found).all() and np.ptp(found) > 0 else None
     return Picture(
-        label,
-        "urad" if strongest == "urad" else "um",
-        residual[rows],
-        part[rows],
-        tuple(seen),
-        direction,
-        readings.time_s[rows],
-    )
+        label, "urad" if series.unit == "urad" else "um", residual[rows], part[rows], tuple(seen), direction,
+        readings.time_s[rows], f"{label}, in {series_name(readings, series)}",
+    )  # fmt: skip
 
 
-def _most(readings: Readings, part: Floats, unit: str) -> float:
-    return max((float(np.std(part[s.part])) for s in readings.series if s.unit == unit), default=0.0)
+def series_name(readings: Readings, series: Series) -> str:
+    """Name of the measurement; with the column, where it has several."""
+    name = readings.measurements[series.source].name
+    several = sum(s.source == series.source for s in readings.series) > 1
+    column = series.column.removeprefix("reading_").removesuffix("um").removesuffix("urad").strip("_")
+    return f"{name}, {column}" if several and column else name
 
 
 def _by_interest(readings: Readings, channels: Sequence[str]) -> list[str]:

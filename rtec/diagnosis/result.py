@@ -139,6 +139,9 @@ class Unknown:
         period: of a periodic one, with its unit; None otherwise.
         p: family-wise probability of it by chance.
         r2: share of the residual's variance that it explains on runs left out.
+        where: where along its channels it is, in words; empty where there is nothing to say.
+        expression, parameters, feeds: the nearest simple expression for `rtec add`, as `--expr`, `--param` and
+            `--component` take them; empty where there is none.
     """
 
     component: str
@@ -147,11 +150,15 @@ class Unknown:
     period: Number | None
     p: float
     r2: float
+    where: str = ""
+    expression: str = ""
+    parameters: tuple[str, ...] = ()
+    feeds: str = ""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What a figure needs to show a finding: reading by reading, less what the instruments cannot know.
+    """What a figure needs to show a finding in one reading column, less what the instruments cannot know.
 
     Attributes:
         label: of the effect, or what an unknown depends on.
@@ -161,6 +168,8 @@ class Picture:
         drivers: channel, its unit and values (n,); the first is drawn along.
         direction: last direction of the first driver where it is a position, (n,); None otherwise.
         time_s: (n,).
+        title: the label and the measurement, with its column where it has several.
+        others: pictures of the other reading columns that the finding moves most, strongest first.
     """
 
     label: str
@@ -170,6 +179,8 @@ class Picture:
     drivers: tuple[tuple[str, str, Floats], ...]
     direction: Floats | None
     time_s: Floats
+    title: str = ""
+    others: "tuple[Picture, ...]" = ()
 
 
 @dataclass(frozen=True)
@@ -272,4 +283,8 @@ def _unknown(u: Unknown | None) -> dict[str, Any] | None:
         "period": vars(u.period) if u.period else None,
         "p": u.p,
         "r2": u.r2,
+        "where": u.where,
+        "expression": u.expression,
+        "parameters": list(u.parameters),
+        "feeds": u.feeds,
     }

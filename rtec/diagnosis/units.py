@@ -33,14 +33,21 @@ def spoken(unit: str) -> str:
     return f"{top or '1'}/{parts[0]}" if len(parts) == 1 else f"{top or '1'}/({'·'.join(parts)})"
 
 
-def titled(channel: str) -> str:
-    """A channel as the title of an axis of a figure: `x` is "X, mm", `s_y` "distance since Y turned round, mm"."""
+def titled(channel: str, unit: str = "") -> str:
+    """A channel as the title of an axis of a figure: `x` is "X, mm", `s_y` "distance since Y turned round, mm".
+
+    Args:
+        channel: name of the channel.
+        unit: its code, where it is known: a sensor may have any name.
+    """
+    if unit == "degC" or channel.startswith("T_"):
+        return f"{channel}, °C"
     if channel in NAMED:
         return NAMED[channel]
     head, mark, rest = channel.partition("_")
     if mark and head in OF_AXIS:
         return OF_AXIS[head].format(rest.upper())
-    return f"{channel}, °C" if channel.startswith("T_") else f"{channel.upper()}, mm"
+    return f"{channel.upper()}, mm"
 
 
 def named(channel: str) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.diagnosis.units import named, spoken
 
 TOGETHER = "found, to be added together with rank 1"
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
@@ -39,15 +40,18 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         way = f"; to tell them apart: {test}" if test else ""
         return f"one of {names} is missing, or more than one, and these readings cannot say which{way}"
     if d.verdict == "unknown_effect" and d.unknown is not None:
-        where = " and ".join(d.unknown.channels)
+        where = " and ".join(map(named, d.unknown.channels))
         how = (
-            f"with a period of {d.unknown.period.value:.4g} {d.unknown.period.unit}" if d.unknown.period else "smoothly"
+            f"with a period of {d.unknown.period.value:.4g} {spoken(d.unknown.period.unit)}"
+            if d.unknown.period
+            else "smoothly"
         )
+        at = f", {d.unknown.where}" if d.unknown.where else ""
         near = ""
         if d.findings and d.adequacy is not None:
             share = max(d.adequacy, 0.0)
             near = f"; the closest, {d.findings[0].label}, explains only {share:.0%} of what can be explained"
-        return f"something is missing that no effect of the catalogue describes: it depends {how} on {where}{near}"
+        return f"something is missing that no effect of the catalogue describes: it depends {how} on {where}{at}{near}"
     if d.out_of_date:
         fitted = f"fitted anew to these readings they would leave {d.refit:.2g}; noise is {d.noise_floor:.2g}"
         now = f"{d.rms_residual:.2g} {unit} are left"
@@ -77,11 +81,27 @@ def why_not(mine: float, best: float, gain: float, same: bool) -> str:
     if same and best - mine > 2.0 * math.log(20.0):
         return "less likely than rank 1, but runs left out are predicted better by it"
     if same:
-        return "as likely as rank 1 to these readings"
+        return "about as likely as rank 1 to these readings"
     if gain <= 0.0:
         return "does not lower the error on runs left out"
     behind = best - mine
-    return f"{math.exp(min(behind, 30.0)):.2g} times less likely than rank 1"
+    # 1.4 times is nothing that anybody would act upon.
+    return "about as likely as rank 1" if behind < math.log(1.5) else f"{times_less(behind)} than rank 1"
+
+
+def times_less(behind: float) -> str:
+    """How much less likely something is, by the log of its odds."""
+    if behind >= math.log(1e6):
+        return "over a million times less likely"
+    times = math.exp(behind)
+    return f"{times:,.0f} times less likely" if times >= 10.0 else f"{times:.2g} times less likely"
+
+
+def sentence(text: str) -> str:
+    """A text as a sentence of its own: a capital at its head, unless that is a name from a file, and a stop."""
+    first, second, *_ = [*text.split(maxsplit=2), "", ""]
+    name = first.endswith(":") or any(mark in first for mark in "_(") or (second.endswith(":") and "_" in second)
+    return (text if name else text[:1].upper() + text[1:]) + ("" if text.endswith((".", "?", "!")) else ".")
 
 
 def unit_of_channel(name: str) -> str:
@@ -102,6 +122,34 @@ def notes(spikes: int, readings: int, names: Sequence[str]) -> tuple[str, ...]:
     if len(names) > 1:
         out.append(f"one answer for {len(names)} measurements: {', '.join(names)}")
     return tuple(out)
+
+
+def labels(findings: Sequence[Finding]) -> list[str]:
+    """Short names that all differ: what two of one name differ in is told with both."""
+    return [_told_apart(f, [g for g in findings if g.label == f.label]) for f in findings]
+
+
+def _told_apart(f: Finding, same: Sequence[Finding]) -> str:
+    """The name, with the arguments that others of its name differ in, or else the non-linear parameters."""
+    if len(same) < 2:
+        return f.label
+    given = [g.effect.model_dump(mode="json", exclude_none=True) for g in same]
+    mine = f.effect.model_dump(mode="json", exclude_none=True)
+    keys = [k for k in dict.fromkeys(k for g in given for k in g) if any(g.get(k) != mine.get(k) for g in given)]
+    said = [_argument(k, mine.get(k)) for k in keys]
+    if not said:
+        ends = [n for n in f.theta if any(g.theta.get(n) != f.theta[n] for g in same)]
+        said = [f"{n} {f.theta[n]:.3g}" for n in ends]
+    return f"{f.label}, {', '.join(said)}" if said else f"{f.label} #{1 + same.index(f)}"
+
+
+def _argument(key: str, value: object) -> str:
+    word = key.replace("_", " ")
+    if isinstance(value, bool) or value is None:
+        return word if value else f"no {word}"
+    if isinstance(value, list):
+        return f"{len(value)} {word.removesuffix(' mm')}"
+    return f"{word} {value:g}" if isinstance(value, float) else f"{word} {value}"
 
 
 def accepted(findings: Sequence[Finding]) -> bool:

@@ -58,7 +58,7 @@ def expression_from_text(expr: str, params: Sequence[str], component: str, machi
     free |= {name: dict(PHASE) for name in phases}
     if not linear:
         raise ModelError(f"--expr {expr!r} has no coefficient to fit; multiply it by a name of your own: A*({expr})")
-    _check_linear(tree, linear, expr)
+    _check_linear(tree, linear, expr, machine)
     return _effect(tree, linear, free, component, machine)
 
 
@@ -102,6 +102,7 @@ def _sorted_out(tree: ast.expr, fitted: Sequence[str], machine: Machine) -> tupl
     phases = [name for name in fitted if name not in linear]
     for name in phases:
         if not is_phase(tree, name):
+            _refuse_capital(name, machine)
             raise ModelError(
                 f"--expr: {name!r} is no channel of machine {machine.name!r}, and the expression is not linear in it; "
                 f"if it is a parameter, declare --param {name}=start:low..high"
@@ -116,11 +117,20 @@ def _sorted_out(tree: ast.expr, fitted: Sequence[str], machine: Machine) -> tupl
     return tree, linear, left
 
 
-def _check_linear(tree: ast.expr, linear: Sequence[str], expr: str) -> None:
+def _refuse_capital(name: str, machine: Machine) -> None:
+    """Refuse a name that is a channel but for small and capital letters, where the expression is not linear in it."""
+    channel = next((c for c in machine.channel_names if c.lower() == name.lower() and c != name), None)
+    if channel is not None:
+        raise ModelError(f"--expr: machine {machine.name!r} has no channel {name!r}; did you mean {channel!r}?")
+
+
+def _check_linear(tree: ast.expr, linear: Sequence[str], expr: str, machine: Machine) -> None:
     """Refuse what is linear in each coefficient alone, but not in all together."""
     try:
         degree(tree, set(linear))
     except ValueError as e:
+        for name in linear:
+            _refuse_capital(name, machine)
         said = ", ".join(linear)
         way = (
             "multiply every part by a name of your own"

@@ -5,12 +5,13 @@ from collections.abc import Sequence
 
 from rtec import __version__
 from rtec.diagnosis.compare_result import Compared, Comparison, Outside
+from rtec.diagnosis.units import named, spoken
 from rtec.diagnosis.words import UNITS
 from rtec.report.compare_pictures import pictures
 from rtec.report.html import Page, Section, Table
 from rtec.report.procedures import number
 
-MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
+MOST_PARTS, MOST_SAME, MOST_SEEN, MOST_LEAD = 8, 3, 5, 4
 AT_FLOOR = 1.1
 
 
@@ -36,13 +37,27 @@ def compare_page(c: Comparison, figures: bool = True) -> Page:
 
 
 def _lead(c: Comparison) -> str:
-    first = max(c.items, key=lambda i: i.left.rms / max(i.floor, 1e-9))
+    """A sentence for each reading column, the worst news first."""
+    order = sorted(c.items, key=_badness)
+    more = [f"{len(order) - MOST_LEAD} more: see the table."] if len(order) > MOST_LEAD else []
+    return "\n".join([*(_said(i, c) for i in order[:MOST_LEAD]), *more])
+
+
+def _badness(i: Compared) -> tuple[bool, float]:
+    """Key for sorting: worse than no model first, then what is left over the noise."""
+    return (i.explained or 0.0) >= 0.0, -i.left.rms / max(i.floor, 1e-9)
+
+
+def _said(first: Compared, c: Comparison) -> str:
     unit = UNITS[first.unit]
     of = f"{_name(first, c)}: " if len(c.items) > 1 else ""
+    worse = "the model makes it worse than no model; " if (first.explained or 0.0) < 0.0 else ""
     said = (
-        f"{of}{first.left.rms:.3g} {unit} of {first.measured.rms:.3g} {unit} are left (root mean square), "
+        f"{of}{worse}{first.left.rms:.3g} {unit} of {first.measured.rms:.3g} {unit} are left (root mean square), "
         f"noise is {first.floor:.2g} {unit}"
     )
+    if first.worst and first.worst[0].apart is not None:
+        return f"{said}; {first.worst[0].words}."
     if first.worst:
         w = first.worst[0]
         return f"{said}; worst at {w.words}, {w.rms:.2g} {unit} against {w.elsewhere:.2g} {unit} elsewhere."
@@ -57,7 +72,7 @@ def _name(item: Compared, c: Comparison) -> str:
 
 
 def _numbers(c: Comparison) -> list[tuple[str, str]]:
-    first = max(c.items, key=lambda i: i.left.rms / max(i.floor, 1e-9))
+    first = min(c.items, key=_badness)
     unit = UNITS[first.unit]
     out = [
         (f"{first.measured.rms:.3g}\u00a0{unit}", "measured"),
@@ -113,7 +128,16 @@ def _worst(c: Comparison) -> Section:
         ]
         for i in c.items
         for r in i.worst
+        if r.apart is None
     ]
+    apart = [
+        f"{_name(i, c)}: {r.words}; with that taken out, {r.elsewhere:.2g} {UNITS[i.unit]} are left."
+        for i in c.items
+        for r in i.worst
+        if r.apart is not None
+    ]
+    if not rows and apart:
+        return Section("Where it is worst", apart)
     if not rows:
         return Section("Where it is worst", ["No place stands out: chance alone looks as uneven as what is left."])
     head = ("measurement", "where", "left there", "elsewhere", "mean there", "readings", "unit")
@@ -126,7 +150,7 @@ def _worst(c: Comparison) -> Section:
     if words:
         words.append("Where channels name the same readings, these data cannot say which of them it is.")
     caption = "Best evidence first; root mean squares, the mean with its sign. Elsewhere: in none of these places."
-    return Section("Where it is worst", words, Table(head, rows, caption, (0, 1, 6)))
+    return Section("Where it is worst", [*apart, *words], Table(head, rows, caption, (0, 1, 6)))
 
 
 def _signed(value: float) -> str:
@@ -136,7 +160,7 @@ def _signed(value: float) -> str:
 
 def _outside(c: Comparison) -> list[Section]:
     rows = [
-        [_name(i, c), o.channel, f"{o.low:.5g} to {o.high:.5g}", _beyond(o), f"{o.n} of {i.n}", o.unit]
+        [_name(i, c), named(o.channel), f"{o.low:.5g} to {o.high:.5g}", _beyond(o), f"{o.n} of {i.n}", spoken(o.unit)]
         for i in c.items
         for o in i.outside
     ]

@@ -1,17 +1,28 @@
 """Reports of a diagnosis, and of what was added."""
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING
 
 from rtec import __version__
 from rtec.diagnosis.add import Added
 from rtec.diagnosis.improve import Improved
-from rtec.diagnosis.result import Diagnosis, Finding
-from rtec.diagnosis.words import UNITS
+from rtec.diagnosis.result import Diagnosis, Finding, Picture
+from rtec.diagnosis.units import spoken, titled
+from rtec.diagnosis.usable import apart, share
+from rtec.diagnosis.words import UNITS, labels, sentence
 from rtec.report.html import Figure, Page, Section, Table
 from rtec.report.model_history import history_sections
 from rtec.report.procedures import number
 
-SHOWN_ABSENT = 14
+if TYPE_CHECKING:
+    from rtec.report.diagnosis_figures import Panel
+
+MOST_PANELS, SHOWN = 3, 8
+BETTER = 0.005
+"""Share of the mean square; falls of less are none."""
 WHY_ENDED = {
     "nothing_missing": "nothing more that these readings could show is missing",
     "unknown_effect": "something is left that no effect of the catalogue describes",
@@ -23,23 +34,30 @@ WHY_ENDED = {
 }
 
 
-def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
-    """The page; without figures it is what the terminal shows."""
+def diagnosis_page(d: Diagnosis, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+    """The page; without figures it is what the terminal shows.
+
+    Args:
+        d: the diagnosis.
+        figures: whether to draw.
+        files: the model and the measurements, for commands that can be typed as they stand.
+    """
     unit = UNITS[d.unit]
     return Page(
         title="What the model misses",
-        lead=d.sentence[0].upper() + d.sentence[1:] + ".",
+        lead=sentence(d.sentence),
         numbers=[
             (f"{d.rms_residual:.3g}\u00a0{unit}", "left by the model"),
             (f"{d.noise_floor:.3g}\u00a0{unit}", "noise of the measurement"),
             *([(f"{d.findings[0].confidence:.0%}", "sure of rank 1")] if d.group else []),
         ],
         sections=[
+            *_to_type(d, files),
             *_evidence(d, figures),
             *_confused(d),
             *_absent(d),
             *_untestable(d),
-            Section("How the readings were treated", [_sentence(n) for n in (*d.notes, *d.noise)]),
+            Section("How the readings were treated", [*map(sentence, d.notes), *(f"{n}." for n in d.noise)]),
         ],
         foot=[
             "Left out: each part of the runs predicted by the fit to all others.",
@@ -48,17 +66,13 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
     )
 
 
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + ("" if text.endswith(".") else ".")
-
-
 def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
     out = []
     if d.picture is not None and d.picture.drivers and figures:
         p = d.picture
         from rtec.report import diagnosis_figures
 
-        png = diagnosis_figures.against_drivers(p.label, UNITS[p.unit], p.residual, p.part, p.drivers[:3], p.direction)
+        png = diagnosis_figures.against_drivers(_panels(p))
         shows = "What the model leaves against what drives it, with what the finding says of it."
         out.append(
             Section("What is left, and what the finding says of it", [], None, Figure("evidence.png", png, shows))
@@ -69,9 +83,44 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
     if figures:
         from rtec.report import diagnosis_figures
 
-        rows = [(f.label, f.heldout_drop, f.group) for f in d.findings[:8]]
+        shown = d.findings[:SHOWN]
+        rows = [(n, f.heldout_drop, f.group, _short(d, f)) for f, n in zip(shown, labels(shown), strict=True)]
         figure = Figure("rivals.png", diagnosis_figures.rivals(rows), "Fall of the error with each candidate.")
     return [*out, Section("Candidates, best first", _candidate_words(d), _candidates(d), figure)]
+
+
+def _to_type(d: Diagnosis, files: Sequence[Path]) -> list[Section]:
+    """The command that adds what has no name as an expression."""
+    if d.unknown is None or not d.unknown.expression:
+        return []
+    u = d.unknown
+    model, *data = files or (Path("MODEL"), Path("MEASUREMENT"))
+    given = ["rtec", "add", str(model), "--expr", u.expression]
+    given += [word for p in u.parameters for word in ("--param", p)]
+    given += ["--component", u.feeds, "--data", *map(str, data), "-o", f"{model.with_suffix('')}-more.toml"]
+    words = [
+        "The nearest simple expression; it is refused where it does not make runs left out better:",
+        " ".join(map(quote, given)),
+        "It says what the error looks like, not what makes it: look for the cause there.",
+    ]
+    return [Section("To add it without a name", words)]
+
+
+def _panels(p: Picture) -> "list[Panel]":
+    """Of one reading column all that drives it, of several the first driver each."""
+    from rtec.report.diagnosis_figures import Panel
+
+    if not p.others:
+        return [
+            Panel(p.title if k == 0 else "", UNITS[p.unit], p.residual, p.part, titled(name, unit), value,
+                  p.direction if k == 0 else None)
+            for k, (name, unit, value) in enumerate(p.drivers[:MOST_PANELS])
+        ]  # fmt: skip
+    return [
+        Panel(q.title, UNITS[q.unit], q.residual, q.part, titled(*q.drivers[0][:2]), q.drivers[0][2], q.direction)
+        for q in (p, *p.others)
+        if q.drivers
+    ]
 
 
 def _candidate_words(d: Diagnosis) -> list[str]:
@@ -84,7 +133,7 @@ def _candidate_words(d: Diagnosis) -> list[str]:
                 f"It explains {d.adequacy:.0%} of what the best smooth or periodic shape without a name would explain."
             )
     else:
-        out.append(f"None of them passed. {chance}")
+        out.append(f"None of them passed: rank 1 {_doubt(d, first)}.")
     return out
 
 
@@ -93,24 +142,51 @@ def _candidates(d: Diagnosis) -> Table:
     rows = [
         [
             f"{f.rank}",
-            f.label,
+            label,
             _numbers(f),
             number(f.size_um),
-            f"{f.heldout_drop:.0%}",
-            f"{f.confidence:.1%}",
-            "found" if f.accepted else f.why_not or "not sure enough",
+            f"{f.heldout_drop:.0%}" if f.heldout_drop >= BETTER else "no better",
+            _probability(f.confidence),
+            "found" if f.accepted else f.why_not or f"not sure enough: {_doubt(d, f)}",
         ]
-        for f in d.findings
+        for f, label in zip(d.findings, labels(d.findings), strict=True)
     ]
     head = ("", "effect", "numbers", f"makes, {unit}", "error falls by", "probability", "")
-    return Table(head, rows, "Error falls by: share of the mean square on runs that were not used.", words=(1, 2, 6))
+    caption = (
+        "Error falls by: share of the mean square on runs that were not used. Probability: among these candidates and "
+        "'nothing is missing'; what none of them describes is not in it."
+    )
+    return Table(head, rows, caption, words=(1, 2, 6))
+
+
+def _probability(share: float) -> str:
+    """A share as a percentage; neither never nor certain where it is neither."""
+    if share > 0.9995:
+        return ">99.9%"
+    return "<0.1%" if share < 0.0005 else f"{share:.1%}"
+
+
+def _doubt(d: Diagnosis, f: Finding) -> str:
+    """Why the first candidate was not accepted."""
+    if f.heldout_drop <= 0.0:
+        return "does not lower the error on runs left out"
+    if d.unknown is not None and d.adequacy is not None:
+        return f"explains only {max(d.adequacy, 0.0):.0%} of what a shape without a name does"
+    return f"chance alone looks as good in {f.p:.1%} of draws"
+
+
+def _short(d: Diagnosis, f: Finding) -> str:
+    """Why a candidate is preferred or not, for its bar."""
+    if f.rank == 1 and f.accepted:
+        return f"{_probability(f.confidence)} probable"
+    return (f.why_not or _doubt(d, f)).removesuffix(" than rank 1").removesuffix(" to these readings")
 
 
 def _numbers(f: Finding) -> str:
     parts = []
     for name, n in f.parameters.items():
         se = f" ± {n.se:.2g}" if n.se is not None and math.isfinite(n.se) else ""
-        parts.append(f"{name} {n.value:.4g}{se} {n.unit if n.unit != '1' else ''}".strip())
+        parts.append(f"{name} {n.value:.4g}{se} {spoken(n.unit)}".strip())
     return "; ".join(parts[:4]) + (" …" if len(parts) > 4 else "")
 
 
@@ -157,39 +233,48 @@ def added_page(a: Added, figures: bool = True) -> Page:
     """What an addition bought."""
     unit = UNITS[a.unit]
     fall = 1.0 - (a.after.held_out / a.before.held_out) ** 2 if a.before.held_out > 0 else 0.0
-    what = ", ".join(a.labels) or "nothing"
-    lead = (
-        f"With {what}, {a.after.held_out:.3g} {unit} are left on runs that were not used, "
-        f"before {a.before.held_out:.3g}; noise is {a.floor:.3g}."
-    )
+    what = ", ".join(a.labels) or "numbers fitted anew"
+    before, after = apart(a.before.held_out, a.after.held_out)
+    lead = f"With {what}, {after} {unit} are left on runs that were not used, before {before}; noise is {a.floor:.3g}."
     rows = [
         ["as given", number(a.before.as_given or math.nan, 3), "–"],
-        ["refitted", number(a.before.inside, 3), number(a.before.held_out, 3)],
+        *([["refitted", number(a.before.inside, 3), number(a.before.held_out, 3)]] if a.labels else []),
         [f"with {what}", number(a.after.inside, 3), number(a.after.held_out, 3)],
         ["noise floor", number(a.floor, 3), number(a.floor, 3)],
     ]
     table = Table(("model", f"fitted readings, {unit}", f"runs left out, {unit}"), rows)
     words = [
-        f"The mean square on runs left out {'falls' if fall > 0 else 'rises'} by {abs(fall):.0%}.",
+        f"The mean square on runs left out {'falls' if fall > 0 else 'rises'} by {share(fall)}.",
         f"With temperatures smoothed both ways in time, which the loop cannot do, it would be {a.smoothed:.3g} {unit}.",
-        *(_sentence(n) for n in a.notes),
+        *map(sentence, a.notes),
     ]
     return Page(
         "What it bought", lead, [], [Section("Before and after", words, table), *history_sections(a.model, figures)]
     )
 
 
+def _refit_words(refit: Added) -> str:
+    """What fitting the model's own numbers anew bought."""
+    before, after = apart(refit.before.held_out, refit.after.held_out)
+    unit = UNITS[refit.unit]
+    what = "The model's own numbers were out of date and were fitted anew"
+    return f"{what}: {before} {unit} left became {after}, noise is {refit.floor:.3g}. "
+
+
 def improved_page(r: Improved, figures: bool = True) -> Page:
     """All steps of an improvement."""
+    anew = _refit_words(r.refit) if r.refit else ""
     if not r.steps:
         last = r.diagnoses[-1]
-        lead = f"Nothing was added: {WHY_ENDED[r.reason]}. {_sentence(last.sentence)}"
+        added = f"No effect was added: {WHY_ENDED[r.reason]}." if anew else f"Nothing was added: {WHY_ENDED[r.reason]}."
+        lead = f"{anew}{added} {sentence(last.sentence)}"
     else:
         first, last_step = r.steps[0], r.steps[-1]
         unit = UNITS[last_step.unit]
         lead = (
-            f"{len(r.steps)} {'effect' if len(r.steps) == 1 else 'effects'} added: {first.before.held_out:.3g} {unit} "
-            f"left on runs not used became {last_step.after.held_out:.3g}, noise is {last_step.floor:.3g}. "
+            f"{anew}{len(r.steps)} {'effect' if len(r.steps) == 1 else 'effects'} added: "
+            f"{first.before.held_out:.3g} {unit} left on runs not used became {last_step.after.held_out:.3g}, "
+            f"noise is {last_step.floor:.3g}. "
             f"It ended because {WHY_ENDED[r.reason]}."
         )
     sections = [

@@ -1,6 +1,8 @@
 """Figures of a diagnosis; style and colours as in `figures`. Only arrays come in, PNG goes out."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import fill
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,41 +12,52 @@ from rtec.report.figures import GREY, OFF, ON, _figure, _png, _styled
 Floats = NDArray[np.float64]
 BINS = 24
 MOST_DOTS = 4000
+NO_BETTER = 0.005
+"""Share of the mean square; falls of less are none."""
+LONG = 24
+"""Letters; longer names stand on two lines."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What is left of one reading column against one thing that drives it.
+
+    Attributes:
+        title: of the panel; empty where it goes on from the one above.
+        unit: of the readings, for people.
+        residual, part: what is left, and what the finding says of it, (n,).
+        below: title of the lower axis.
+        value: of the driver, (n,).
+        direction: -1 or +1, (n,), where the driver is a position that was gone along both ways.
+    """
+
+    title: str
+    unit: str
+    residual: Floats
+    part: Floats
+    below: str
+    value: Floats
+    direction: Floats | None
 
 
 @_styled
-def against_drivers(
-    title: str,
-    unit: str,
-    residual: Floats,
-    part: Floats,
-    drivers: Sequence[tuple[str, str, Floats]],
-    direction: Floats | None,
-) -> bytes:
-    """What is left against what drives it, and what the finding says of it; one panel a driver.
-
-    Args:
-        title: of the figure.
-        unit: of the readings, for people.
-        residual, part: (n,).
-        drivers: name, unit, values (n,).
-        direction: of the first driver, (n,), where it is a position that was gone along both ways.
-    """
-    figure, axes = _figure(len(drivers), 4.4)
-    thin = slice(None, None, max(1, len(residual) // MOST_DOTS))
-    for place, (ax, (name, channel_unit, value)) in enumerate(zip(axes, drivers, strict=True)):
-        ways = _ways(direction if place == 0 else None, len(value))
-        for label, mask, colour, marker in ways:
-            ax.plot(value[mask][thin], residual[mask][thin], linestyle="", marker=marker, markersize=3.5,
+def against_drivers(panels: Sequence[Panel]) -> bytes:
+    """What is left against what drives it, and what the finding says of it."""
+    figure, axes = _figure(len(panels), 4.4)
+    for ax, panel in zip(axes, panels, strict=True):
+        value = panel.value
+        for label, mask, colour, marker in _ways(panel.direction, len(value)):
+            thin = slice(None, None, max(1, int(mask.sum()) // MOST_DOTS))
+            ax.plot(value[mask][thin], panel.residual[mask][thin], linestyle="", marker=marker, markersize=3.5,
                     color=colour, alpha=0.35)  # fmt: skip
-            middle, height = binned(value[mask], part[mask])
+            middle, height = binned(value[mask], panel.part[mask])
             # White behind the line keeps it apart from the dots.
             ax.plot(middle, height, color="white", linewidth=5.5)
             ax.plot(middle, height, color=colour, linewidth=2.8, label=f"{label}: dots are left, line is the finding")
         ax.axhline(0.0, color="black", linewidth=1)
-        ax.set_title(title if place == 0 else "")
-        ax.set_xlabel(f"{name}, {channel_unit}" if channel_unit != "1" else name)
-        ax.set_ylabel(f"left, {unit}")
+        ax.set_title(panel.title)
+        ax.set_xlabel(panel.below)
+        ax.set_ylabel(f"left, {panel.unit}")
         ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=12, loc="best")
     return _png(figure)
 
@@ -67,24 +80,43 @@ def binned(value: Floats, height: Floats) -> tuple[Floats, Floats]:
 
 
 @_styled
-def rivals(rows: Sequence[tuple[str, float, bool]]) -> bytes:
+def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> bytes:
     """How much of the error goes with each candidate, on runs that were not used: bars, best on top.
 
     Args:
-        rows: label, relative fall of the mean square, whether it is of the winner's group.
+        rows: label, relative fall of the mean square, whether it is of the winner's group, and why it is preferred or
+            not, in few words.
     """
-    figure, (ax,) = _figure(1, 0.6 * len(rows) + 1.5)
-    for place, (name, drop, chosen) in enumerate(reversed(rows)):
-        ax.barh(place, 100.0 * max(drop, 0.0), 0.7, color=ON if chosen else "#BBBBBB", hatch="" if chosen else "//",
-                edgecolor="white")  # fmt: skip
-        ax.text(100.0 * max(drop, 0.0), place, f" {100.0 * drop:.0f} %", va="center", fontsize=14)
-        ax.text(-0.02, place, name, va="center", ha="right", transform=ax.get_yaxis_transform())
+    figure, (ax,) = _figure(1, 0.74 * len(rows) + 2.0)
+    groups = (("found, or not to be told from it", ON, ""), ("not preferred", "#BBBBBB", "//"))
+    for place, (name, drop, chosen, why) in enumerate(reversed(rows)):
+        label, colour, hatch = groups[0 if chosen else 1]
+        ax.barh(place, 100.0 * max(drop, 0.0), 0.7, color=colour, hatch=hatch, edgecolor="white", label=label)
+        said = f"{100.0 * drop:.0f} %" if drop >= NO_BETTER else "no better"
+        ax.text(100.0 * max(drop, 0.0), place, f" {said}", va="center", fontsize=14)
+        ax.text(0.97, place, fill(why, 22), va="center", fontsize=12, color=ON if chosen else GREY,
+                linespacing=1.0, transform=ax.get_yaxis_transform())  # fmt: skip
+        ax.text(-0.02, place, _on_two(name), va="center", ha="right", fontsize=13, linespacing=1.0,
+                transform=ax.get_yaxis_transform())  # fmt: skip
     ax.set_yticks([])
-    ax.set_xlim(0, 112)
-    ax.set_title("How much of the error would go")
+    ax.set_xlim(0, 119)
+    ax.set_xticks(range(0, 101, 20))
+    figure.suptitle("How much of the error would go, and how likely each is beside the first", x=0.01, ha="left",
+                    fontsize=17, fontweight="bold")  # fmt: skip
     ax.set_xlabel("% of the mean square on runs that were not used")
     ax.grid(visible=False, axis="y")
+    # Once each, in the order of the list, above the bars: there is always room.
+    handles, names = ax.get_legend_handles_labels()
+    once = dict(zip(names, handles, strict=True))
+    kept = [n for n, _, _ in groups if n in once]
+    ax.legend([once[n] for n in kept], kept, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False,
+              fontsize=13, borderaxespad=0.2)  # fmt: skip
     return _png(figure)
+
+
+def _on_two(name: str) -> str:
+    """A long label on two lines: at the bracket."""
+    return name.replace("(", "\n(", 1) if len(name) > LONG else name
 
 
 @_styled

@@ -5,11 +5,12 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from rtec.diagnosis.units import spoken
 from rtec.effects import Effect, Parameter
 from rtec.effects.base import About
 from rtec.effects.registry import EFFECTS, FAMILIES, all_effects, effect_class, plug_in_faults
 from rtec.effects.time_data import NOT_EFFECTS
-from rtec.report.effects_shape import example_machine, example_of, spoken
+from rtec.report.effects_shape import example_machine, example_of
 from rtec.report.html import Page, Section, Table
 
 OTHERS = "of other packages"

@@ -5,6 +5,7 @@ from collections.abc import Sized
 import numpy as np
 
 from rtec import __version__
+from rtec.diagnosis.units import spoken
 from rtec.metrology.characterise import Characterisation
 from rtec.metrology.characterise.result import Coefficient
 from rtec.report.html import Figure, Page, Section, Table
@@ -83,7 +84,7 @@ def _number_words(r: Characterisation) -> list[str]:
 
 
 def _coefficients(r: Characterisation) -> Table:
-    rows = [[c.effect, c.name, f"{c.value:.5g}", _error(c), _t(c), c.unit] for c in r.coefficients]
+    rows = [[c.effect, c.name, f"{c.value:.5g}", _error(c), _t(c), spoken(c.unit)] for c in r.coefficients]
     return Table(("effect", "number", "value", "std. error", "t", "unit"), rows, words=(0, 1, 5))
 
 

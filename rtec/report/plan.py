@@ -8,6 +8,7 @@ from rtec.diagnosis.plan import WEAK, Proposal, Separation
 from rtec.diagnosis.plan_answer import Answer
 from rtec.diagnosis.plan_parameters import hours_in_words
 from rtec.diagnosis.separating import Pair, Separator
+from rtec.diagnosis.units import spoken
 from rtec.report.html import Page, Section, Table
 
 SHOWN = 8
@@ -81,7 +82,7 @@ def _sizes(s: Separation) -> Table:
         together = any(p.name in group for group in s.confounded)
         blind = "only with others" if together else "never"
         enough = blind if not math.isfinite(size) else "yes" if size < p.typical else "only if large"
-        rows.append([p.name, f"{size:.3g}" if math.isfinite(size) else "∞", f"{p.typical:.3g}", p.unit, enough])
+        rows.append([p.name, f"{size:.3g}" if math.isfinite(size) else "∞", f"{p.typical:.3g}", spoken(p.unit), enough])
     return Table(("parameter", "found from", "usual size", "unit", "seen?"), rows, words=(0, 3, 4))
 
 

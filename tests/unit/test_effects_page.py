@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from rtec.cli.main import status
+from rtec.diagnosis.units import spoken
 from rtec.effects import EFFECTS
 from rtec.effects.around import DRIVES
 from rtec.effects.registry import FAMILIES
 from rtec.effects.time_data import NOT_EFFECTS
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.report import effects_figure, effects_page
-from rtec.report.effects_shape import POINTS, Curve, Shape, example_machine, example_of, shape_of, spoken
+from rtec.report.effects_shape import POINTS, Curve, Shape, example_machine, example_of, shape_of
 
 ABOUTS = {**{name: kind.about for name, kind in EFFECTS.items()}, **NOT_EFFECTS}
 OWN = {"expression"}
@@ -26,8 +27,8 @@ CATALOGUE = set(
         """
     scale polynomial_position piecewise_position cyclic_screw coupling_misalignment interpolation_error cyclic_pole
     straightness squareness parallelism angular_motion guide_curvature guide_twist backlash backlash_position
-    backlash_wear backlash_load backlash_temperature angular_reversal servo_lag servo_phase lost_motion reversal_spike
-    stribeck guide_lift inertia axis_expansion mount_expansion axis_expansion_nonuniform spindle_growth
+    backlash_wear backlash_load backlash_temperature angular_reversal servo_lag servo_phase change_over lost_motion
+    reversal_spike stribeck guide_lift inertia axis_expansion mount_expansion axis_expansion_nonuniform spindle_growth
     spindle_speed_shift spindle_tilt column_tilt bed_bending ambient_drift coolant_expansion ram_sag cross_talk
     load_deformation force_deflection daily_drift wear_drift missed_counts centre_offset instrument_drift outliers
 """,

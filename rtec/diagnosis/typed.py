@@ -1,0 +1,194 @@
+"""What no effect describes, as an expression that can be typed: a hump, a step, a polynomial or a wave, and where.
+
+Simple forms over the variables of the best shape without a name are weighed for each component error that the readings
+see, as the effects of the catalogue are; the best by its evidence is proposed for `rtec add --expr`.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.alias import STEPS
+from rtec.diagnosis.candidates import visible
+from rtec.diagnosis.noise import Whitener
+from rtec.diagnosis.readings import Readings
+from rtec.diagnosis.refit import solve
+from rtec.diagnosis.screen import Projected
+from rtec.diagnosis.shapes import Ground
+from rtec.diagnosis.shapes_search import weigh
+from rtec.diagnosis.thin import looked_at
+from rtec.diagnosis.typed_forms import Form, Span, forms_of
+from rtec.diagnosis.units import named, spoken
+from rtec.diagnosis.unnamed import Shaped
+from rtec.diagnosis.words import unit_of_channel
+from rtec.effects import Effect
+from rtec.effects.base import component_kind
+from rtec.effects.from_text import expression_from_text
+from rtec.errors import ModelError
+
+Floats = NDArray[np.float64]
+
+LEADING = 2
+"""Component errors for which forms are weighed."""
+HALVINGS = 4
+FWHM = 2.0 * math.sqrt(math.log(2.0))
+"""Width of exp(-(x/w)²) at half its height over w."""
+
+
+@dataclass(frozen=True)
+class Typed:
+    """A proposal.
+
+    Attributes:
+        expression, parameters, component: as `--expr`, `--param` and `--component` take them.
+        where: in words; empty where there is nothing to say.
+        effect, theta: the same as an effect, and its non-linear parameters as far as a grid finds them.
+    """
+
+    expression: str
+    parameters: tuple[str, ...]
+    component: str
+    where: str
+    effect: Effect
+    theta: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Tried:
+    form: Form
+    component: str
+    effect: Effect
+    theta: Mapping[str, float]
+    evidence: float
+
+
+def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
+    """The best simple form for a shape without a name; None where none of them is likelier than nothing.
+
+    Args:
+        readings: the readings.
+        base: columns of the current model, (m, p).
+        shaped: the shape.
+    """
+    spans = _spans(readings, shaped)
+    if spans is None:
+        return None
+    keep = looked_at(readings)
+    few = readings if keep.all() else readings.without(~keep)
+    known = shaped.fit.whitener
+    whitener = known if few is readings else replace(known, readings=few)
+    projected = Projected.of(whitener, base[keep], few.values)
+    tried = [
+        t
+        for component in _components(few, projected, shaped)
+        for form in forms_of(spans, shaped.shape.period)
+        if (t := _best(few, projected, form, component)) is not None
+    ]
+    best = max(tried, key=lambda t: t.evidence, default=None)
+    if best is None or best.evidence <= 0.0:
+        return None
+    best = _refined(few, projected, best)
+    parameters = tuple(p.text(best.theta[p.name]) for p in best.form.searched)
+    text = best.form.expression
+    return Typed(text, parameters, best.component, _where(few, base[keep], whitener, best, spans), best.effect,
+                 best.theta)  # fmt: skip
+
+
+def _spans(readings: Readings, shaped: Shaped) -> list[Span] | None:
+    """The variables as an expression reads them; None where it cannot."""
+    machine, group = readings.machine, Ground(readings).groups[shaped.shape.group]
+    out = []
+    for name in shaped.shape.variables:
+        if name not in machine.channel_names:
+            return None
+        value = readings.channel(name)[group]
+        zero = readings.states[0].reference_degc if name in machine.sensor_names else 0.0
+        levels = np.unique(np.round(value, 3))
+        step = float(np.median(np.diff(levels))) if len(levels) > 1 else 0.0
+        out.append(Span(name, float(value.min()) - zero, float(value.max()) - zero, step, zero))
+    return out if all(s.high > s.low for s in out) else None
+
+
+def _components(readings: Readings, projected: Projected, shaped: Shaped) -> list[str]:
+    """Component errors through which the shape tells most of all readings, most first."""
+    ground = Ground(readings)
+    free = sum(ground.columns(replace(shaped.shape, group=g)) for g in ground.groups)
+    mine = {m.instrument.component for m in readings.measurements}
+    scored = []
+    for seen in visible(readings):
+        found = weigh(projected, readings.arms(seen.name)[:, None] * np.asarray(free))
+        if found is not None:
+            # Of those that the readings cannot tell apart: what the instrument is there for, then the most direct.
+            steps = STEPS.get(component_kind(seen.name, readings.machine), len(STEPS))
+            scored.append((-round(found[2], 2), seen.name not in mine, not seen.moves, steps, seen.name))
+    return [name for *_, name in sorted(scored)[:LEADING]]
+
+
+def _best(readings: Readings, projected: Projected, form: Form, component: str) -> _Tried | None:
+    try:
+        texts = [p.text(p.start) for p in form.searched]
+        effect = expression_from_text(form.expression, texts, component, readings.machine)
+    except ModelError:  # a machine whose axes or sensors have the names of these parameters
+        return None
+    grids = itertools.product(*(p.grid for p in form.searched))
+    thetas = (dict(zip((p.name for p in form.searched), map(float, values), strict=True)) for values in grids)
+    tried = (_tried(readings, projected, form, component, effect, theta) for theta in thetas)
+    return max((t for t in tried if t is not None), key=lambda t: t.evidence, default=None)
+
+
+def _tried(
+    readings: Readings, projected: Projected, form: Form, component: str, effect: Effect, theta: Mapping[str, float]
+) -> _Tried | None:
+    found = weigh(projected, readings.columns(effect, theta), len(theta))
+    return None if found is None else _Tried(form, component, effect, theta, found[2])
+
+
+def _refined(readings: Readings, projected: Projected, best: _Tried) -> _Tried:
+    """The parameters between those of the grid, by steps that halve."""
+    for step in (0.5**k for k in range(1, HALVINGS + 1)):
+        for theta in _about(best, step):
+            other = _tried(readings, projected, best.form, best.component, best.effect, theta)
+            if other is not None and other.evidence > best.evidence:
+                best = other
+    return best
+
+
+def _about(best: _Tried, step: float) -> Iterator[dict[str, float]]:
+    for p in best.form.searched:
+        for way in (-1.0, 1.0):
+            value = best.theta[p.name] + way * step * p.between(best.theta[p.name])
+            if p.low < value < p.high:
+                yield {**best.theta, p.name: value}
+
+
+def _where(readings: Readings, base: Floats, whitener: Whitener, best: _Tried, spans: Sequence[Span]) -> str:
+    """Where it is, in words."""
+    first, unit = spans[best.form.along], spoken(unit_of_channel(spans[best.form.along].name))
+    name, theta = named(first.name), best.theta
+    columns = readings.columns(best.effect, theta)
+    whole = whitener(np.concatenate([base, columns], axis=1))
+    values = solve(whole, whitener(readings.values))[base.shape[1] :]
+    if best.form.kind == "hump":
+        what = "hump" if values[0] > 0.0 else "dip"
+        wide = f"{FWHM * theta['width']:.2g}"
+        return f"a {what} at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}, about {wide} {unit} wide"
+    if best.form.kind == "step":
+        return f"a step at {name} ≈ {_rounded(theta['centre'] + first.zero)} {unit}"
+    if best.form.kind == "wave":
+        grows = best.form.grows
+        searched = len(best.form.searched[0].grid) > 1
+        said = [f"a wave with a period of {_rounded(theta['period'])} {unit}"] if searched else []
+        said += [] if grows is None else [f"its height changing with {named(spans[grows].name)}"]
+        return ", ".join(said)
+    made = np.abs(columns @ values)
+    at = [f"{named(s.name)} ≈ {_rounded(float(readings.channel(s.name)[int(np.argmax(made))]))} "
+          f"{spoken(unit_of_channel(s.name))}".rstrip() for s in spans if not s.name.startswith("d_")]  # fmt: skip
+    return f"largest at {', '.join(at)}" if at else ""
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.3g}"

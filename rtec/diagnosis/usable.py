@@ -1,0 +1,75 @@
+"""What can be fitted at all, and whether what was fitted is worth its place: checks with plain words."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis.readings import Readings
+from rtec.errors import MeasurementError, ModelError
+from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect
+
+Floats = NDArray[np.float64]
+
+FEWEST = 10
+"""Readings below which a refit would follow the noise."""
+SURE = 2.0
+"""Standard errors that a number must be away from zero to be more than chance."""
+MOST_DIGITS = 8
+
+
+def check_enough(measurements: Sequence[Measurement], fewest: int = FEWEST) -> None:
+    """Refuse to judge anything by a handful of readings.
+
+    Raises:
+        MeasurementError: there are fewer than that in all measurements together.
+    """
+    n = sum(int(np.isfinite(m.matrix()).sum()) for m in measurements)
+    if measurements and n < fewest:
+        named = ", ".join(m.name for m in measurements)
+        raise MeasurementError(f"{named}: too few readings: {n}, at least {fewest} are needed; measure more")
+
+
+def check_finite(fitted: FittedEffect, readings: Readings) -> Floats:
+    """Columns of an effect at the numbers that it starts with, (m, coefficients).
+
+    Raises:
+        ModelError: some are no numbers, as where an expression divides by zero.
+    """
+    with np.errstate(all="ignore"):
+        columns = readings.columns(fitted.effect, fitted.theta)
+    bad = np.flatnonzero(~np.isfinite(columns).all(axis=1))
+    if len(bad):
+        what = f"expression {text!r}" if (text := getattr(fitted.effect, "expression", None)) else fitted.label
+        raise ModelError(
+            f"add: {what} is not finite at {len(bad)} of {len(columns)} readings"
+            " (a division by zero, or the root or logarithm of a negative number)"
+        )
+    return columns
+
+
+def unsure(added: Sequence[FittedEffect]) -> tuple[str, ...]:
+    """Words for each effect of which no coefficient is clearly more than zero."""
+    out = []
+    for f in added:
+        known = {n: f.errors[n] for n in f.values if f.errors.get(n, 0.0) > 0.0}
+        if len(known) == len(f.values) and all(abs(f.values[n]) < SURE * e for n, e in known.items()):
+            told = ", ".join(f"{n} = {f.values[n]:.3g} ± {e:.2g}" for n, e in known.items())
+            out.append(f"{f.label}: {told} is less than two standard errors from zero and may be chance")
+    return tuple(out)
+
+
+def apart(one: float, two: float, least: int = 3) -> tuple[str, str]:
+    """Two numbers with so many digits that their difference shows; at most eight."""
+    for digits in range(least, MOST_DIGITS + 1):
+        a, b = f"{one:.{digits}g}", f"{two:.{digits}g}"
+        if a != b:
+            break
+    return a, b
+
+
+def share(part: float) -> str:
+    """A share in per cent without its sign; with a digit more where it would be rounded to nothing."""
+    percent = abs(100.0 * part)
+    return f"{percent:.0f}%" if percent >= 0.95 or percent == 0.0 else f"{percent:.1g}%"
