@@ -103,7 +103,7 @@ def add(
     from rtec.diagnosis.add import refused
     from rtec.diagnosis.asked import check_one
     from rtec.model import save_model
-    from rtec.report.diagnosis import added_page
+    from rtec.report.additions import added_page
 
     # `--data A B C`: B and C arrive as arguments.
     check_one(effect, expr, refit)
@@ -154,7 +154,7 @@ def improve(
     from rtec.cli.stopping import kept, told_when_stopped
     from rtec.diagnosis.improve import improve as go_on
     from rtec.model import save_model
-    from rtec.report.diagnosis import improved_page
+    from rtec.report.additions import improved_page
 
     if not yes and not sys.stdin.isatty():
         raise typer.BadParameter(
@@ -263,7 +263,7 @@ def _ask(choice: "Choice") -> "Finding | None":
 def _ask_refit(made: "Added") -> bool:
     """Show what fitting the model's own numbers anew buys, and ask."""
     from rtec.cli.show import show_page
-    from rtec.report.diagnosis import added_page
+    from rtec.report.additions import added_page
 
     page = added_page(made, False)
     show_page(type(page)(page.title, page.lead, page.numbers, page.sections[:1]))

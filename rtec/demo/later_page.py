@@ -3,7 +3,8 @@
 from rtec.demo.later import Later, by_part_um, tip_rms_um
 from rtec.diagnosis.words import UNITS
 from rtec.report import diagnosis_figures
-from rtec.report.diagnosis import added_page, diagnosis_page
+from rtec.report.additions import added_page
+from rtec.report.diagnosis import diagnosis_page
 from rtec.report.html import Figure, Section, Table
 
 TITLE = "An effect that the model does not know"

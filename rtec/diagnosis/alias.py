@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 SAME = 0.99
 """Cosine between two contributions from which on they are one to these readings."""
 WITHIN = math.log(20.0)
+APART = 0.3
+"""Cosine below which two effects explain different parts of the readings."""
 
 
 INDIRECT = 0.4
@@ -53,7 +55,11 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         log_odds: log evidence of the one over the other.
     """
     why, test = _told(one, other)
-    if cos > SAME:
+    if cos < APART and log_odds > WITHIN:
+        how = (
+            f"it explains another part of the readings (cosine {cos:.2f}) and helps runs left out: both may be missing"
+        )
+    elif cos > SAME:
         how = f"in these readings the two are the same shape (cosine {cos:.3f})"
     elif log_odds > 2.0 * WITHIN:
         how = "the readings make it less likely, yet runs that were left out are predicted better by it"

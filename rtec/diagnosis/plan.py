@@ -92,6 +92,19 @@ class Extra:
     measurement: Measurement
     hours: float
 
+    @property
+    def setup(self) -> dict[str, Any]:
+        """Keys of `[setup]` that are not as usual: where a circle's centre is, its radius, its feed."""
+        return self.measurement.instrument.setup.model_dump(mode="json", exclude_defaults=True)
+
+    def facts(self) -> dict[str, Any]:
+        """What it takes to make it, as plain data."""
+        instrument = self.measurement.instrument
+        return {
+            "test": self.name, "hours": self.hours, "instrument": instrument.name, "axis": instrument.axis,
+            "setup": self.setup,
+        }  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Proposal:

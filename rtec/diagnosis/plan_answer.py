@@ -80,16 +80,14 @@ class Answer:
             "route": [_proposal(p) for p in self.route],
             "hopeless": [list(h) for h in self.hopeless],
             "separators": [
-                {"test": s.test.name, "hours": s.test.hours, "pairs": [vars(p) | {"clear": p.clear} for p in s.pairs]}
-                for s in self.separators
+                s.test.facts() | {"pairs": [vars(p) | {"clear": p.clear} for p in s.pairs]} for s in self.separators
             ],
         }
 
 
 def _proposal(p: Proposal) -> dict[str, Any]:
-    return {
-        "test": p.test.name, "hours": p.test.hours, "rank": p.after.rank, "gained": list(p.gained),
-        "condition_number": p.after.condition,
+    return p.test.facts() | {
+        "rank": p.after.rank, "gained": list(p.gained), "condition_number": p.after.condition,
     }  # fmt: skip
 
 

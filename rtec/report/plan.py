@@ -28,6 +28,7 @@ def plan_page(a: Answer) -> Page:
             Section("Smallest size that would be found", [], _sizes(s)),
             *_proposals(a.proposals),
             *_separators(a.separators),
+            *_setups([*a.route, *a.proposals[:SHOWN]], a.separators[:SHOWN]),
         ],
         foot=[
             f"Three standard errors, white noise of {a.noise:g} µm or µrad.",
@@ -118,6 +119,26 @@ def _separators(separators: Sequence[Separator]) -> list[Section]:
     ]
     head = ("test to add", "takes", "pairs told apart", "odds of the worst pair")
     return [Section("What tells the rivals apart, best first", said, Table(head, rows, words=(0, 1, 2, 3)))]
+
+
+def _setups(proposals: Sequence[Proposal], separators: Sequence[Separator]) -> list[Section]:
+    """Where the tests that were named are made: what a planned test's file has under `[setup]`."""
+    tests = {t.name: t for t in (*(p.test for p in proposals), *(s.test for s in separators))}
+    rows = [
+        [name, ", ".join(f"{key} = {_key(value)}" for key, value in test.setup.items())]
+        for name, test in tests.items()
+        if test.setup
+    ]
+    if not rows:
+        return []
+    words = ["Keys of [setup], as a file of a planned test and `rtec simulate --set` take them."]
+    return [Section("How they are set up", words, Table(("test", "setup"), rows, words=(0, 1)))]
+
+
+def _key(value: object) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_key(v) for v in value)}]"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _worst(pairs: Sequence[Pair]) -> str:

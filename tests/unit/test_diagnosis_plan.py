@@ -13,7 +13,10 @@ from rtec.cli.main import status
 from rtec.diagnosis.plan import SURE, separation
 from rtec.diagnosis.plan_ideas import extra_tests
 from rtec.effects import Effect
+from rtec.machine import load_machine
+from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
+from tests.setups import CONFIGS
 from tests.unit.diagnosis_examples import effects, laser, small_machine, write_machine
 
 BESIDE = {"beam_offset_mm": [0.0, 0.0, 150.0]}
@@ -135,3 +138,15 @@ def test_command_refuses_what_it_cannot_read(tmp_path: Path, capsys: pytest.Capt
     test = write_test(tmp_path, "laser-x", "X", {})
     assert status(["plan", str(machine), str(test), "--effects", "scalee:EXX"]) == 2
     assert "scale" in capsys.readouterr().err
+
+
+def test_a_test_to_add_can_be_set_up_as_it_is_told() -> None:
+    """Oracle: the instrument itself, made again from what `rtec plan --json` says."""
+    machine = load_machine(CONFIGS / "machines" / "turning-centre.toml")
+    tests = extra_tests(machine)
+    assert {"ball_bar", "laser_linear", "grid_encoder"} <= {t.measurement.instrument.name for t in tests}
+    for test in tests:
+        told = json.loads(json.dumps(test.facts()))
+        component = test.measurement.instrument.component
+        again = make_instrument(told["instrument"], told["setup"], told["axis"], component, machine, "test")
+        assert again == test.measurement.instrument, test.name
