@@ -3,7 +3,9 @@
 Exit status: 0 done; 1 a check or limit failed; 2 wrong use or bad input; 130 interrupted.
 """
 
+import signal
 import sys
+import threading
 from typing import Annotated
 
 import typer
@@ -93,7 +95,19 @@ def _main(
 
 def main() -> None:
     """Run the command line and leave with its status."""
+    sys.unraisablehook = unraisable
     sys.exit(status(sys.argv[1:]))
+
+
+def unraisable(what: "sys.UnraisableHookArgs") -> None:
+    """Where Python can raise nothing, as while it clears up an object, Ctrl-C would be lost: it is given once more."""
+    if what.exc_type is KeyboardInterrupt:
+        # A moment later: here it would be lost again.
+        again = threading.Timer(0.01, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+        again.daemon = True
+        again.start()
+    else:
+        sys.__unraisablehook__(what)
 
 
 def status(arguments: list[str]) -> int:

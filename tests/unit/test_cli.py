@@ -96,3 +96,28 @@ def test_effects_are_named_and_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert "ΔT" in capsys.readouterr().out
     assert status(["effects", "axis_expansio"]) == 2
     assert "did you mean 'axis_expansion'" in capsys.readouterr().err
+
+
+def test_ctrl_c_is_not_lost_where_python_can_raise_nothing() -> None:
+    """Oracle: Python itself, which lets go of an object whose end is interrupted. Without the hook it goes on."""
+    program = """
+import sys
+from rtec.cli.main import unraisable
+if len(sys.argv) > 1:
+    sys.unraisablehook = unraisable
+class Ends:
+    def __del__(self):
+        raise KeyboardInterrupt
+try:
+    thing = Ends()
+    del thing
+    while len(sys.argv) > 1:
+        pass
+    print("went on")
+except KeyboardInterrupt:
+    print("stopped")
+"""
+    for words, said in ((["hook"], "stopped\n"), ([], "went on\n")):
+        command = [sys.executable, "-c", program, *words]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+        assert done.stdout == said
