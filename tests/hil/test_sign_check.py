@@ -24,6 +24,8 @@ from tests.hil import faulty
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 LONGEST_S = 60.0
+LATE_UM = 0.1
+"""A cycle that comes late brakes late, within its acceleration: a fifth of a count."""
 STANDS = "G4 X3600"
 
 
@@ -59,7 +61,7 @@ def test_the_axis_goes_by_the_step_and_back_within_its_limits(tmp_path: Path) ->
     time_s, counts, applied_um = arrays(log)
     x_um = applied_um[:, 0]
     assert (x_um[0], x_um[-1]) == (0.0, 0.0)
-    assert x_um.max() == pytest.approx(20.0, abs=1e-3)
+    assert x_um.max() == pytest.approx(20.0, abs=LATE_UM)
     assert not applied_um[:, 1].any()
     assert (np.abs(np.diff(x_um)) <= 50.0 * np.diff(time_s).max() * (1 + 1e-9)).all()  # slew_um_s of the run file
     there = np.flatnonzero(np.abs(x_um - 20.0) < 1e-3)[500:]
@@ -78,7 +80,7 @@ def test_ctrl_c_takes_the_step_back_before_it_ends(tmp_path: Path) -> None:
     tables = setups.tables(tmp_path, driver="faulty", program=STANDS, happens="ctrl_c", at_cycle=900, told=str(told))
     done = rtec("run", setups.write(tmp_path, tables), "--step", "Z=-15um", "--json", env=env)
     assert done.returncode == 130, done.stderr
-    assert json.loads(done.stdout)["largest_um"] == pytest.approx({"X": 0.0, "Z": 15.0}, abs=1e-3)
+    assert json.loads(done.stdout)["largest_um"] == pytest.approx({"X": 0.0, "Z": 15.0}, abs=LATE_UM)
     applied = [line for line in told.read_text().splitlines() if line.startswith("apply")]
     assert applied[-1] == "apply [0, 0]"
 
