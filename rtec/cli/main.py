@@ -102,12 +102,18 @@ def main() -> None:
 def unraisable(what: "sys.UnraisableHookArgs") -> None:
     """Where Python can raise nothing, as while it clears up an object, Ctrl-C would be lost: it is given once more."""
     if what.exc_type is KeyboardInterrupt:
-        # A moment later: here it would be lost again.
-        again = threading.Timer(0.01, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
-        again.daemon = True
-        again.start()
+        left = threading.Event()
+        threading.Thread(target=_interrupt, args=(left,), daemon=True).start()
+        left.set()
     else:
         sys.__unraisablehook__(what)
+
+
+def _interrupt(left: threading.Event) -> None:
+    """Interrupt the main thread a moment after it has left the hook: inside it would be lost again."""
+    left.wait()
+    threading.Event().wait(0.05)
+    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
 
 def status(arguments: list[str]) -> int:

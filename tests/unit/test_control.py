@@ -194,7 +194,8 @@ def test_a_client_that_asks_and_never_listens_keeps_nobody_waiting(local: Line, 
             heard += 1
     finally:
         context.destroy(linger=0)
-    assert QUEUED <= heard < asked // 2
+    # The queues of both sides and of the kernel hold some hundreds; a busy computer lets a few more through meanwhile.
+    assert QUEUED <= heard < asked * 3 // 4
 
 
 def test_strange_envelopes_are_answered_or_dropped(local: Line) -> None:
