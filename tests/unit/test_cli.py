@@ -101,8 +101,9 @@ def test_effects_are_named_and_told(capsys: pytest.CaptureFixture[str]) -> None:
 def test_ctrl_c_is_not_lost_where_python_can_raise_nothing() -> None:
     """Oracle: Python itself, which lets go of an object whose end is interrupted. Without the hook it goes on."""
     program = """
-import sys
+import signal, sys
 from rtec.cli.main import unraisable
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background begins without it
 if len(sys.argv) > 1:
     sys.unraisablehook = unraisable
 class Ends:
