@@ -16,6 +16,8 @@ TO_DEGC = {
     "0.01degc": (0.01, 0.0),
 }
 MM = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
+LARGEST = 1e15
+"""°C, counts or 1/min. Up to here a count keeps its last digit; a position beyond would wrap to a believable one."""
 
 
 class LineReader:
@@ -109,7 +111,11 @@ class LineParser:
                 faults[name] = f"{name}: {text[:20]!r} is no number"
             else:
                 factor, offset = self._scales[name]
-                values[name] = factor * number + offset
+                value = factor * number + offset
+                if abs(value) > LARGEST:
+                    faults[name] = f"{name}: {text.strip()[:20]!r} is too large to be true"
+                else:
+                    values[name] = value
         return Line(values, faults)
 
 

@@ -133,6 +133,8 @@ def uncobs(block: bytes) -> bytes | None:
         return None
     while at < end:
         code = block[at]
+        if not code:  # no zero stands in a block
+            return None
         out.append(block[at + 1 : at + code])
         at += code
     return b"\0".join(out) if at == end else None

@@ -4,8 +4,16 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from rtec.errors import DriverError
 from rtec_drivers import can_box_frames as frames
 from rtec_drivers.can_box_frames import BoxFrame
+
+PATIENCE_NS = 50_000_000
+"""After so long a silence the box is asked less often,"""
+ASK_PERIOD_NS = 20_000_000
+"""namely so often."""
+LATEST_NS = 5_000_000_000
+"""An answer comes within this, or never; a number is used again after 256 questions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +57,32 @@ class CanBoxSession:
         self.came = threading.Event()
         self._base, self._axes, self._send = base_id, axes, send
         self._asked_ns: dict[int, int] = {}
+        self._heard_ns = 0
         self._latch = self._command = 0
         self._parts: dict[int, BoxFrame] = {}
         self._ledgers: dict[int, BoxFrame] = {}
 
     def latch(self, resume: bool, now_ns: int) -> None:
-        """Ask for counts and ledger; order to resume where that is wanted and the box's start is known."""
-        self._latch = (self._latch + 1) & 0xFF
+        """Ask for counts and ledger; order to resume where that is wanted and the box's start is known.
+
+        After a silence less often, and never by a number whose answer may still come: it would be taken for a new one.
+        """
+        number = (self._latch + 1) & 0xFF
+        last_ns = self._asked_ns.get(self._latch)
+        if last_ns is not None and now_ns - self._heard_ns > PATIENCE_NS and now_ns - last_ns < ASK_PERIOD_NS:
+            return
+        if now_ns - self._asked_ns.get(number, now_ns - LATEST_NS) < LATEST_NS:
+            return
+        self._latch = number
         bits = frames.WANT_LEDGER | (0 if self.info else frames.WANT_INFO)
         if resume and self.boot:
             bits |= frames.RESUME
         self._asked_ns[self._latch] = now_ns
-        self.send(frames.LATCH, BoxFrame(frames.VERSION, self._latch, self.boot, bits))
+        try:
+            self.send(frames.LATCH, BoxFrame(frames.VERSION, self._latch, self.boot, bits))
+        except DriverError:  # it never left, so no answer comes
+            self._asked_ns.pop(self._latch, None)
+            raise
 
     def command(self, targets: tuple[int, ...], boot: int) -> None:
         """Send inserted counts, one frame an axis."""
@@ -105,6 +127,9 @@ class CanBoxSession:
         for part in same:
             status |= part.bits
         counts = tuple(self._parts[k].number for k in range(self._axes))
+        for old in [n for n, t in list(self._asked_ns.items()) if t < asked_ns]:  # a bus keeps frames in order
+            self._asked_ns.pop(old, None)
+        self._heard_ns = now_ns
         self.boot = frame.boot
         self.newest = Latched(counts, status, frame.boot, asked_ns, now_ns)
         self._parts.clear()

@@ -5,17 +5,21 @@ Interfaces are python-can's, by its own names: socketcan, slcan, virtual, udp_mu
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.runtime.clock import Clock
 from rtec.tomlfile import Strict
 from rtec_drivers.modbus_worker import Backoff, Worker
 
 RECEIVE_S = 0.02
 """Longest wait for a frame before the thread looks whether it shall stop, or whether something has fallen silent."""
+GARBLED_TOLD, GARBLED_IN_A_ROW = 3, 20
+"""Lines in a row that are no frame: from how many it is told, and after how many the adapter is opened again."""
+GARBAGE = "what comes is no frame; look at the adapter's cable and at the rate of its serial port"
 BUS_OFF, CONTROLLER, LOST_ARBITRATION, RESTARTED = 0x40, 0x04, 0x02, 0x100
 PASSIVE, WARNING, OVERFLOW = 0x30, 0x0C, 0x03
 ERROR_CLASSES = (0x04, 0x08, 0x20, 0x40, 0x44, 0x80)
@@ -55,6 +59,9 @@ class CanLink:
         options: which and how.
         filters: identifiers to let through, as (identifier, extended); none: all.
 
+    Attributes:
+        garbled: texts in a row, from an adapter on a serial line, that were no frame.
+
     Raises:
         DriverUnavailable: it cannot be opened, or python-can or its back end is not installed.
     """
@@ -62,7 +69,7 @@ class CanLink:
     def __init__(self, options: CanOptions, filters: Sequence[tuple[int, bool]]) -> None:
         import can
 
-        self.place, self._errors = options.place, (can.CanError, OSError, ValueError)
+        self.place, self._errors, self.garbled = options.place, (can.CanError, OSError, ValueError), 0
         settings: Mapping[str, Any] = {**options.settings, **({"bitrate": options.bitrate} if options.bitrate else {})}
         # Interfaces that filter in software filter error frames too: their classes must pass, or bus-off goes unseen.
         passed = [*filters, *((n, False) for n in ERROR_CLASSES)] if filters else []
@@ -71,15 +78,41 @@ class CanLink:
             self._bus: Any = can.Bus(
                 interface=options.interface, channel=options.channel, can_filters=exact or None, **settings
             )
-        except (*self._errors, ImportError, NotImplementedError, TypeError) as e:
-            raise DriverUnavailable(f"{self.place}: cannot be opened: {e}") from e
+        except Exception as e:  # back ends without their maker's library raise the oddest things
+            missing = options.channel.startswith("/") and not Path(options.channel).exists()
+            why = "no such port; plug it in, or name another" if missing else e
+            raise DriverUnavailable(f"{self.place}: cannot be opened: {why}") from e
 
     def receive(self) -> Any:
-        """The next frame, or None after a short while; DriverUnavailable when the interface is gone."""
+        """The next frame; None after a short while, or for text of an adapter that is no frame.
+
+        Raises:
+            DriverUnavailable: the interface is gone, or nothing but garbage comes.
+        """
         try:
-            return self._bus.recv(RECEIVE_S)
-        except self._errors as e:
-            raise DriverUnavailable(f"{self.place}: is gone: {e}") from e
+            message = self._bus.recv(RECEIVE_S)
+        except Exception as e:
+            no_text = isinstance(e.__cause__, UnicodeDecodeError)
+            if not no_text and not isinstance(e, ValueError | IndexError):
+                raise DriverUnavailable(f"{self.place}: is gone: {e}") from e
+            self._skip_garbage(no_text)
+            return None
+        if message is not None:
+            self.garbled = 0
+        return message
+
+    def _skip_garbage(self, no_text: bool) -> None:
+        """What is no frame costs that line, not the seconds that an adapter takes to open.
+
+        python-can takes the text of an adapter on a serial line (slcan) apart without looking: its errors are those of
+        numbers and indexes. Bytes that are no text at all stay in its buffer and would spoil every line to come.
+        """
+        self.garbled += 1
+        if self.garbled > GARBLED_IN_A_ROW:
+            raise DriverUnavailable(f"{self.place}: {GARBAGE}")
+        if no_text:
+            with suppress(*self._errors, AttributeError):
+                self._bus.flush()
 
     def send(self, identifier: int, data: bytes, extended: bool = False) -> None:
         """Hand a frame to the interface, without waiting; DriverTimeout when it takes none now."""
@@ -196,9 +229,7 @@ class CanPort:
                 message = link.receive()
                 now_ns = self._clock.now_ns()
                 if message is None:
-                    if link.off():
-                        raise DriverFault(f"{link.place}: bus-off: look at wiring, termination and bit rate")
-                    self._on_idle(now_ns)
+                    self._nothing(link, now_ns)
                 elif message.is_error_frame:
                     self._error(link, message)
                 elif not message.is_remote_frame:
@@ -207,6 +238,13 @@ class CanPort:
                     self._on_frame(message.arbitration_id, message.is_extended_id, bytes(message.data), now_ns)
         finally:
             self._link = None
+
+    def _nothing(self, link: CanLink, now_ns: int) -> None:
+        if link.garbled >= GARBLED_TOLD:
+            self.warning = f"{link.place}: {GARBAGE}"
+        elif link.off():
+            raise DriverFault(f"{link.place}: bus-off: look at wiring, termination and bit rate")
+        self._on_idle(now_ns)
 
     def _error(self, link: CanLink, message: Any) -> None:
         if message.arbitration_id & BUS_OFF:
@@ -221,12 +259,3 @@ class CanPort:
 
     def _tell(self, why: str) -> None:
         self.trouble = why
-
-
-def trouble_of(action: Callable[[], None]) -> str:
-    """What an action complains about, or ""."""
-    try:
-        action()
-    except DriverError as e:
-        return str(e)
-    return ""

@@ -1,6 +1,7 @@
 """Temperatures and spindle speed from frames on a CAN bus, named in a DBC file or mapped in CANopen PDOs."""
 
 import math
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Self
@@ -15,7 +16,7 @@ from rtec.runtime.clock import Clock
 from rtec_drivers.can_bus import CanOptions, CanPort
 from rtec_drivers.can_nodes import NMT, NodeOptions, NodeWatch
 from rtec_drivers.can_signals import Dbc, SignalOptions, Source
-from rtec_drivers.thermocouple_readings import Conversion, Readings
+from rtec_drivers.thermocouple_readings import Conversion, Readings, open_code_faults
 
 Timeout = Annotated[float, Field(gt=0, le=3600)]
 
@@ -28,6 +29,13 @@ class TemperatureSignal(SignalOptions, Conversion):
     """
 
     timeout_s: Timeout = 5.0
+
+    @model_validator(mode="after")
+    def _codes_can_come(self) -> Self:
+        kind = self.map[self.item - 1] if self.node is not None else "f64"
+        if kind[0] != "f" and (fault := open_code_faults(self.open_codes, int(kind[1:]), kind[0] == "i", kind)):
+            raise ValueError(fault)
+        return self
 
 
 class SpindleSignal(SignalOptions):
@@ -184,11 +192,7 @@ map = ["i32"]
                 self._take(name, source, data, now_ns)
         spindle = self._spindle
         if spindle is not None and (spindle.identifier, spindle.extended) == (identifier, extended):
-            try:
-                scale = self._options.spindle.scale if self._options.spindle else 1.0
-                self._rpm, self._rpm_ns = spindle.number(data) * scale, now_ns
-            except DriverFault:  # it gets old, and that is told
-                return
+            self._take_speed(spindle, data, now_ns)
         self._look(now_ns)
 
     def _take(self, name: str, source: Source, data: bytes, now_ns: int) -> None:
@@ -199,6 +203,14 @@ map = ["i32"]
             return
         self._heard_ns[name] = now_ns
         self._readings.take(name, number, now_ns)
+
+    def _take_speed(self, source: Source, data: bytes, now_ns: int) -> None:
+        """What is no number is passed over: the speed that stands gets old, and that is told."""
+        scale = self._options.spindle.scale if self._options.spindle else 1.0
+        with suppress(DriverFault):
+            rpm = source.number(data) * scale
+            if math.isfinite(rpm):
+                self._rpm, self._rpm_ns = rpm, now_ns
 
     def _look(self, now_ns: int) -> None:
         for name, table in self._options.temperature.items():

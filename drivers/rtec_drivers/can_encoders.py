@@ -101,6 +101,13 @@ max_speed_mm_s = 500
         self._options, self._clock, self._names = options, clock, names
         dbc = Dbc(None if options.dbc is None else base / options.dbc)
         self._sources = [dbc.source(options.axis[n], scaled=False) for n in names]
+        wrong = [
+            f"axis {n!r}: bits = {options.bits}, but its number in the frame has {s.bits}: it would wrap unseen"
+            for n, s in zip(names, self._sources, strict=True)
+            if options.bits > s.bits
+        ]
+        if wrong:
+            raise ConfigError("\n".join(wrong))
         fastest = [options.axis[a.name].max_speed_mm_s * a.counts_per_mm for a in machine.axes]
         self._tracker = CountTracker(names, options.bits, fastest)
         self._nodes = NodeWatch(list(options.node.values()))
@@ -191,7 +198,7 @@ max_speed_mm_s = 500
             if (source.identifier, source.extended) == (identifier, extended):
                 try:
                     self._pending[k] = (int(source.number(data)), now_ns)
-                except DriverFault:  # the reading gets old, and that is told
+                except (DriverFault, ValueError, OverflowError):  # no number; the reading gets old, and that is told
                     return
         if len(self._pending) == len(self._sources):
             self._complete(now_ns)

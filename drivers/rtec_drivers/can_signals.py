@@ -60,11 +60,13 @@ class Source:
     Attributes:
         identifier, extended: of the frame.
         number: reads it from the frame's content; raises DriverFault where it is not there.
+        bits: of a whole number: how many it has; 64 for others.
     """
 
     identifier: int
     extended: bool
     number: Decoder
+    bits: int = 64
 
 
 class Dbc:
@@ -101,7 +103,9 @@ class Dbc:
         if options.signal not in signals:
             where = f"{self._path}: message {message.name}"
             raise ConfigError(f"{where} has no signal {options.signal!r}{nearest(str(options.signal), signals)}")
-        return Source(message.frame_id, message.is_extended_frame, _dbc_decoder(message, str(options.signal), scaled))
+        signal = message.get_signal_by_name(options.signal)
+        decoder = _dbc_decoder(message, signal.name, scaled)
+        return Source(message.frame_id, message.is_extended_frame, decoder, 64 if signal.is_float else signal.length)
 
     def _read(self) -> Any:
         if self._path is None:
@@ -153,7 +157,7 @@ def _pdo_source(options: SignalOptions) -> Source:
             return float(struct.unpack("<f" if kind == "f32" else "<d", part)[0])
         return int.from_bytes(part, "little", signed=kind[0] == "i")
 
-    return Source(identifier, False, number)
+    return Source(identifier, False, number, 64 if kind in ("f32", "f64") else 8 * _bytes(kind))
 
 
 def _bytes(kind: str) -> int:

@@ -69,7 +69,7 @@ class TcpExchange:
         seen = b""
         while self._clock.now_ns() < until_ns:
             more = line.receive(until_ns)
-            seen += more
+            seen = (seen + more)[-LONGEST_NOISE:]
             parts = split_tcp(self._rest + more)
             if parts is None:
                 raise DriverUnavailable("what comes is no Modbus TCP; is it the right port?")

@@ -5,15 +5,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError
 from rtec.tomlfile import Strict, nearest, read_toml, validated
 from rtec_drivers.modbus_frame import HOLDING, INPUT, MAX_REGISTERS, Request
-from rtec_drivers.thermocouple_readings import Conversion
+from rtec_drivers.thermocouple_readings import Conversion, open_code_faults
 
+LAST_ADDRESS = 65535
 NumberType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64"]
 _STRUCT = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f", "float64": ">d"}
 
@@ -28,10 +29,22 @@ class Register(Conversion):
         word_order: which of several registers comes first, the "high" or the "low" one.
     """
 
-    address: Annotated[int, Field(ge=0, le=65535)]
+    address: Annotated[int, Field(ge=0, le=LAST_ADDRESS)]
     function: Literal["holding", "input"] = "holding"
     type: NumberType = "int16"
     word_order: Literal["high", "low"] = "high"
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.address + self.words > LAST_ADDRESS + 1:
+            raise ValueError(
+                f"address {self.address}: {self.type} takes {self.words} registers; {LAST_ADDRESS} is last"
+            )
+        if not self.type.startswith("float"):
+            fault = open_code_faults(self.open_codes, 16 * self.words, self.type.startswith("int"), self.type)
+            if fault:
+                raise ValueError(fault)
+        return self
 
     @property
     def words(self) -> int:

@@ -5,7 +5,9 @@
 - RTU answers carry no number. After a deadline has passed a slave is left alone for its late time, within which the old
   answer may still come; what comes then is thrown away. Its first answer afterwards is only a sign of life: it is not
   taken, and the line must stay free of further answers for twice the late time before the slave is believed again. An
-  answer that nobody waits for makes the late time longer.
+  old answer that comes later still makes the late time longer.
+- A slave that has answered each of its last requests owes no answer. If its number stands in what comes when another
+  one is asked, somebody else speaks in its name, and the other one is told so; its own values stay as fresh as before.
 - A damaged answer (checksum) is asked for again in the next period; three in a row count as silence.
 """
 
@@ -29,6 +31,8 @@ FRAME_PAUSE_NS = NS // 50
 """A pause within a frame is shorter than this, even behind a USB adapter."""
 CORRUPT_IN_A_ROW = 3
 SILENT_IN_A_ROW = 3
+IN_STEP = 3
+"""Requests in a row that were answered in time: what else comes is no late answer to one before."""
 
 
 @dataclass
@@ -41,6 +45,7 @@ class Slave:
         period_ns, timeout_ns: how often; how long it may take to answer.
         late_ns: how long after its request an answer may still turn up.
         backoff: waits after silence.
+        in_row: requests answered in time, one after the other.
     """
 
     name: str
@@ -55,6 +60,7 @@ class Slave:
     corrupt: int = 0
     unanswered_ns: int = 0
     probation: bool = False
+    in_row: int = 0
     names: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -65,8 +71,14 @@ class Slave:
         """Did it leave the last request unanswered?"""
         return self.silent > 0
 
+    @property
+    def in_step(self) -> bool:
+        """Has it answered all that it was asked lately?"""
+        return self.in_row >= IN_STEP
+
     def answered(self, now_ns: int) -> None:
         """Keep the beat; after a pause start a new one."""
+        self.in_row += 1
         self.silent = self.corrupt = self.unanswered_ns = 0
         self.probation = False
         self.backoff.reset()
@@ -76,14 +88,14 @@ class Slave:
 
     def was_silent(self, asked_ns: int, now_ns: int) -> None:
         """Leave it alone: for its back-off, and for as long as its answer may still come."""
-        self.silent += 1
+        self.silent, self.in_row = self.silent + 1, 0
         self.unanswered_ns, self.probation = asked_ns, True
         self.due_ns = max(now_ns + self.backoff.next_ns(), asked_ns + self.late_ns)
 
     def line_opened(self, now_ns: int) -> None:
         """Begin at once, but for an old answer that may still come."""
         self.due_ns = max(now_ns, self.unanswered_ns + self.late_ns) if self.unanswered_ns else now_ns
-        self.silent = 0
+        self.silent = self.in_row = 0
 
     def lives(self, now_ns: int) -> None:
         """It answers again, but perhaps an older request: see first whether more is on its way."""
@@ -92,9 +104,10 @@ class Slave:
 
     def spoke_unasked(self, now_ns: int) -> None:
         """An old answer has come: know how late it can be, and wait for silence again."""
-        lateness_ns = now_ns - self.unanswered_ns if self.unanswered_ns else self.late_ns
-        self.late_ns = min(max(self.late_ns, 2 * lateness_ns), LONGEST_LATE_NS)
-        if not self.unanswered_ns:
+        self.in_row = 0
+        if self.unanswered_ns:
+            self.late_ns = min(max(self.late_ns, 2 * (now_ns - self.unanswered_ns)), LONGEST_LATE_NS)
+        else:
             self.silent, self.probation = max(self.silent, 1), True
             self.due_ns = now_ns + self.late_ns
         self.unanswered_ns = 0
@@ -208,7 +221,7 @@ class Poller:
             return
         numbers = {number for number, _ in frames_of_slaves(data)}
         for slave in self._slaves:
-            if slave is not asked and slave.number in numbers:
+            if slave is not asked and slave.number in numbers and not (asked and slave.in_step):
                 self.late += 1
                 slave.spoke_unasked(self._clock.now_ns())
                 why = f"slave {slave.number} ({slave.name}): answers later than its timeout_s"

@@ -11,6 +11,7 @@ from typing import Generic, Protocol, TypeVar
 from rtec.errors import DriverError, DriverUnavailable
 from rtec.runtime.clock import Clock
 from rtec.runtime.realtime import prepare_worker
+from rtec_drivers import unforeseen
 
 NS = 1_000_000_000
 STOP_TIMEOUT_S = 15.0
@@ -52,7 +53,8 @@ class Worker(Generic[L]):
         name: of the thread.
         clock: deadlines are in its time.
         connect: opens the link or raises DriverError.
-        serve: uses the link until `stopping`, or raises DriverError when the link is broken.
+        serve: uses the link until `stopping`, or raises DriverError when the link is broken. Whatever else it raises is
+            told too, and the link opened again.
         tell: is given the reason whenever the link is not open, and "" when it is.
         backoff: waits between attempts; `serve` resets it when the device really answers.
 
@@ -119,14 +121,16 @@ class Worker(Generic[L]):
     def _once(self, link: L | None) -> str:
         self.attempts += 1
         try:
-            link = link or self._connect()
+            self._use(link or self._connect())
         except DriverError as e:
             return str(e)
+        except Exception as e:  # noqa: BLE001 - whatever a library raises: the thread lives, and tells
+            return unforeseen.words(e)
+        return "closed"
+
+    def _use(self, link: L) -> None:
         try:
             self._tell("")
             self._serve(link)
-        except DriverError as e:
-            return str(e)
         finally:
             link.close()
-        return "closed"

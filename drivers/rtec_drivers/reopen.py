@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 from rtec.errors import DriverError
 from rtec.runtime.clock import Clock
 from rtec.runtime.realtime import prepare_worker
+from rtec_drivers import unforeseen
 
 T = TypeVar("T")
 
@@ -20,7 +21,7 @@ class Reopener(Generic[T]):
     attempts it sleeps.
 
     Args:
-        attempt: opens once; bounded in time; raises DriverError where it fails.
+        attempt: opens once; bounded in time; raises DriverError where it fails; anything else is told the same way.
         discard: closes what was opened but is not wanted any more.
         clock: the caller's.
         first_s, longest_s: distance of attempts.
@@ -90,3 +91,5 @@ class Reopener(Generic[T]):
                 self._results.put(self._attempt())
             except DriverError as e:
                 self._results.put(str(e))
+            except Exception as e:  # noqa: BLE001 - whatever a library raises: the next attempt comes, and it is told
+                self._results.put(unforeseen.words(e))

@@ -77,24 +77,35 @@ class PortFinder:
             return str(self._options.port)
         there = list(self._ports())
         same = [p for p in there if p.serial_number == self._serial]
-        ours = [p for p in same if self._is_ours(p)] if len(same) > 1 else same
-        if len(ours) == 1:
-            return str(ours[0].device)
+        for ours in (same, [p for p in same if self._same_interface(p)], [p for p in same if self._is_named(p)]):
+            if len(ours) == 1:
+                return str(ours[0].device)
         if same:
             raise DriverUnavailable(f"several ports have the USB serial number {self._serial!r}; name one with port")
         seen = ", ".join(f"{p.device} ({p.serial_number})" for p in there if p.serial_number) or "none"
         raise DriverUnavailable(f"no port with the USB serial number {self._serial!r}; USB ports here: {seen}")
 
     def remember(self, device: str) -> None:
-        """Note which adapter is behind a port that was opened, so that it is found again by its number."""
-        real = os.path.realpath(device)
-        for p in self._ports():
-            if os.path.realpath(p.device) == real and p.serial_number:
-                self._serial, self._interface = p.serial_number, _interface(p)
+        """Note which adapter is behind a port that was opened, so that it is found again by its number.
 
-    def _is_ours(self, port: Any) -> bool:
-        if self._interface:
-            return _interface(port) == self._interface
+        A number that several adapters have here (some makers give all of them one) finds none: the port's name stays.
+        """
+        real = os.path.realpath(device)
+        try:
+            there = [p for p in self._ports() if p.serial_number]
+        except DriverUnavailable:  # the port is open, which is more than a list could tell
+            return
+        for found in (p for p in there if os.path.realpath(p.device) == real):
+            number, interface = found.serial_number, _interface(found)
+            if [(p.serial_number, _interface(p)) for p in there].count((number, interface)) == 1:
+                self._serial, self._interface = number, interface
+
+    def _same_interface(self, port: Any) -> bool:
+        """Of an adapter with several ports: is it the one that was opened before?"""
+        return bool(self._interface) and _interface(port) == self._interface
+
+    def _is_named(self, port: Any) -> bool:
+        """Is it the port of the run file?"""
         named = self._options.port
         return named is not None and os.path.realpath(port.device) == os.path.realpath(named)
 
@@ -186,7 +197,10 @@ class SerialLine:
 def _comports() -> Sequence[Any]:
     from serial.tools import list_ports
 
-    return list_ports.comports()
+    try:
+        return list_ports.comports()
+    except (OSError, TypeError, ValueError) as e:  # an adapter vanished while it was being looked at
+        raise DriverUnavailable("the USB ports are just changing") from e
 
 
 def _interface(port: Any) -> str:

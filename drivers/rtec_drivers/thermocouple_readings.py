@@ -19,6 +19,8 @@ from rtec_drivers.thermocouple import Kind, check_installed, to_degc
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
+SAME = 1e-7
+"""9999.9 is 9999.900390625 on a bus that sends numbers of 32 bits."""
 COLD_JUNCTION_AGE_NS = 60_000_000_000
 """Terminals drift slowly; after a minute without their temperature a voltage is no temperature any more."""
 
@@ -51,6 +53,22 @@ class Conversion(Strict):
         if not self.range_degc[0] < self.range_degc[1]:
             raise ValueError("range_degc must be [lowest, highest]")
         return self
+
+
+def open_code_faults(codes: Sequence[float], bits: int, signed: bool, kind: str) -> str:
+    """Why one of the codes can never come from a whole number of that many bits; "" where all can.
+
+    Manuals like to give 65535 or 8000h for what a signed number has as -1 or -32768.
+    """
+    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    for code in codes:
+        if code.is_integer() and low <= code <= high:
+            continue
+        instead = ""
+        if code.is_integer() and abs(code) < 1 << bits:
+            instead = f"; as {kind} it is {(int(code) - low) % (1 << bits) + low}"
+        return f"open_codes: {code:.15g} is no {kind}, which goes from {low} to {high}{instead}"
+    return ""
 
 
 @dataclass
@@ -142,7 +160,7 @@ class Readings:
     def _judged(self, conversion: Conversion, state: _State, raw: float, time_ns: int) -> tuple[float, str]:
         if not math.isfinite(raw):
             return math.nan, "the device sent no number"
-        if raw in conversion.open_codes:
+        if any(math.isclose(raw, code, rel_tol=SAME) for code in conversion.open_codes):
             return math.nan, f"open circuit: the device sent {raw:g}; look at the sensor and its wires"
         value = raw * conversion.scale + conversion.offset
         if conversion.thermocouple is not None:

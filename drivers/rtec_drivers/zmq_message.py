@@ -144,9 +144,15 @@ def _integers(data: Mapping[str, Any], key: str) -> dict[str, int]:
 
 
 def _number(key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         raise MessageError(f"{key!r} must be a number")
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # an integer of hundreds of digits
+        number = math.inf
+    if not math.isfinite(number):
+        raise MessageError(f"{key!r} must be a number")
+    return number
 
 
 def _reading(name: str, pair: object) -> tuple[float, int]:

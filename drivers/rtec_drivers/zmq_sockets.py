@@ -10,6 +10,8 @@ from rtec_drivers.zmq_options import Keys, ZmqOptions
 QUEUED = 256
 READ_AT_ONCE = 16
 LARGEST_MESSAGE = 65536
+RECONNECT_MS = 100
+"""Between two attempts of libzmq, at first; it doubles up to twenty times this."""
 
 
 class Sockets:
@@ -87,8 +89,8 @@ class Sockets:
         socket.setsockopt(zmq.RCVHWM, QUEUED)
         socket.setsockopt(zmq.SNDHWM, READ_AT_ONCE)
         socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
-        socket.setsockopt(zmq.RECONNECT_IVL, 100)
-        socket.setsockopt(zmq.RECONNECT_IVL_MAX, 2000)
+        socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+        socket.setsockopt(zmq.RECONNECT_IVL_MAX, 20 * RECONNECT_MS)
         socket.setsockopt(zmq.HEARTBEAT_IVL, 1000)
         socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 3000)
         if keys is not None:

@@ -3,6 +3,7 @@
 No device is told to apply anything. One that hangs holds up no other: each has a deadline, and what hangs is told.
 """
 
+import os
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +15,7 @@ from rtec.runtime.clock import Clock, RealClock
 from rtec.runtime.config import RunFile, load_setup
 from rtec.runtime.doctor_found import DeviceFound, Examination, Fault, Patient
 from rtec.runtime.doctor_look import Look
+from rtec.runtime.doctor_mend import serial_places
 from rtec.runtime.doctor_ports import ROOT
 from rtec.tomlfile import read_toml, validated
 
@@ -81,7 +83,7 @@ def examine(
             look.found.wrong.append(
                 Fault(what, ("unplug the device and plug it in again; then start rtec doctor again",))
             )
-    wrong += _missing(patient, looks, needed)
+    wrong += _one_port(looks, root) + _missing(patient, looks, needed)
     return Examination(patient.machine.name, seconds, [look.found for look in looks], wrong)
 
 
@@ -89,6 +91,19 @@ def _wait(looks: list[Look], threads: list[threading.Thread], shown: Shown, cloc
     while any(t.is_alive() for t in threads) and clock.now_ns() < end_ns:
         shown([replace(look.found, values=look.values()) for look in looks])
         clock.sleep_until_ns(clock.now_ns() + SHOW_NS)
+
+
+def _one_port(looks: list[Look], root: Path) -> list[Fault]:
+    """Serial ports that several devices of the run file name; each would get a part of the bytes, or none."""
+    users: dict[str, list[str]] = {}
+    for look in looks:
+        for place in serial_places(look.options) if look.options is not None else []:
+            users.setdefault(os.path.realpath(place.device(root) or place.usb_serial), []).append(look.found.name)
+    return [
+        Fault(f"{', '.join(names)} name the same serial port, {port}", ("one device, one port",))
+        for port, names in users.items()
+        if len(names) > 1
+    ]
 
 
 def _missing(patient: Patient, looks: list[Look], needed: tuple[str, ...] | None) -> list[Fault]:

@@ -32,6 +32,7 @@ class Look:
     Attributes:
         found: what was found so far.
         stop: set to end it early.
+        options: of its table; None where they are wrong, or not read yet.
     """
 
     def __init__(self, name: str, patient: Patient, clock: Clock, seconds: float) -> None:
@@ -40,7 +41,7 @@ class Look:
         self.found = DeviceFound(name, str(self._table.get("driver", "-")), patient.roles(name))
         self.stop = threading.Event()
         self._device: Any = None
-        self._options: BaseModel | None = None
+        self.options: BaseModel | None = None
         self._readings: Readings | None = None
 
     @property
@@ -66,7 +67,7 @@ class Look:
     def _look(self) -> None:
         name, patient = self.found.name, self._patient
         self.found.doing = "is made"
-        self._options = device_options(name, self._table, patient.path)[1]
+        self.options = device_options(name, self._table, patient.path)[1]
         self._device = make_device(name, self._table, patient.machine, self._clock, patient.path)
         self.found.wrong += unfit(patient, self.found, self._device)
         self.found.doing = "is opened"
@@ -109,8 +110,8 @@ class Look:
             self._tell_of(ability, readings)
         if not self.found.roles:
             self.found.told.append("[role] does not name it: nothing reads it")
-        if self._options is not None:
-            self.found.told += shared_ports(self._options, self._patient.root)
+        if self.options is not None:
+            self.found.told += shared_ports(self.options, self._patient.root)
 
     def _tell_of(self, ability: Ability, readings: Readings) -> None:
         error = ability.failing()
@@ -140,7 +141,7 @@ class Look:
         """Note what is wrong, one fault a line, and the ways to mend it below the last."""
         error.__cause__ = error.__cause__ or cause
         heard = self._readings is not None and self._readings.heard
-        mend = ways(self._options, error, heard, self._patient.root)
+        mend = ways(self.options, error, heard, self._patient.root)
         place = f"{self._patient.path}: [device.{self.found.name}]"
         *first, last = (line.removeprefix(place).lstrip(": ") for line in str(error).splitlines() or [repr(error)])
         faults = [*map(Fault, first), Fault(last, (*mend, more) if more else mend)]

@@ -2,11 +2,13 @@
 
 import struct
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, Dr
 from rtec.tomlfile import validated
 from rtec_drivers import can_box_frames as frames
 from rtec_drivers.can_box import CanBoxDriver, CanBoxOptions
+from rtec_drivers.can_box_session import CanBoxSession
 from tests.drivers.can_peer import BASE, CLOCK, MS, FakeBox, box_bytes, crc8, new_channel
 from tests.drivers.conformance import MACHINE, DriverLaws, Rig, open_files
 from tests.drivers.modbus_peer import until
@@ -243,6 +246,78 @@ def test_reconnects_leave_no_descriptor_and_no_thread(channel: str, box: FakeBox
         with driver(channel):
             pass
     assert (open_files(), threading.active_count()) == (files, threads)
+
+
+def test_a_thousand_bus_offs_leave_no_descriptor_and_no_thread(channel: str, box: FakeBox) -> None:
+    """The interface is opened again each time, and the box goes on. Oracle: /proc/self/fd and the list of threads."""
+    off = can.Message(arbitration_id=0x40, data=bytes(8), is_error_frame=True, is_extended_id=False)
+    with driver(channel, first_retry_s=0.0001, longest_retry_s=0.0001) as device:
+        command(device, 4, 5)
+        files, threads = open_files(), threading.active_count()
+
+        def again() -> bool:
+            box.bus.send(off)
+            return device._port.attempts > 1000
+
+        assert until(again, 60.0, period_ms=0.2)
+        assert (open_files(), threading.active_count()) == (files, threads)
+        assert until(lambda: _resumed(device) and _ledger(device) == (4, 5))
+
+
+def test_an_answer_later_than_256_questions_is_not_taken_for_a_new_one() -> None:
+    """An adapter that keeps frames back for 300 cycles. Oracle: the instant at which the box really latched."""
+    kept: deque[tuple[int, bytes]] = deque()
+    latched: dict[int, int] = {}
+
+    def keep(n: int, data: bytes) -> None:
+        kept.append((n, data))
+
+    session = CanBoxSession(BASE, 2, keep)
+    session.info, session.boot = (1, 2, 100), 7
+    now_ns, readings = 0, []
+    for k in range(3000):
+        now_ns = k * MS
+        asked = len(kept)
+        session.latch(False, now_ns)
+        if len(kept) > asked:
+            latched[k] = kept[-1][1][4]
+        if k - 300 in latched:
+            for axis in (0, 1):
+                identifier = BASE + 0x10 + axis
+                session.take(identifier, False, box_bytes(identifier, k - 300, latched[k - 300], 7, 0), now_ns)
+        newest = session.newest
+        if newest is not None and newest not in readings:
+            readings.append(newest)
+    assert len(readings) > 20
+    assert all(reading.asked_ns == reading.counts[0] * MS for reading in readings)
+
+
+def test_a_silent_box_is_asked_less_often() -> None:
+    """Oracle: the questions in one second of cycles of 1 ms: 50 ms at full rate, then one in 20 ms."""
+    sent: list[int] = []
+    session = CanBoxSession(BASE, 2, lambda n, _: sent.append(n))
+    for k in range(100, 1100):
+        session.latch(False, k * MS)
+    assert 40 <= len(sent) <= 110
+
+
+def test_a_question_that_never_left_is_not_waited_for() -> None:
+    """The interface takes no frames for a while; then the first question goes out at once, in whatever cycle."""
+    sent: list[int] = []
+    full = [True]
+
+    def send(n: int, _: bytes) -> None:
+        if full[0]:
+            raise DriverTimeout("takes no frame")
+        sent.append(n)
+
+    session = CanBoxSession(BASE, 2, send)
+    for k in range(1, 2000):
+        with pytest.raises(DriverTimeout):
+            session.latch(False, k * MS)
+    full[0] = False
+    session.latch(False, 2000 * MS)
+    assert len(sent) == 1
 
 
 def test_an_info_frame_is_packed_as_described() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pymodbus.server import ModbusTcpServer
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from rtec.errors import DriverUnavailable
@@ -160,13 +160,14 @@ def test_libmodbus_over_a_serial_line(program: Path) -> None:
 
 
 class OtherServer:
-    """pymodbus' own server with its simulated devices, in a thread."""
+    """pymodbus' own server with its simulated devices, in a thread: on a serial port, or else over TCP."""
 
-    def __init__(self, devices: list[SimDevice]) -> None:
+    def __init__(self, devices: list[SimDevice], serial_port: str = "") -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = int(free.getsockname()[1])
-        self._devices, self._loop, self._ready = devices, asyncio.new_event_loop(), threading.Event()
+        self._devices, self._serial_port = devices, serial_port
+        self._loop, self._ready = asyncio.new_event_loop(), threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
         assert self._ready.wait(5.0)
@@ -177,7 +178,11 @@ class OtherServer:
         self._loop.close()
 
     async def _serve(self) -> None:
-        self._server = ModbusTcpServer(self._devices, address=("127.0.0.1", self.port))
+        self._server: ModbusTcpServer | ModbusSerialServer = (
+            ModbusSerialServer(self._devices, port=self._serial_port, baudrate=19200, ignore_missing_devices=True)
+            if self._serial_port
+            else ModbusTcpServer(self._devices, address=("127.0.0.1", self.port))
+        )
         await self._server.listen()
         self._ready.set()
         await self._server.serving
@@ -190,7 +195,18 @@ class OtherServer:
         self._thread.join(5.0)
 
 
-def test_pymodbus_simulator_with_several_slaves_and_number_types() -> None:
+@contextmanager
+def other_server(devices: list[SimDevice], serial_port: str) -> Iterator[OtherServer]:
+    """It, closed at the end."""
+    server = OtherServer(devices, serial_port)
+    try:
+        yield server
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize("serial", [False, True], ids=["tcp", "rtu"])
+def test_pymodbus_simulator_with_several_slaves_and_number_types(serial: bool) -> None:
     """Oracle: pymodbus packs the numbers into its registers."""
     first = SimDevice(
         id=1,
@@ -201,7 +217,6 @@ def test_pymodbus_simulator_with_several_slaves_and_number_types() -> None:
         ],
     )
     second = SimDevice(id=2, simdata=[SimData(0, values=41.25, datatype=DataType.FLOAT64)])
-    server = OtherServer([first, second])
     registers = {
         "T_bed": {"address": 1, "scale": 0.1, "range_degc": [-50, 100]},
         "T_spindle": {"address": 10, "type": "int32", "scale": 0.01},
@@ -211,15 +226,17 @@ def test_pymodbus_simulator_with_several_slaves_and_number_types() -> None:
         "one": {"id": 1, "period_s": 0.05, "register": registers},
         "two": {"id": 2, "period_s": 0.05, "register": {"T_air": {"address": 0, "type": "float64"}}},
     }
-    try:
-        with driver(tcp=tcp(server.port), slave=slaves) as device:
+    with (
+        pty_pair() as (ours, theirs),
+        other_server([first, second], theirs if serial else "") as server,
+    ):
+        line = {"serial": {"port": ours, "baud": 19200}} if serial else {"tcp": tcp(server.port)}
+        with driver(**line, slave=slaves) as device:
             seen = Seen(device)
             assert until(lambda: not any(np.isnan(seen[s]) for s in ("T_bed", "T_spindle", "T_column", "T_air")))
             assert abs(seen["T_bed"] + 40.0) < 1e-9
             assert abs(seen["T_spindle"] + 12.34) < 1e-9
             assert (seen["T_column"], seen["T_air"]) == (36.625, 41.25)
-    finally:
-        server.close()
 
 
 def test_a_late_tcp_answer_is_told_from_a_new_one_by_its_number() -> None:

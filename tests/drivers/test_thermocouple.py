@@ -8,6 +8,7 @@ import pytest
 
 from rtec.errors import ConfigError, DriverFault, DriverUnavailable
 from rtec.tomlfile import validated
+from rtec_drivers.can_driver import TemperatureSignal
 from rtec_drivers.modbus_map import Register, blocks_of, load_profile, profile_names
 from rtec_drivers.thermocouple import KINDS, Kind, to_degc, to_mv
 from rtec_drivers.thermocouple_readings import Conversion, Readings
@@ -156,3 +157,39 @@ def test_reads_are_joined_where_registers_touch_and_gaps_are_allowed() -> None:
     assert spans == [(3, 0, 2), (3, 5, 1), (3, 200, 1), (4, 1, 2)]
     assert len(blocks_of(7, registers, 3)) == 3
     assert len(blocks_of(7, registers, 120)) == 3  # 125 registers are the most that one answer holds
+
+
+@pytest.mark.parametrize(
+    ("kind", "codes", "words"),
+    [
+        ("int16", [65535], "65535 is no int16, which goes from -32768 to 32767; as int16 it is -1"),
+        ("int16", [0x8000], "as int16 it is -32768"),
+        ("uint16", [-32768], "-32768 is no uint16, which goes from 0 to 65535; as uint16 it is 32768"),
+        ("int32", [32767, 0xFFFFFFFF], "4294967295 is no int32, .*; as int32 it is -1"),
+        ("int16", [3276.7], r"3276\.7 is no int16, which goes from -32768 to 32767$"),
+    ],
+)
+def test_an_open_code_that_can_never_come_is_refused(kind: str, codes: list[float], words: str) -> None:
+    """It would pass a broken wire as a temperature: 65535 comes as -1, and -0.1 °C is believed."""
+    table = {"address": 0, "type": kind, "open_codes": codes}
+    with pytest.raises(ConfigError, match=words):
+        validated(Register, table, "run.toml")
+    signal = {"node": 5, "map": [kind.replace("uint", "u").replace("int", "i")], "open_codes": codes}
+    with pytest.raises(ConfigError, match="open_codes: "):
+        validated(TemperatureSignal, signal, "run.toml")
+
+
+def test_an_open_code_of_floats_is_met_as_the_bus_sends_it() -> None:
+    """9999.9 cannot be written in 32 bits; the device's nearest number is meant. Oracle: numpy's own rounding."""
+    book = Readings(["T"], {"T": Register(address=0, type="float32", open_codes=(9999.9,), range_degc=(0, 1e6))})
+    book.take("T", float(np.float32(9999.9)), S)
+    assert book.faults() == ["T: open circuit: the device sent 9999.9; look at the sensor and its wires"]
+    for near in (9999.0, 9999.8, 10000.0):
+        book.take("T", float(np.float32(near)), S)
+        assert book.faults() == []
+
+
+def test_a_register_ends_where_the_addresses_end() -> None:
+    with pytest.raises(ConfigError, match="address 65535: int32 takes 2 registers; 65535 is last"):
+        validated(Register, {"address": 65535, "type": "int32"}, "run.toml")
+    assert validated(Register, {"address": 65535}, "run.toml").words == 1

@@ -20,6 +20,7 @@ from rtec.correction.sinks import FollowingErrorSink, PulseSink
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.runtime.clock import RealClock
 from rtec.tomlfile import validated
+from rtec_drivers import zmq_sockets
 from rtec_drivers.clock_offset import ClockOffset
 from rtec_drivers.registry import DRIVERS
 from rtec_drivers.zmq_link import ZmqLinkDriver
@@ -350,14 +351,32 @@ def test_late_messages_show_their_age(tmp_path: Path) -> None:
             assert link.read_counts(counts) - asleep_ns < 20 * MS
 
 
-def test_no_leak_over_many_reconnections(tmp_path: Path) -> None:
-    """Oracle: files and threads of the process before and after 200 openings."""
+def test_no_leak_over_1000_openings(tmp_path: Path) -> None:
+    """Oracle: files and threads of the process before and after 1000 openings."""
     with ipc_cell(tmp_path):
         link = driver(addresses(tmp_path))
         with link:
             pass
         files, threads = open_files(), threading.active_count()
-        for _ in range(200):
+        for _ in range(1000):
             with link:
                 pass
+        assert gives_back(files, threads)
+
+
+def test_a_far_end_that_comes_and_goes_a_thousand_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It vanishes and comes back as it was; nobody opens anything here. Oracle: files and threads of this process."""
+    monkeypatch.setattr(zmq_sockets, "RECONNECT_MS", 1)
+    cell = ipc_cell(tmp_path)
+    with driver(addresses(tmp_path, at_start="later", open_timeout_s=0.02)) as link:
+
+        def comes_and_goes() -> None:
+            taken = cell._seq
+            with cell:
+                assert soon(CLOCK, lambda: bool(counts_of(link)) and link._book._seq > taken)
+
+        comes_and_goes()
+        files, threads = open_files(), threading.active_count()
+        for _ in range(1000):
+            comes_and_goes()
         assert gives_back(files, threads)

@@ -269,6 +269,22 @@ def test_what_a_fault_did() -> None:
     assert np.array(held_spans(logbook, 0)) == pytest.approx(np.array([[11.0, 16.0], [18.0, 18.02], [21.0, 29.999]]))
 
 
+def test_a_hold_that_lasts_into_the_next_fault_ends_when_it_ends() -> None:
+    """Held from 11 to 22 s for a fault from 10 to 14 s; another begins at 16 s. It followed again 8 s after its end."""
+    faults = [
+        FaultOrder("modbus-late", 10.0, 4.0),
+        FaultOrder("box-late", 16.0, 2.0),
+        FaultOrder("can-late", 26.0, 1.0),
+    ]
+    logbook = _logbook([(11.0, 22.0), (26.0, 30.0)])
+    first, second, third = faults_found(faults, logbook, _track(logbook), _watch(faults), 30.0, ("X", "Z"))
+    assert first.recovered_s == pytest.approx(8.0, abs=0.01)
+    assert second.recovered_s == pytest.approx(4.0, abs=0.01)
+    assert math.isnan(third.recovered_s)
+    quiet = np.array(quiet_spans([first, second, third], 4.0, 30.0))
+    assert quiet == pytest.approx(np.array([[4.0, 10.0], [23.0, 26.0]]), abs=0.01)
+
+
 def test_counts_that_nobody_commanded_are_seen() -> None:
     logbook = _logbook([(11.0, 12.0)])
     track = _track(logbook)

@@ -149,6 +149,22 @@ def test_a_port_that_another_program_has(tmp_path: Path) -> None:
         assert texts(by_name["box"]) == []
 
 
+def test_two_devices_on_one_port(tmp_path: Path) -> None:
+    """A table that was copied, and its port left as it was, once by another name. Oracle: the run file."""
+    other = tmp_path / "by-id"
+    with box_on_pty(tmp_path) as (peer, _, _):
+        other.symlink_to(peer.link)
+        board = {"driver": "ascii_lines", "port": str(other), "patterns": [r"(?P<T_bed>\S+)"]}
+        devices = {"box": box(peer.link), "board": board}
+        role = {"counts": "box", "actuator": "box", "temperatures": ["board"]}
+        found, _ = seen(run_file(tmp_path, role, devices))
+        told = [f.what for f in found.wrong]
+        assert f"box, board name the same serial port, {peer.device}" in told
+        assert not found.well
+        found, _ = seen(run_file(tmp_path, {"counts": "box", "actuator": "box"}, {"box": box(peer.link)}))
+        assert not any("same serial port" in f.what for f in found.wrong)
+
+
 def test_a_box_that_is_another_or_does_not_answer(tmp_path: Path) -> None:
     """Oracle: the box's number, 42; a pty with nobody at it. What answered has its line well: no word about cables."""
     with box_on_pty(tmp_path) as (peer, _, _), silent_pty() as nobody:

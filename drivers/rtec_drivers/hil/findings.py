@@ -41,7 +41,7 @@ def faults_found(
     for k, order in enumerate(faults):
         until_s = min([f.at_s for f in faults if f.at_s > order.end_s] + [on_s])
         mine = inside(seconds, [(order.at_s, until_s)])
-        recovered_s = _recovered_s(spans, order, until_s)
+        recovered_s = _recovered_s(spans, order, until_s, on_s)
         meanwhile = inside(track.time_s, [(order.at_s, order.end_s + (recovered_s if recovered_s > 0.0 else 0.0))])
         during = inside(seconds, [(order.at_s, order.end_s)])
         told = watch.told[k]
@@ -60,19 +60,20 @@ def faults_found(
     return out
 
 
-def _recovered_s(spans: Spans, order: FaultOrder, until_s: float) -> float:
+def _recovered_s(spans: Spans, order: FaultOrder, until_s: float, on_s: float) -> float:
     """From the fault's end until the last instant held; 0 where none is behind its end, NaN where it never ends.
 
-    A hold for some cycles that begins behind the fault's end is a hiccup of this PC.
+    A hold for some cycles that begins behind the fault's end is a hiccup of this PC. A hold that lasts into the next
+    fault, at `until_s`, is followed to its end: whose it was by then nobody can tell, and only the run's end is never.
     """
     behind = [
-        min(high, until_s)
+        high
         for low, high in spans
-        if high > order.end_s and low < until_s and (low <= order.end_s or high - low > HICCUP_S)
+        if high > order.end_s and low < until_s and (low <= order.end_s or min(high, until_s) - low > HICCUP_S)
     ]
     if not behind:
         return 0.0
-    return math.nan if max(behind) > until_s - AT_END_S else max(behind) - order.end_s
+    return math.nan if max(behind) > on_s - AT_END_S else max(behind) - order.end_s
 
 
 def quiet_spans(found: Sequence[FaultFound], settle_s: float, on_s: float) -> list[tuple[float, float]]:
