@@ -86,6 +86,7 @@ install-venv: check-paths
 	$(DESTDIR)$(LIB)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock
 	rm -rf build
 	$(DESTDIR)$(LIB)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps .
+	rm -rf build
 	[ -z "$(DESTDIR)" ] || sed -i 's|$(DESTDIR)$(LIB)|$(LIB)|g' $$(grep -lIF '$(DESTDIR)$(LIB)' $(DESTDIR)$(LIB)/pyvenv.cfg $(DESTDIR)$(LIB)/bin/*)
 	install -d $(DESTDIR)$(PREFIX)/bin
 	ln -sf $(LIB)/bin/rtec $(DESTDIR)$(PREFIX)/bin/rtec

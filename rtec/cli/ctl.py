@@ -18,6 +18,8 @@ app = typer.Typer(no_args_is_help=True, help="Order a running daemon about: enab
 def enable(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Let the correction follow the model, from where it stands, within its limits.
 
+    Exit status 1 where it stays where it is all the same, with the reason.
+
     Example: rtec ctl enable
     """
     _give("enable", "", config, at, key, as_json)

@@ -73,7 +73,10 @@ def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool
             typer.echo(MORE.format(report.different - len({d.row for d in report.differences})))
         if check:
             verdict = "all bit-identical" if not report.different else f"{report.different} differ"
-            typer.echo(f"{report.rows} commands checked: {verdict}")
+            if report.rows > report.unchecked or not report.rows:
+                typer.echo(f"{report.rows - report.unchecked} commands checked: {verdict}")
+            if report.unchecked:
+                typer.echo(f"{report.unchecked} commands cannot be checked: rows before them were lost")
         if report.out:
             typer.echo(f"{report.rows} commands written to {report.out}")
         for text in report.unread:

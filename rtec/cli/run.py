@@ -59,7 +59,7 @@ def run(
     for axis, um in setup.step_um.items():
         typer.echo(f"sign check: axis {axis} goes by {um:+g} µm; it goes back when you end this with Ctrl-C", err=True)
     with Screen(setup, duration, path, quiet=as_json) as screen:
-        supervisor = Supervisor(setup, path, screen.update, screen.started)
+        supervisor = Supervisor(setup, path, screen.update, screen.started, on_event=screen.event)
         with Control(setup, supervisor, RealClock()):
             report = supervisor.run(duration)
     if as_json:

@@ -11,14 +11,16 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.flags import flag_lines
+from rtec.runtime.aloud import Aloud
 from rtec.runtime.config import Setup
+from rtec.runtime.events import Event
 from rtec.runtime.supervisor import Report, Status
 
 REFRESH_S = 0.2
 
 
 class Screen:
-    """A live table on a terminal; one line where there is none, when the loop begins."""
+    """A live table on a terminal; where there is none, a line when the loop begins. And a line for every event."""
 
     def __init__(self, setup: Setup, duration_s: float | None, log: Path | None, quiet: bool) -> None:
         self._setup, self._duration_s, self._log = setup, duration_s, log
@@ -26,8 +28,10 @@ class Screen:
         self._live = Live(console=console, refresh_per_second=5, transient=True)
         self._on = console.is_terminal and not quiet
         self._shown_s = -1.0
+        self._aloud = Aloud(self._say)
 
     def __enter__(self) -> Self:
+        self._aloud.__enter__()
         if self._on:
             self._live.start()
             self._live.update(Text(f"{self._setup.machine.name}: starting (compiling the model, opening devices)…"))
@@ -36,6 +40,7 @@ class Screen:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._aloud.__exit__(kind, error, trace)
         if self._on:
             self._live.stop()
 
@@ -47,6 +52,18 @@ class Screen:
                 f"{self._setup.machine.name}: running at {self._setup.file.run.rate_hz:g} Hz{where}",
                 err=True,
             )
+
+    def event(self, event: Event) -> None:
+        """Say what happened; from any thread, and nobody waits for it."""
+        by = "" if event.who == "rtec" else f", by {event.who}"
+        text = event.text.removeprefix(f"{event.what}: ")
+        self._aloud.line(": ".join(part for part in (f"{event.utc} {event.what}{by}", text) if part))
+
+    def _say(self, line: str) -> None:
+        if self._on:
+            self._live.console.print(line, style="yellow", markup=False, highlight=False)
+        else:
+            typer.echo(line, err=True)
 
     def update(self, status: Status) -> None:
         """Show a status, not more often than eyes can follow."""

@@ -17,7 +17,7 @@ def status(
 ) -> None:
     """How a running daemon does: correction of each axis, inputs and their ages, what is wrong, missed deadlines.
 
-    Exit status 1 where a device is in trouble, rows do not reach the log, or the loop does not move on.
+    Exit status 1 where a device is in trouble, rows do not reach the log now, or the loop does not move on.
 
     Example: rtec status configs/turning-centre-sim.toml --watch
     """

@@ -60,7 +60,7 @@ REASONS = {
     Flag.OUT_OF_RANGE: "outside the range that the model was fitted in",
     Flag.OVER_STOP_LIMIT: "the model asks for more than the stop limit",
     Flag.OVER_WARNING_LIMIT: "the model asks for more than the warning limit",
-    Flag.ORDERED_HOLD: "hold was ordered",
+    Flag.ORDERED_HOLD: "hold was ordered, or an order to resume is waited for",
     Flag.ORDERED_OFF: "switched off",
     Flag.FADING: "fading to nothing",
     Flag.OUTPUT_SATURATED: "the actuator can give no more",

@@ -32,6 +32,7 @@ class _ModelTable(Strict):
     machine_hash: str
     reference_degc: float
     noise_um: Annotated[float, Field(ge=0)] | None = None
+    effects: Annotated[int, Field(ge=0)] | None = None
 
 
 class _ModelFile(Strict):
@@ -65,6 +66,12 @@ def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
             f"{source}: [model] machine_hash: made for machine {file.model.machine!r} as it was then, not for "
             f"{machine.name!r} as its file is now; fit anew, or check which machine file belongs to it"
         )
+    told = file.model.effects
+    if told is not None and told != len(file.effect):
+        raise ModelError(
+            f"{source}: [model] effects = {told}, and {len(file.effect)} are in the file: it was cut off while it was "
+            "copied or written; copy it again. After adding or removing one by hand, change the number, too"
+        )
     model = Model(
         machine=machine,
         effects=tuple(_read_effect(table, f"{source}: [effect {i + 1}]") for i, table in enumerate(file.effect)),
@@ -82,7 +89,10 @@ def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
 
 def save_model(model: Model, path: Path) -> None:
     """Write a model; the file appears whole or not at all, an older one of that name is replaced."""
-    text = tomli_w.dumps(tables(model))
+    content = tables(model)
+    # A file that is cut off between two effects is good TOML; before all other keys, so that none hides the cut.
+    content["model"] = {"effects": len(model.effects), **content["model"]}
+    text = tomli_w.dumps(content)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with temporary.open("w", encoding="utf-8") as file:

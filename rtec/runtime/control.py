@@ -19,7 +19,7 @@ from rtec.runtime.clock import Clock, wall_clock_iso
 from rtec.runtime.config import Setup
 from rtec.runtime.control_desk import Daemon, Desk, Peer
 from rtec.runtime.control_left import Left
-from rtec.runtime.control_lines import Incoming, local_socket, network_socket, receive, send
+from rtec.runtime.control_lines import Incoming, drain, failed_handshakes, local_socket, network_socket, receive, send
 from rtec.runtime.control_message import TOPIC, answer
 from rtec.runtime.control_places import ORDERS, STATUS, LocalSocket, answers, listen, socket_path
 from rtec.runtime.control_zap import Door
@@ -55,6 +55,7 @@ class Control:
         self._locals: list[LocalSocket] = []
         self._routers: list[Any] = []
         self._publishers: list[Any] = []
+        self._failed: list[Any] = []
         self._door: Door | None = None
         self._allowed: AllowList | None = None
         self._told = ""
@@ -103,10 +104,12 @@ class Control:
     def _open_network(self, folder: Path) -> None:
         pair, self._allowed = read_server(folder), AllowList(folder / CLIENTS)
         self._door = Door(self._context, self._allowed)
-        if self._table.tcp is not None:
-            self._routers.append(network_socket(self._context, zmq.ROUTER, self._table.tcp, pair))
-        if self._table.tcp_status is not None:
-            self._publishers.append(network_socket(self._context, zmq.PUB, self._table.tcp_status, pair))
+        wanted = ((self._table.tcp, zmq.ROUTER, self._routers), (self._table.tcp_status, zmq.PUB, self._publishers))
+        for place, kind, sockets in wanted:
+            if place is not None:
+                made = network_socket(self._context, kind, place, pair)
+                self._failed.append(failed_handshakes(self._context, made))
+                sockets.append(made)
 
     def _close(self) -> None:
         self._endpoint.close()
@@ -118,7 +121,7 @@ class Control:
 
     def _work(self) -> None:
         poller = zmq.Poller()
-        for socket in (*self._routers, *([self._door.socket] if self._door else [])):
+        for socket in (*self._routers, *self._failed, *([self._door.socket] if self._door else [])):
             poller.register(socket, zmq.POLLIN)
         period_ns = round(1e9 / self._table.status_hz)
         next_ns = self._clock.now_ns()
@@ -127,6 +130,10 @@ class Control:
             ready = dict(poller.poll(min(left_ms + 1, 100)))
             if self._door is not None and self._door.socket in ready:
                 self._let_in(self._door)
+            for socket in self._failed:
+                if socket in ready and (count := drain(socket)):
+                    self.desk.tally.not_let_in += count
+                    self.desk.refusal("a connection over the network without a key, or for another server's key")
             answered = [self._answer(socket) for socket in self._routers if socket in ready]
             if AT_ONCE in answered:
                 self._clock.sleep_until_ns(self._clock.now_ns() + BREATH_NS)

@@ -25,8 +25,8 @@ def axis_rows(found: Mapping[str, Any]) -> list[list[str]]:
     return [
         [
             axis,
-            _um(status["requested_um"][axis]),
-            _um(status["applied_um"][axis]),
+            um_text(status["requested_um"][axis]),
+            um_text(status["applied_um"][axis]),
             f"{left[axis]['rms_um']:.2f}" if axis in left else "not known",
             f"{status['output'][axis]:+d}",
             f"{status['counts'][axis]:d}",
@@ -51,8 +51,22 @@ def headline(found: Mapping[str, Any]) -> list[str]:
     status = found["status"]
     return [
         f"{found['machine']}, model {found['model']}, {found['config']}",
-        f"mode {_MODES.get(status['mode'], status['mode'])}",
+        _mode_line(status),
     ]
+
+
+def held(status: Mapping[str, Any]) -> str:
+    """Why the correction does not follow the model though it is ordered to, in words; "" where it does."""
+    if status["mode"] != "on" or "HELD" not in status["flags"]:
+        return ""
+    devices = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
+    return "; ".join([*devices, *status["reasons"]]) or "no reason is given"
+
+
+def _mode_line(status: Mapping[str, Any]) -> str:
+    if held(status):
+        return "mode on is ordered, but the correction stays where it is: see why"
+    return f"mode {_MODES.get(status['mode'], status['mode'])}"
 
 
 def footer(found: Mapping[str, Any]) -> list[str]:
@@ -61,6 +75,8 @@ def footer(found: Mapping[str, Any]) -> list[str]:
     hours = status["time_s"] / 3600
     lasted = f"{hours:.1f} h" if hours >= 1 else f"{status['time_s']:.0f} s"
     lines = [f"{status['cycles']} cycles in {lasted}, {status['misses']} deadlines missed"]
+    if status["overruns"]:
+        lines.append(f"{status['overruns']} rows of this run are in no log; the events say when and why")
     lines += _left(found["left"])
     if status["reload"]:
         lines.append(status["reload"])
@@ -96,14 +112,13 @@ def troubles(found: Mapping[str, Any]) -> list[str]:
     lines = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
     if status["log"]:
         lines.append(f"log: {status['log']}")
-    if status["overruns"]:
-        lines.append(f"{status['overruns']} rows did not reach the log")
     if found["status_age_s"] is not None and found["status_age_s"] > STANDS_S:
         lines.append(f"the loop stands: its newest row is {found['status_age_s']:.1f} s old")
     return lines
 
 
-def _um(value: float | None) -> str:
+def um_text(value: float | None) -> str:
+    """A correction for people; null, which stands for NaN, in words."""
     return "not known" if value is None else f"{value:+.2f}"
 
 

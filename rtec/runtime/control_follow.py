@@ -6,11 +6,14 @@ from typing import Any, Final
 from rtec.errors import RtecError
 from rtec.runtime.clock import Clock
 from rtec.runtime.control_client import Client
+from rtec.runtime.control_facts import held, um_text
 from rtec.runtime.orders import MODE_OF, Order
 from rtec.runtime.records import MODES_BY_NAME
 
 LONGEST_NS: Final = 15_000_000_000
 PERIOD_NS: Final = 50_000_000
+SEEN_NS: Final = 100_000_000
+"""Rows that are so much newer than an order were made under it."""
 _MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
 _TOGETHER: Final = {
     Order.ENABLE: "the correction follows the model",
@@ -59,12 +62,11 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
     if after["pid"] != before["pid"]:
         raise RtecError("the daemon was started anew meanwhile; look at `rtec status`")
     status = after["status"]
+    count = after["events_total"] - before["events_total"]
+    new = [e for e in after["events"][-count:] if e["what"] in _NOTED.get(order, (str(order),))] if count else []
     if order in MODE_OF:
         done = status["mode"] == _MODE_NAMES[MODE_OF[order]]
-        return Outcome(True, _mode_text(order, status), after) if done else None
-    new = [e for e in after["events"] if e["what"] in _NOTED[order]]
-    count = after["events_total"] - before["events_total"]
-    new = [e for e in new if e in after["events"][-count:]] if count else []
+        return _ordered(order, status, new, after) if done else None
     if order is Order.RESUME:
         return _resumed(before["status"], status, after) if new else None
     if not new:
@@ -77,8 +79,19 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
 _NOTED: Final = {Order.MARK: ("mark",), Order.RELOAD: ("reloaded", "not reloaded"), Order.RESUME: ("resume",)}
 
 
+def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
+    """What came of an order that is a mode; None: no row that was made under it has been seen."""
+    why = held(status)
+    if not why:
+        return Outcome(True, _mode_text(order, status), after)
+    if not new or status["time_ns"] - new[-1]["time_ns"] < SEEN_NS:
+        return None
+    return Outcome(False, f"enabled, but the correction stays where it is: {why}", after)
+
+
 def _mode_text(order: Order, status: dict[str, Any]) -> str:
-    applied = ", ".join(f"{axis} {um:+.2f} µm" for axis, um in status["applied_um"].items())
+    units = {axis: "" if um is None else " µm" for axis, um in status["applied_um"].items()}
+    applied = ", ".join(f"{axis} {um_text(um)}{units[axis]}" for axis, um in status["applied_um"].items())
     return f"{_TOGETHER[order]}; applied now: {applied}"
 
 

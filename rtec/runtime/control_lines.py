@@ -61,6 +61,20 @@ def network_socket(context: Any, kind: int, place: str, pair: Pair) -> Any:
     return made
 
 
+def failed_handshakes(context: Any, socket: Any) -> Any:
+    """A socket that gets a message for every connection that ended before anybody's key could be looked at.
+
+    Such a client has no key, or speaks with the key of another server: libzmq asks nobody about it (ZAP), it hangs up.
+    """
+    place = f"inproc://rtec-failed-{id(socket):x}"
+    socket.monitor(place, zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL)
+    made = context.socket(zmq.PAIR)
+    made.linger = 0
+    made.rcvhwm = 0  # libzmq's own thread would wait where there is no room
+    made.connect(place)
+    return made
+
+
 def receive(socket: Any) -> Incoming | None:
     """Take a message; None where none waits."""
     try:
@@ -71,6 +85,17 @@ def receive(socket: Any) -> Incoming | None:
     return Incoming(
         bytes(frames[0].buffer), bytes(last.buffer), _property(last, "User-Id"), _property(last, "Peer-Address")
     )
+
+
+def drain(socket: Any) -> int:
+    """Throw away all that waits; give how many messages that were."""
+    count = 0
+    while True:
+        try:
+            socket.recv_multipart(zmq.NOBLOCK)
+        except zmq.ZMQError:
+            return count
+        count += 1
 
 
 def send(socket: Any, *frames: bytes) -> None:

@@ -6,6 +6,7 @@ Rows wait in memory, up to a number; what comes then is dropped and counted.
 import queue
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
@@ -57,6 +58,7 @@ class DiskThread:
         keeper: Keeper | None = None,
     ) -> None:
         self.recording, self.dropped, self.state_trouble = recording, 0, ""
+        self._behind: Events | None = None
         self._state, self._newest, self._most_rows, self._keeper = state, newest, most_rows, keeper
         self._jobs: queue.SimpleQueue[_Rows | _Do | None] = queue.SimpleQueue()
         self._waiting = self._done = 0
@@ -110,12 +112,20 @@ class DiskThread:
     def _event(self, events: Events, event: Event) -> None:
         try:
             events.write(event)
+            self._behind = None
         except OSError as e:
-            self.recording.warnings.append(f"{events.path}: an event could not be written ({event.what}): {e.strerror}")
+            if self._behind is None:
+                why = f"{events.path}: events wait until they can be written: {e.strerror}"
+                self.recording.warnings.append(why)
+            self._behind = events
 
     def _flush(self) -> None:
         self.recording.flush()
         self._keep_state()
+        if self._behind is not None:
+            with suppress(OSError):  # told already, and tried again with the next flush
+                self._behind.catch_up()
+                self._behind = None
 
     def _keep_state(self) -> None:
         saved = self._newest() if self._state is not None else None

@@ -1,6 +1,8 @@
 """What happened beside the rows of a log: orders, marks, reloads; a line of JSON each, next to the log."""
 
+import errno
 import json
+import os
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -46,6 +48,7 @@ class Events:
         self.path = path
         self.newest: deque[Event] = deque(maxlen=REMEMBERED)
         self.total = 0
+        self._waiting: deque[Event] = deque(maxlen=REMEMBERED)
 
     def note(self, event: Event) -> None:
         """Keep it in memory."""
@@ -53,17 +56,37 @@ class Events:
         self.total += 1
 
     def write(self, event: Event) -> None:
-        """Write it to the file.
+        """Write it to the file, behind those that could not be written before.
 
         Raises:
-            OSError: it cannot be written.
+            OSError: it cannot be written now; it is kept for the next time.
         """
-        if self.path is None:
-            return
+        if self.path is not None:
+            self._waiting.append(event)
+            self.catch_up()
+
+    def catch_up(self) -> None:
+        """Write what could not be written before.
+
+        Raises:
+            OSError: it still cannot.
+        """
+        while self.path is not None and self._waiting:
+            self._append(self.path, self._waiting[0])
+            self._waiting.popleft()
+
+    def _append(self, path: Path, event: Event) -> None:
+        """All of a line or nothing of it: half a line would spoil the next one."""
         fields: Mapping[str, object] = asdict(event)
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(fields, ensure_ascii=False) + "\n")
-            file.flush()
+        line = (json.dumps(fields, ensure_ascii=False) + "\n").encode()
+        fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        try:
+            before = os.fstat(fd).st_size
+            if os.write(fd, line) != len(line):
+                os.ftruncate(fd, before)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        finally:
+            os.close(fd)
 
 
 def events_path(log: Path | None) -> Path | None:

@@ -29,8 +29,8 @@ from rtec.runtime.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
 from rtec.runtime.recover import Found, Start, allowed, recover
 from rtec.runtime.ring import Ring
 from rtec.runtime.sign_check import with_step
-from rtec.runtime.state import Saved, StateWriter, newest, state_text, structure_of, units_of
-from rtec.runtime.state_files import StatePlaces, read_disk, state_memory
+from rtec.runtime.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
+from rtec.runtime.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
 from rtec.runtime.step import Step
 from rtec.runtime.worker_port import worker_ports
 
@@ -119,10 +119,12 @@ def _run(told: Orders, pipe: Connection) -> dict[str, Any]:
 
 def _found(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step) -> Found:
     """Look at what there is: kept state, ledger, counts."""
-    saved: Saved | None = newest(image.tobytes())
-    new_boot, slack_s = False, 2.0 / setup.file.run.rate_hz
+    in_memory = image.tobytes()
+    saved: Saved | None = newest(in_memory)
+    new_boot, slack_s, spoilt = False, 2.0 / setup.file.run.rate_hz, [places.memory] if is_spoilt(in_memory) else []
     if saved is None and places.disk is not None:
         (saved, new_boot), slack_s = read_disk(places.disk), DISK_SLACK_S
+        spoilt += [places.disk] if saved is None and disk_is_spoilt(places.disk) else []
     axes = len(step.layout.axes)
     output, counts = np.zeros(axes, np.int64), np.zeros(axes, np.int64)
     if saved is not None and saved.units == units_of(step) and isinstance(ports.actuator, OneWay):
@@ -134,7 +136,16 @@ def _found(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: P
         output=output if _tells(ports, output) else None,
         counts=counts if _counted(ports, counts) else None,
         start_mode=MODES_BY_NAME[setup.file.run.mode],
+        damaged=_damaged(spoilt),
+        one_way=isinstance(ports.actuator, OneWay),
     )
+
+
+def _damaged(spoilt: list[Path]) -> str:
+    if not spoilt:
+        return ""
+    places = " and ".join(str(path) for path in spoilt)
+    return f"the state that the run before kept in {places} is damaged, or of another version of rtec"
 
 
 def _tells(ports: Ports, output: Output) -> bool:

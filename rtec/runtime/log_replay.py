@@ -55,5 +55,6 @@ def _add(total: ReplayReport, one: ReplayReport, name: str) -> None:
     total.differences = (total.differences + moved)[:MOST_DIFFERENCES]
     total.rows += one.rows
     total.different += one.different
+    total.unchecked += one.unchecked
     total.torn_bytes += one.torn_bytes
     total.notes += [f"{name}: {note}" for note in one.notes]

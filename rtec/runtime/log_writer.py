@@ -86,6 +86,7 @@ class LogWriter:
         Raises:
             LogError: as for `write`.
         """
+        self._see_that_it_is_there()
         if self._filled:
             self._append_batch()
         self._sync()
@@ -117,6 +118,14 @@ class LogWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _see_that_it_is_there(self) -> None:
+        """A file that somebody removed takes rows as before, and all of them are gone when it is closed."""
+        if self._fault or self._fd < 0 or os.fstat(self._fd).st_nlink:
+            return
+        self._fault = f"log {self.path}: somebody removed it while it was written; its {self.rows} rows are lost"
+        self.rows = 0
+        raise LogError(self._fault)
 
     def _append_batch(self) -> None:
         n = self._filled

@@ -23,7 +23,7 @@ from rtec.runtime.state import StateWriter
 from rtec.runtime.stats import LoopStats, Trouble
 from rtec.runtime.step import Step
 
-HOLDS = "the correction holds until it is ordered to resume"
+HOLDS = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
 
 
 def lost(expected: IntArray, found: IntArray, allowed: IntArray) -> str:

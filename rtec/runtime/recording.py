@@ -96,6 +96,7 @@ class Recording:
     _inexact: bool = False
     _retry_ns: int = 0
     _missed_before: int = 0
+    _goes_on: str = ""
 
     def begin(self, begin: Begin) -> None:
         """Make the first file.
@@ -121,6 +122,8 @@ class Recording:
     def flush(self) -> None:
         """Bring them to the disk."""
         self._try(lambda w: w.flush())
+        if self.clock.now_ns() >= self._retry_ns:
+            self._tell_that_it_goes_on()
 
     def cut(self, begin: Begin) -> None:
         """Let a new file begin at that row, which is still to come."""
@@ -135,6 +138,8 @@ class Recording:
 
     def close(self) -> None:
         """End the file."""
+        self._try(lambda w: w.flush())
+        self._tell_that_it_goes_on()
         self._try(lambda w: w.close())
         self._writer = None
 
@@ -158,17 +163,22 @@ class Recording:
         self._change(Begin(row, {"first_row": str(row), "rows_lost_before": str(lost_rows)}))
         self._inexact = True
 
+    def _tell_that_it_goes_on(self) -> None:
+        """Not with the first rows that find room: a disk that is all but full would have it told every few seconds."""
+        if self._goes_on and self._writer is not None and self._writer.rows:
+            self.warnings.append(self._goes_on)
+            self.trouble, self._missed_before, self._goes_on = "", self.missed, ""
+
     def _tell_stop(self, why: str) -> None:
         if not self.trouble:
             self.warnings.append(f"logging stopped, the correction went on: {why}")
-        self.trouble = f"logging stopped: {why}"
+        self.trouble, self._goes_on = f"logging stopped: {why}", ""
 
     def _change(self, begin: Begin) -> None:
         """End this file, begin the next."""
         if self.path is None:
             return
         self._pending, self._inexact = None, False
-        had_failed = bool(self.trouble)
         self._try(lambda w: w.close())
         self._writer = None
         path = free_path(self.path)
@@ -180,9 +190,9 @@ class Recording:
             self._fail(e)
             return
         self.path = path
-        if had_failed:
-            self.warnings.append(f"logging goes on in {path}; {self.missed - self._missed_before} rows are in no log")
-        self.trouble, self._missed_before = "", self.missed
+        if self.trouble:
+            self._retry_ns = self.clock.now_ns() + RETRY_NS
+            self._goes_on = f"logging goes on in {path}; {self.missed - self._missed_before} rows are in no log"
 
     def _try(self, action: Callable[[Writer], None]) -> None:
         if self._writer is None:

@@ -33,6 +33,8 @@ class Found:
         output: what the actuator says that it has; None where it cannot tell.
         counts: raw counts now; None where they cannot be read yet.
         start_mode: the run file's mode.
+        damaged: a state was kept and cannot be read any more: where it is and what that means; "" where it can.
+        one_way: the actuator cannot tell what it has, and what it was told last stands in the kept state alone.
     """
 
     saved: Saved | None
@@ -41,6 +43,8 @@ class Found:
     output: IntArray | None
     counts: IntArray | None
     start_mode: int
+    damaged: str = ""
+    one_way: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,9 +72,7 @@ def recover(step: Step, found: Found) -> Start:
     """Bring a fresh step to where the run before ended; say how to begin. Nothing moves by it."""
     saved = found.saved
     if saved is None or saved.units != units_of(step):
-        output = np.zeros(len(step.layout.axes), np.int64) if found.output is None else found.output
-        step.resume(output)
-        return Start(output, found.start_mode, sequence=0 if saved is None else saved.sequence)
+        return _anew(step, found)
     if saved.structure == structure_of(step) and not found.new_boot:
         step.restore(saved.state)
         step.look_anew()  # its coefficients may be others than they were
@@ -88,6 +90,21 @@ def recover(step: Step, found: Found) -> Start:
     waits = _why_wait(step, found, saved, output)
     expected = saved.output if found.output is None and not waits else None
     return Start(output, mode, waits, [_told(saved, output, mode)], saved.sequence, expected)
+
+
+def _anew(step: Step, found: Found) -> Start:
+    """Nothing of the run before can be used; say so where something was lost by it."""
+    saved = found.saved
+    output = np.zeros(len(step.layout.axes), np.int64) if found.output is None else found.output
+    step.resume(output)
+    why = found.damaged if saved is None else ""
+    if saved is not None and (saved.output.any() if found.one_way else not saved.clean):
+        why = "the run before had other axes, counts_per_mm or output units"
+    waits = (
+        f"{why}; nobody knows what the actuator has: check a known position; {HOLDS}" if why and found.one_way else ""
+    )
+    notes = [f"{why}; the ledger is taken from the actuator, the mode from the run file"] if why and not waits else []
+    return Start(output, found.start_mode, waits, notes, 0 if saved is None else saved.sequence)
 
 
 def _moved(step: Step, saved: Saved, counts: IntArray | None) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from rtec.runtime.step import Step
 
 MOST_BYTES = 65_536
 """So much fits into the pipe while the loop is not yet reading."""
+_ORDERS = {"on": "enable", "hold": "hold", "off": "fade"}
 STAYS = "the old one stays in force"
 
 
@@ -86,6 +87,8 @@ def _changed(old: Setup, new: Setup) -> list[str]:
         )
         if a != b
     ]
+    if old.file.run.mode != new.file.run.mode:
+        out.append(f"[run] mode (for the next start; now: `rtec ctl {_ORDERS[new.file.run.mode]}`)")
     return out + [f"limits of {name}" for name in new.file.limits if old.file.limits.get(name) != new.file.limits[name]]
 
 

@@ -40,6 +40,7 @@ class ReplayReport:
         rows: rows stepped through.
         different: rows that differ from the log in any field, when checked.
         differences: the first few of them.
+        unchecked: rows that cannot be checked, since rows before them were lost: nobody knows what the step remembered.
         notes: ways in which the run file is not the one that the log was made with.
         torn_bytes: bytes behind the log's last whole batch.
         unread: of a folder of logs, what could not be read, and why.
@@ -49,6 +50,7 @@ class ReplayReport:
     rows: int = 0
     different: int = 0
     differences: list[Difference] = field(default_factory=list)
+    unchecked: int = 0
     notes: list[str] = field(default_factory=list)
     torn_bytes: int = 0
     unread: list[str] = field(default_factory=list)
@@ -86,7 +88,9 @@ def replay_log(
         try:
             for samples, logged in reader.blocks(BLOCK_ROWS):
                 commands = _stepped(step, samples, logged, memory)
-                if check:
+                if check and "rows_lost_before" in reader.header:
+                    report.unchecked += len(samples)
+                elif check:
                     _compare(report, logged, commands)
                 if writer is not None:
                     writer.write(samples, commands)
@@ -129,7 +133,7 @@ def _notes(header: dict[str, str], setup: Setup) -> list[str]:
     now = setup.log_header()
     out = []
     if "rows_lost_before" in header:
-        out.append("rows before this log were lost, so what the step remembered then is not known")
+        out.append("rows before this log were lost; what the step remembered is not known, so nothing can be checked")
     for key, what in (
         ("machine_sha256", "machine"),
         ("model_sha256", "model"),

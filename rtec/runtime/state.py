@@ -187,6 +187,11 @@ def newest(image: bytes) -> Saved | None:
     return max(whole, key=lambda saved: saved.sequence, default=None)
 
 
+def is_spoilt(image: bytes) -> bool:
+    """Was something kept here, and nothing of it is whole? An image that nobody wrote to is all zeros."""
+    return newest(image) is None and any(image[: SNAPSHOT * SLOT_BYTES])
+
+
 def state_text(state: StepState) -> dict[str, Any]:
     """A step's memory as plain data, to the last bit; for the header of a log."""
     return {"floats": [x.hex() for x in state.floats.tolist()], "ints": state.ints.tolist()}

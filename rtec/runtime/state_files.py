@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import RtecError
 from rtec.runtime.clock import Clock
-from rtec.runtime.state import IMAGE_BYTES, SLOT_BYTES, SNAPSHOT, Saved, newest, read_slot
+from rtec.runtime.state import IMAGE_BYTES, SLOT_BYTES, SNAPSHOT, Saved, is_spoilt, newest, read_slot
 
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -166,6 +166,8 @@ class DiskState:
         Raises:
             OSError: it cannot be written; what was there before is still there.
         """
+        if self._fd >= 0 and not os.fstat(self._fd).st_nlink:  # somebody removed it: what is written there is lost
+            self.close()
         if self._fd < 0:
             self._open()
         os.pwrite(self._fd, saved.words, self._next * SLOT_BYTES)
@@ -183,7 +185,7 @@ class DiskState:
         except OSError:
             os.close(fd)
             raise
-        self._fd, self._next = fd, _older(_bytes(self.path))
+        self._fd, self._next, self._marked = fd, _older(_bytes(self.path)), False
 
     def close(self) -> None:
         """Close the file."""
@@ -198,6 +200,11 @@ def read_disk(path: Path) -> tuple[Saved | None, bool]:
     mark = boot_id()
     at = SNAPSHOT * SLOT_BYTES
     return newest(image), image[at : at + len(mark)] != mark
+
+
+def disk_is_spoilt(path: Path) -> bool:
+    """Was a state kept on disk that cannot be read any more?"""
+    return is_spoilt(_bytes(path))
 
 
 def boot_id() -> bytes:

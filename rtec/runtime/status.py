@@ -26,7 +26,7 @@ class Status:
         reload: what came of the last order to reload; "" before the first.
         reloads: reloads that the loop has taken over.
         log: what goes on with the log; "" where all is well.
-        overruns: rows that did not reach the log.
+        overruns: rows so far that are in no log: the ring was full, or the disk.
     """
 
     time_s: float = 0.0

@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any, Final
 
 from rtec.errors import DriverFault, RtecError
+from rtec.runtime.alarms import Alarms
 from rtec.runtime.clock import RealClock, wall_clock_iso
 from rtec.runtime.config import Setup
 from rtec.runtime.disk_thread import MOST_SECONDS, DiskThread
@@ -61,6 +62,7 @@ class Supervisor:
             sockets, too.
         on_start: told when the loop begins.
         on_rows: told every row that passes.
+        on_event: told every event, from any thread; does not wait.
     """
 
     def __init__(
@@ -70,16 +72,19 @@ class Supervisor:
         on_status: Callable[[Status], None] | None = None,
         on_start: Callable[[], None] | None = None,
         on_rows: Rows | None = None,
+        on_event: Callable[[Event], None] | None = None,
     ) -> None:
         self.layout = Layout(setup.machine.axis_names, setup.machine.sensor_names)
         self.warnings: list[str] = []
         self._on_status, self._on_start = on_status or (lambda _: None), on_start or (lambda: None)
         self._on_rows: Rows = on_rows or (lambda _samples, _commands: None)
+        self._on_event = on_event or (lambda _: None)
         self._clock = RealClock()
         self._notifier = Notifier.from_environment(os.environ, self._clock)
         self._watch = Watch(self.layout)
         self._recording = Recording(log_path, self._clock, self._new_log, self.warnings)
         self.events = Events(events_path(log_path))
+        self._alarms, self._warnings_told = Alarms(self._note_of_disk), 0
         folder = setup.file.run.state_folder or setup.file.run.log_folder
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
         self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
@@ -96,8 +101,11 @@ class Supervisor:
     @property
     def status(self) -> Status:
         """Of the newest row."""
-        trouble = "" if self._disk is None else self._disk.trouble
-        return replace(self._watch.status, reload=self._reload.text, log=trouble)
+        status, disk = self._watch.status, self._disk
+        if disk is None:
+            return replace(status, reload=self._reload.text)
+        lost = status.overruns + disk.missed
+        return replace(status, reload=self._reload.text, log=disk.trouble, overruns=lost)
 
     def order(self, order: Order, text: str = "", who: str = "local") -> str:
         """Order something, from any thread; give an answer in words. Carried out within some 20 ms, while it runs.
@@ -176,9 +184,11 @@ class Supervisor:
             self._on_start()
             self._until_done(ring, pipe, process, disk, workers)
             self._notifier.stopping()
-            summary = self._receive(pipe, process)
-            while self._drain(ring, disk):
-                pass
+            try:
+                summary = self._receive(pipe, process)
+            finally:  # the last rows before the loop died are those that somebody will want to see
+                while self._drain(ring, disk):
+                    pass
         self._tidy(ready["one_way"])
         if left := self._step_orders.trouble(self.status):
             self.warnings.append(left)
@@ -206,6 +216,7 @@ class Supervisor:
                 ring.stop_requested = 1
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
+            self._tell_what_is_wrong(now)
             if now >= next_flush:
                 disk.flush()
                 next_flush = now + flush_ns
@@ -234,10 +245,7 @@ class Supervisor:
             self._note(ring, str(order), text, who)
 
     def _note(self, ring: Ring, what: str, text: str, who: str) -> None:
-        event = Event(ring.tail - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, who)
-        self.events.note(event)
-        if self._disk is not None:
-            self._disk.event(self.events, event)
+        self._keep(Event(ring.tail - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, who))
 
     @contextmanager
     def _to_disk(self) -> Iterator[DiskThread]:
@@ -251,10 +259,20 @@ class Supervisor:
 
     def _note_of_disk(self, what: str, text: str) -> None:
         """Note what the thread that writes the log, or who keeps the workers, saw itself."""
-        event = Event(self._watch.rows - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, "rtec")
+        self._keep(Event(self._watch.rows - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, "rtec"))
+
+    def _keep(self, event: Event) -> None:
         self.events.note(event)
+        self._on_event(event)
         if self._disk is not None:
             self._disk.event(self.events, event)
+
+    def _tell_what_is_wrong(self, now_ns: int) -> None:
+        """Into the events, when it happens: nobody reads the summary at the end of a run of weeks."""
+        for text in self.warnings[self._warnings_told :]:
+            self._warnings_told += 1
+            self.note("note", text)
+        self._alarms.look(now_ns, self._watch.take_passed(), self._watch.status.devices)
 
     def _tidy(self, one_way: bool) -> None:
         """The run ended in order, and what the memory held is on disk, or the actuator knows it: nobody needs it."""
@@ -274,7 +292,9 @@ class Supervisor:
             kind, content = pipe.recv()
         except (EOFError, ConnectionResetError):
             process.join(STOP_TIMEOUT_S)
-            raise DriverFault(f"the loop's process ended without a word (exit code {process.exitcode})") from None
+            why = _died(process.exitcode)
+            self.note("alarm", why)
+            raise DriverFault(why) from None
         if kind == "error":
             raise RtecError(content)
         return content
@@ -287,3 +307,13 @@ class Supervisor:
             self._orders.put((Order.RELOAD, "signal HUP", "signal"))
         else:
             self._at_once, self._interrupted = self._interrupted, True
+
+
+def _died(code: int | None) -> str:
+    """Say how the loop's process ended, and what that means for the machine."""
+    how = f"was killed (signal {-code}, {signal.strsignal(-code)})" if code is not None and code < 0 else "ended"
+    return (
+        f"the loop's process {how} without a word (exit code {code}): nothing is commanded any more. Ledger and mode "
+        "are kept; start it again, and it goes on from there. If it happens again: `journalctl -k` tells of memory "
+        "that ran out; the last rows are in the log"
+    )

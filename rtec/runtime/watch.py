@@ -25,6 +25,7 @@ class Watch:
         self._first_ns: int | None = None
         self._flag_counts = np.zeros(len(Flag), dtype=np.int64)
         self._largest = np.zeros(len(layout.axes))
+        self._passed = Flag(0)
 
     def look(self, samples: Samples, commands: Commands, ring: Ring) -> None:
         """Take rows in, at least one."""
@@ -32,6 +33,7 @@ class Watch:
             self._first_ns = int(samples.time_ns[0])
         self.rows += len(samples)
         self._flag_counts += [np.count_nonzero(commands.flags & int(flag)) for flag in Flag]
+        self._passed |= Flag(int(np.bitwise_or.reduce(commands.flags)))
         self._largest = np.maximum(self._largest, np.abs(commands.applied_um).max(axis=0))
         axes, sensors = self.layout.axes, self.layout.sensors
         now_ns = int(samples.time_ns[-1])
@@ -56,6 +58,11 @@ class Watch:
             reloads=ring.reloads,
             overruns=ring.overruns,
         )
+
+    def take_passed(self) -> Flag:
+        """Give the flags of all rows since this was asked the last time."""
+        passed, self._passed = self._passed, Flag(0)
+        return passed
 
     @property
     def largest_um(self) -> dict[str, float]:

@@ -7,7 +7,7 @@ own by the number of the request; the run's own log, read afterwards.
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,9 @@ import pytest
 from rtec.correction.guard import Flag
 from rtec.errors import RtecError
 from rtec.runtime.config import Setup, load_setup
+from rtec.runtime.events import Event
 from rtec.runtime.log import LogReader
+from rtec.runtime.state_files import read_memory, state_places
 from rtec.runtime.status import Report, Status
 from rtec.runtime.supervisor import Supervisor
 from tests import setups
@@ -74,10 +76,10 @@ def loops() -> list[int]:
 class Play:
     """Runs a setup; a script looks at each status and does things in between, and says by ending that it is over."""
 
-    def __init__(self, setup: Setup, folder: Path) -> None:
+    def __init__(self, setup: Setup, folder: Path, on_event: Callable[[Event], None] | None = None) -> None:
         self.status, self._first_ns = Status(), 0
         self.log = folder / "run.arrows"
-        self._supervisor = Supervisor(setup, self.log, on_status=self._look)
+        self._supervisor = Supervisor(setup, self.log, on_status=self._look, on_event=on_event)
         self._script: Script = iter(())
 
     def run(self, script: Script) -> Report:
@@ -197,3 +199,51 @@ def test_a_line_that_comes_later_is_told_in_the_drivers_words(tmp_path: Path) ->
 
     report = play.run(script())
     assert "no-such-line" in report.summary["devices"]["sensors"]["last"]["temperatures"]
+
+
+def test_the_rows_before_the_loop_died_are_in_the_log(tmp_path: Path) -> None:
+    """To the last one. Oracle: the state that the loop keeps with every cycle, which knows the number of its row."""
+    made = load_setup(setups.write(tmp_path, setups.tables(tmp_path)))
+    told: list[str] = []
+    play = Play(made, tmp_path, lambda event: told.append(event.what))
+
+    def script() -> Script:
+        yield from play.until(lambda: play.status.cycles > 300)
+        (loop,) = loops()
+        while kept_row() < play.status.cycles + 15:
+            pass  # the supervisor, in whose thread this runs, looks at no row meanwhile
+        os.kill(loop, signal.SIGKILL)
+        os.waitid(os.P_PID, loop, os.WEXITED | os.WNOWAIT)  # all of its threads are gone
+        yield True
+
+    def kept_row() -> int:
+        kept = read_memory(next(tmp_path.glob("rtec.*.state")))
+        return 0 if kept is None else kept.row
+
+    with pytest.raises(RtecError, match=r"was killed \(signal 9, Killed\) without a word"):
+        play.run(script())
+    (memory,) = tmp_path.glob("rtec.*.state")
+    kept = read_memory(memory)
+    assert kept is not None
+    with LogReader(play.log) as log:
+        assert log.rows in (kept.row, kept.row + 1)  # kept before the row is published: killed in between, or not
+        assert log.complete
+    assert told == ["alarm"]
+    assert "was killed" in play.log.with_suffix(".events.jsonl").read_text(encoding="utf-8")
+
+
+def test_what_is_wrong_at_the_start_is_told_at_the_start(tmp_path: Path) -> None:
+    """A state that is damaged: an event, not only a line in a summary that comes after weeks."""
+    made = load_setup(setups.write(tmp_path, setups.tables(tmp_path)))
+    spoilt = state_places(made.path, None).memory
+    spoilt.write_bytes(b"no state at all" * 9000)
+    spoilt.chmod(0o600)
+    told: list[tuple[str, str]] = []
+    play = Play(made, tmp_path, lambda event: told.append((event.what, event.text)))
+
+    def script() -> Script:
+        yield from play.until(lambda: play.status.cycles > 300)
+        assert any(what == "note" and f"{spoilt} is damaged" in text for what, text in told)
+
+    play.run(script())
+    assert "is damaged" in (tmp_path / "run.events.jsonl").read_text(encoding="utf-8")

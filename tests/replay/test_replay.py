@@ -83,6 +83,23 @@ def test_a_change_in_any_field_is_found(tmp_path: Path, field: str) -> None:
     assert [(d.row, d.field) for d in report.differences] == [(7, field)]
 
 
+def test_rows_behind_a_gap_are_not_called_different(tmp_path: Path) -> None:
+    """Nobody knows what the step remembered at the gap. Oracle: the same rows differ where the header hides the gap."""
+    made, log = logged(tmp_path)
+    with LogReader(log) as reader:
+        block = next(iter(reader.blocks(start=500)))
+        layout = reader.layout
+    for name, header in (("gap", {"rows_lost_before": "500"}), ("hidden", {})):
+        with LogWriter(tmp_path / f"{name}.arrows", layout, {**made.log_header(), **header}) as writer:
+            writer.write(*block)
+    rows = len(block[0])
+    gap = replay_log(made, tmp_path / "gap.arrows", check=True)
+    assert (gap.rows, gap.unchecked, gap.different) == (rows, rows, 0)
+    assert "nothing can be checked" in gap.notes[0]
+    hidden = replay_log(made, tmp_path / "hidden.arrows", check=True)
+    assert (hidden.unchecked, hidden.different > 0) == (0, True)
+
+
 def test_another_machine_is_refused(tmp_path: Path) -> None:
     made, log = logged(tmp_path, 10)
     content = setups.tables(tmp_path)

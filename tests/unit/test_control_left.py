@@ -15,8 +15,10 @@ from rtec.diagnosis.compare import compare
 from rtec.model import Model
 from rtec.runtime.clock import VirtualClock
 from rtec.runtime.control_desk import Desk
-from rtec.runtime.control_facts import axis_rows, footer, troubles, well
+from rtec.runtime.control_facts import axis_rows, footer, headline, held, troubles, well
+from rtec.runtime.control_follow import carry_out
 from rtec.runtime.control_left import LARGEST_BYTES, Left
+from rtec.runtime.orders import Order
 from tests import setups
 from tests.unit.control_rig import FakeDaemon
 from tests.unit.diagnosis_examples import effects, laser, small_machine
@@ -136,7 +138,6 @@ def test_it_stands_beside_requested_and_applied(tmp_path: Path, daemon: FakeDaem
     [
         ({"devices": {"sensors": ["silent"]}}, "device sensors: silent"),
         ({"log": "no room"}, "log: no room"),
-        ({"overruns": 3}, "3 rows did not reach the log"),
     ],
 )
 def test_what_somebody_has_to_look_at(daemon: FakeDaemon, changed: dict[str, Any], says: str) -> None:
@@ -146,3 +147,61 @@ def test_what_somebody_has_to_look_at(daemon: FakeDaemon, changed: dict[str, Any
     assert troubles({**fresh, "status": {**fresh["status"], **changed}}) == [says]
     late = Desk(daemon, VirtualClock(1_100_000_001), {}).status()
     assert troubles(late) == ["the loop stands: its newest row is 1.1 s old"]
+
+
+def test_rows_that_were_lost_stay_in_sight_and_are_no_alarm_for_ever(daemon: FakeDaemon) -> None:
+    fresh = Desk(daemon, VirtualClock(1_000_000_001), {}).status()
+    lost = {**fresh, "status": {**fresh["status"], "overruns": 3}}
+    assert well(lost)
+    assert "3 rows of this run are in no log; the events say when and why" in footer(lost)
+
+
+def test_on_while_it_holds_is_not_called_following(daemon: FakeDaemon) -> None:
+    """Oracle: the flags of the row. Only a hold that nobody ordered contradicts the order."""
+    origin = {"machine": "mill", "config": "mill.toml"}
+    fresh = Desk(daemon, VirtualClock(1_000_000_001), origin).status()
+    assert headline(fresh)[1] == "mode on: the correction follows the model"
+    wrong = {"flags": ["HELD"], "reasons": ["counts are stale"], "devices": {"box": ["silent"]}}
+    stuck = {**fresh, "status": {**fresh["status"], **wrong}}
+    assert headline(stuck)[1] == "mode on is ordered, but the correction stays where it is: see why"
+    assert held(stuck["status"]) == "device box: silent; counts are stale"
+    ordered = {**stuck, "status": {**stuck["status"], "mode": "hold"}}
+    assert headline(ordered)[1] == "mode hold: the correction stays where it is"
+
+
+class Answers:
+    """A daemon that takes every order, and whose next rows are written down."""
+
+    def __init__(self, *statuses: dict[str, Any]) -> None:
+        self._statuses = list(statuses)
+
+    def status(self) -> dict[str, Any]:
+        """The next, at last the same again and again."""
+        return self._statuses.pop(0) if len(self._statuses) > 1 else self._statuses[0]
+
+    def order(self, order: Order, text: str = "") -> str:
+        """Taken."""
+        return f"{order} ordered {text}"
+
+
+def test_enable_says_so_where_the_correction_stays(daemon: FakeDaemon) -> None:
+    """Held rows from before the order say nothing; those behind it do. Oracle: instants written down here."""
+    fresh = Desk(daemon, VirtualClock(1_000_000_001), {}).status()
+    event = {"what": "enable", "time_ns": 50, "row": 1, "utc": "", "text": "", "who": "root"}
+
+    def at(time_ns: int, *flags: str) -> dict[str, Any]:
+        status = {**fresh["status"], "time_ns": time_ns, "flags": list(flags), "reasons": ["counts are stale"]}
+        return {**fresh, "pid": 1, "events_total": 1, "events": [event], "status": status}
+
+    before = {**at(50, "HELD"), "events_total": 0, "events": []}
+    clock = VirtualClock(1)
+    went_on = Answers(before, before, at(50, "HELD"), at(70))
+    good = carry_out(went_on, Order.ENABLE, "", clock)  # type: ignore[arg-type]
+    assert good.done
+    assert good.text == "the correction follows the model; applied now: X +1.25 µm, Z not known"
+    stays = Answers(before, before, at(50, "HELD"), at(200_000_050, "HELD"))
+    held_up = carry_out(stays, Order.ENABLE, "", clock)  # type: ignore[arg-type]
+    assert (held_up.done, held_up.text) == (
+        False,
+        "enabled, but the correction stays where it is: counts are stale",
+    )

@@ -276,6 +276,22 @@ def test_full_disk(tmp_path: Path) -> None:
         assert stream.read_all().num_rows == 50
 
 
+def test_a_file_that_somebody_removes_is_noticed(tmp_path: Path) -> None:
+    """The kernel takes rows for it as before; all of them are lost, and that is what the writer says."""
+    path, rows = tmp_path / "run.arrows", random_rows(10)
+    writer = LogWriter(path, LAYOUT, HEADER)
+    writer.write(*rows)
+    writer.flush()
+    path.rename(tmp_path / "elsewhere.arrows")
+    writer.flush()
+    (tmp_path / "elsewhere.arrows").unlink()
+    with pytest.raises(LogError, match="somebody removed it while it was written; its 10 rows are lost"):
+        writer.flush()
+    assert writer.rows == 0
+    writer.close()
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_closed_log_takes_no_more(tmp_path: Path) -> None:
     log = LogWriter(tmp_path / "a", LAYOUT, HEADER)
     log.close()

@@ -56,6 +56,22 @@ def test_saving_and_loading_is_the_identity(tmp_path: Path) -> None:
     assert (tmp_path / "again.toml").read_bytes() == path.read_bytes()
 
 
+def test_a_file_that_ends_between_two_effects_is_refused(tmp_path: Path) -> None:
+    """It is good TOML, and half a model. Oracle: the file cut behind every line before its last effect."""
+    path = tmp_path / "m.toml"
+    save_model(model(), path)
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    first, second = (i for i, line in enumerate(lines) if line == "[[effect]]\n")
+    for n in range(second):
+        path.write_text("".join(lines[:n]), encoding="utf-8")
+        with pytest.raises(ModelError):
+            load_model(path, MACHINE)
+    for n, count in ((second, 1), (first, 0)):
+        path.write_text("".join(lines[:n]), encoding="utf-8")
+        with pytest.raises(ModelError, match=f"effects = 2, and {count} are in the file: it was cut off"):
+            load_model(path, MACHINE)
+
+
 def test_a_standard_error_that_is_not_known_is_left_out(tmp_path: Path) -> None:
     """A fit that cannot tell two parameters apart gives inf or nan; the file stays one that loads."""
     first = model().effects[0]

@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtec.runtime.events import Event
 from rtec.runtime.orders import MODE_OF, Order, OrderRefused, OrderWords, order_named
 from rtec.runtime.records import MODE_HOLD, MODE_OFF, MODE_ON, MODES_BY_NAME, Layout
 from rtec.runtime.ring import Ring
+from rtec.runtime.status import Status
 from rtec.runtime.supervisor import Supervisor
 from tests import setups
 
@@ -57,6 +59,32 @@ def test_the_supervisor_carries_orders_out_in_turn_and_notes_them(tmp_path: Path
     noted = [(e.what, e.text, e.who) for e in supervisor.events.newest]
     assert noted[0] == ("hold", "tool change", "operator")
     assert [what for what, _, _ in noted] == ["hold", "resume", "resume", "mark"]
+
+
+def test_rows_that_found_no_room_on_the_disk_are_in_the_status(tmp_path: Path) -> None:
+    """Those of a full ring and those of a full disk: 3 + 5. Oracle: the sum, by hand."""
+    supervisor = Supervisor(setups.setup(tmp_path), None)
+    supervisor._watch.status = Status(overruns=3)
+    with supervisor._to_disk() as disk:
+        disk.dropped = 5
+        assert supervisor.status.overruns == 8
+        assert supervisor.status.log == ""
+
+
+def test_warnings_become_events_once(tmp_path: Path) -> None:
+    """When they are said, not at the end of a run of weeks."""
+    heard: list[Event] = []
+    supervisor = Supervisor(setups.setup(tmp_path), None, on_event=heard.append)
+    supervisor.warnings.append("no real-time treatment for memory")
+    for now_ns in (1, 2):
+        supervisor._tell_what_is_wrong(now_ns)
+    supervisor.warnings.append("logging stopped")
+    supervisor._tell_what_is_wrong(3)
+    assert [(e.what, e.text) for e in heard] == [
+        ("note", "no real-time treatment for memory"),
+        ("note", "logging stopped"),
+    ]
+    assert list(supervisor.events.newest) == heard
 
 
 def test_what_the_supervisor_refuses(tmp_path: Path) -> None:

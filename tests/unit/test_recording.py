@@ -113,6 +113,32 @@ def test_a_full_disk_stops_the_log_and_says_so_and_then_goes_on() -> None:
     assert log.missed == 33  # rows 10 to 42; the first ten of them were in the writer's hands when it failed
 
 
+def test_a_disk_that_is_all_but_full_is_told_once() -> None:
+    """Room for a few rows again and again: one warning that it stopped, none that it goes on until it does.
+
+    Oracle: the rows in the files against all that were handed on.
+    """
+    disk, clock = Disk(), VirtualClock()
+    log = recording(disk, clock)
+    for k in range(5):
+        log.write(*rows(100 * k, 50), 100 * k)
+        log.flush()
+        disk.full = True
+        log.write(*rows(100 * k + 50, 50), 100 * k + 50)
+        assert "No space left" in log.trouble
+        disk.full = False
+        clock.sleep_until_ns(clock.now_ns() + RETRY_NS)
+        assert log.wants_to_try_again()
+        log.cut(Begin(100 * (k + 1), {}))
+    assert len(log.warnings) == 1
+    log.write(*rows(500, 50), 500)
+    clock.sleep_until_ns(clock.now_ns() + RETRY_NS)
+    log.flush()
+    assert log.trouble == ""
+    assert log.warnings[1:] == ["logging goes on in run-6.arrows; 250 rows are in no log"]
+    assert 550 - sum(len(file) for file in disk.files.values()) == log.missed == 250
+
+
 def test_a_first_file_that_cannot_be_made_is_an_error_and_no_log_is_no_fault() -> None:
     disk = Disk()
     disk.full = True

@@ -54,6 +54,10 @@ def test_every_flag_is_in_the_table_with_its_text_and_a_way_on() -> None:
         ("disk_thread", "the state is not on disk"),
         ("loop", "the actuator has"),
         ("reload", "not reloaded"),
+        ("fastpath", "the state that the run before kept in"),
+        ("recover", "the run before had other axes, counts_per_mm or output units"),
+        ("log_writer", "somebody removed it while it was written"),
+        ("supervisor", "the loop's process"),
         ("realtime", "no real-time treatment for"),
     ],
 )

@@ -1,5 +1,6 @@
 """The kept state: nothing that is cut off, wherever, is taken for whole. Oracle: what was written before."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from rtec.runtime.state import (
     SLOT_BYTES,
     Saved,
     StateWriter,
+    is_spoilt,
     newest,
     read_slot,
     state_from_text,
@@ -281,3 +283,46 @@ def test_a_wait_that_was_cut_off_goes_on(step: Step) -> None:
     writer.waits = True
     writer.keep(sample(step, 1), np.array([5, -5]), 1)
     assert "stopped while it waited" in recover(step, found(newest(image.tobytes()))).waits
+
+
+def test_a_state_that_is_damaged_is_told_and_one_way_waited_for(step: Step) -> None:
+    """What the actuator tells by itself is good; of one that cannot tell, nobody knows anything."""
+    told = recover(step, found(None, damaged="the state in /x is damaged"))
+    assert (told.output.tolist(), told.waits) == ([5, -5], "")
+    assert told.notes[0].startswith("the state in /x is damaged; the ledger is taken from the actuator")
+    silent = recover(step, found(None, output=None, damaged="the state in /x is damaged", one_way=True))
+    assert silent.waits.startswith("the state in /x is damaged; nobody knows what the actuator has")
+    assert (silent.output.tolist(), silent.notes) == ([0, 0], [])
+
+
+def test_a_register_whose_units_changed_is_not_begun_from_nothing(step: Step) -> None:
+    """It stands at 120 of another unit: to begin with 0 would be a jump. After (0, 0) there is nothing to jump."""
+    other = replace(saved_of(step, output=(120, -44)), units=b"another", clean=True)
+    assert "other axes, counts_per_mm or output units" in recover(step, found(other, one_way=True, output=None)).waits
+    at_rest = replace(other, output=np.array([0, 0]))
+    assert recover(step, found(at_rest, one_way=True, output=None)).waits == ""
+    box = recover(step, found(replace(other, clean=False)))
+    assert (box.waits, box.output.tolist(), len(box.notes)) == ("", [5, -5], 1)
+
+
+def test_spoilt_is_what_was_written_and_is_not_whole(step: Step) -> None:
+    assert not is_spoilt(b"")
+    assert not is_spoilt(bytes(IMAGE_BYTES))
+    image = bytearray(kept(step, 5).tobytes())
+    assert not is_spoilt(bytes(image))
+    for k in range(2):
+        image[k * SLOT_BYTES + 200] ^= 1
+    assert is_spoilt(bytes(image))
+
+
+def test_a_state_file_that_somebody_removes_is_made_anew(step: Step, tmp_path: Path) -> None:
+    path, saved = tmp_path / "run.state", saved_of(step)
+    disk = DiskState(path)
+    disk.write(saved)
+    path.unlink()
+    assert read_disk(path)[0] is None
+    disk.write(saved)
+    disk.close()
+    back, new_boot = read_disk(path)
+    assert back is not None
+    assert (back.words, new_boot) == (saved.words, False)

@@ -1,0 +1,62 @@
+"""Alarms as events, and lines that are said while nobody listens. Oracles: instants and flags written down by hand."""
+
+import threading
+
+from rtec.correction.guard import REASONS, Flag
+from rtec.runtime.alarms import QUIET_NS, START_NS, Alarms
+from rtec.runtime.aloud import WAITING, Aloud
+
+S = 1_000_000_000
+FIRST = 1 + START_NS
+
+
+def alarms() -> tuple[Alarms, list[tuple[str, str]]]:
+    told: list[tuple[str, str]] = []
+    made = Alarms(lambda what, text: told.append((what, text)))
+    made.look(1, Flag(0), {})
+    return made, told
+
+
+def test_beginning_and_end_are_told_once_with_how_long_it_lasted() -> None:
+    """Stale for 3 s, with a good second in the middle: one alarm; over when ten seconds were good."""
+    made, told = alarms()
+    stale = REASONS[Flag.STALE_COUNTS]
+    for at, flags in ((0, Flag.STALE_COUNTS | Flag.HELD), (1, Flag(0)), (3, Flag.STALE_COUNTS)):
+        made.look(FIRST + at * S, flags, {})
+    assert told == [("alarm", stale)]
+    made.look(FIRST + 3 * S + QUIET_NS - 1, Flag(0), {})
+    assert len(told) == 1
+    made.look(FIRST + 3 * S + QUIET_NS, Flag(0), {})
+    assert told[1:] == [("alarm over", f"{stale}; it lasted 3.0 s")]
+    made.look(FIRST + 99 * S, Flag.STALE_COUNTS, {})
+    assert told[2:] == [("alarm", stale)]
+
+
+def test_a_reason_that_changes_with_time_is_one_alarm_and_every_device_has_its_own() -> None:
+    made, told = alarms()
+    for k in range(5):
+        made.look(FIRST + k * S, Flag(0), {"box": [f"silent for {k} s"], "probe": ["no answer"]})
+    assert told == [("alarm", "device box: silent for 0 s"), ("alarm", "device probe: no answer")]
+
+
+def test_what_somebody_ordered_and_the_first_seconds_are_no_alarm() -> None:
+    made, told = alarms()
+    made.look(FIRST - 1, Flag.STALE_TEMPERATURE, {"probe": ["not read yet"]})
+    made.look(FIRST, Flag.ORDERED_HOLD | Flag.ORDERED_OFF | Flag.FADING | Flag.LIMITED | Flag.HELD, {})
+    assert told == []
+
+
+def test_whoever_does_not_listen_keeps_nobody_waiting() -> None:
+    """The first line is never taken; all others return at once, and at most so many of them wait."""
+    go, said = threading.Event(), list[str]()
+
+    def say(line: str) -> None:
+        assert go.wait(60)
+        said.append(line)
+
+    with Aloud(say) as aloud:
+        for k in range(10 * WAITING):
+            aloud.line(str(k))
+        go.set()
+    assert said[:2] == ["0", "1"]
+    assert WAITING <= len(said) <= WAITING + 1
