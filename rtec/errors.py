@@ -49,3 +49,11 @@ class MeasurementError(RtecError):
 
 class LogError(RtecError):
     """A log or a logic-analyser capture cannot be read."""
+
+
+def unforeseen(error: Exception) -> str:
+    """Tell a fault that nobody foresaw, where something must go on or end in order all the same.
+
+    Libraries of makers raise what they like, also for half a line of garbage.
+    """
+    return f"fault in the program or in a library that it uses: {type(error).__name__}: {error}"

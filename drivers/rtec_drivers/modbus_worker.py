@@ -8,10 +8,9 @@ import threading
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
-from rtec.errors import DriverError, DriverUnavailable
+from rtec.errors import DriverError, DriverUnavailable, unforeseen
 from rtec.runtime.clock import Clock
 from rtec.runtime.realtime import prepare_worker
-from rtec_drivers import unforeseen
 
 NS = 1_000_000_000
 STOP_TIMEOUT_S = 15.0
@@ -125,7 +124,7 @@ class Worker(Generic[L]):
         except DriverError as e:
             return str(e)
         except Exception as e:  # noqa: BLE001 - whatever a library raises: the thread lives, and tells
-            return unforeseen.words(e)
+            return unforeseen(e)
         return "closed"
 
     def _use(self, link: L) -> None:

@@ -5,10 +5,9 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Generic, TypeVar
 
-from rtec.errors import DriverError
+from rtec.errors import DriverError, unforeseen
 from rtec.runtime.clock import Clock
 from rtec.runtime.realtime import prepare_worker
-from rtec_drivers import unforeseen
 
 T = TypeVar("T")
 
@@ -92,4 +91,4 @@ class Reopener(Generic[T]):
             except DriverError as e:
                 self._results.put(str(e))
             except Exception as e:  # noqa: BLE001 - whatever a library raises: the next attempt comes, and it is told
-                self._results.put(unforeseen.words(e))
+                self._results.put(unforeseen(e))

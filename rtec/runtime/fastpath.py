@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.errors import DriverError, RtecError
+from rtec.errors import DriverError, RtecError, unforeseen
 from rtec.runtime.between import Between
 from rtec.runtime.clock import Clock, RealClock
 from rtec.runtime.config import Setup, load_setup
@@ -66,7 +66,9 @@ class Orders:
 
 
 def fast_path(told: Orders, pipe: Connection) -> None:
-    """Run the loop; tell the supervisor through the pipe: ("ready", …), then ("done", …) or ("error", text)."""
+    """Run the loop; tell the supervisor through the pipe: ("ready", …), then ("done", …), ("error", text)
+    or ("died", text).
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -75,6 +77,9 @@ def fast_path(told: Orders, pipe: Connection) -> None:
         _tell(pipe, "done", _run(told, pipe))
     except RtecError as e:
         _tell(pipe, "error", str(e))
+    except Exception as e:
+        _tell(pipe, "died", unforeseen(e))
+        raise
     finally:
         pipe.close()
 

@@ -292,9 +292,11 @@ class Supervisor:
             kind, content = pipe.recv()
         except (EOFError, ConnectionResetError):
             process.join(STOP_TIMEOUT_S)
-            why = _died(process.exitcode)
+            kind, content = "died", ""
+        if kind == "died":
+            why = _died(process.exitcode, content)
             self.note("alarm", why)
-            raise DriverFault(why) from None
+            raise DriverFault(why)
         if kind == "error":
             raise RtecError(content)
         return content
@@ -309,11 +311,17 @@ class Supervisor:
             self._at_once, self._interrupted = self._interrupted, True
 
 
-def _died(code: int | None) -> str:
+def _died(code: int | None, last_words: str) -> str:
     """Say how the loop's process ended, and what that means for the machine."""
-    how = f"was killed (signal {-code}, {signal.strsignal(-code)})" if code is not None and code < 0 else "ended"
+    if last_words:
+        how = f"ended at a {last_words}"
+        again = "where it was is told above (in the journal); a driver of your own? else please report it"
+    else:
+        killed = code is not None and code < 0
+        how = f"was killed (signal {-code}, {signal.strsignal(-code)})" if killed and code is not None else "ended"
+        how += f" without a word (exit code {code})"
+        again = "if it happens again: `journalctl -k` tells of memory that ran out"
     return (
-        f"the loop's process {how} without a word (exit code {code}): nothing is commanded any more. Ledger and mode "
-        "are kept; start it again, and it goes on from there. If it happens again: `journalctl -k` tells of memory "
-        "that ran out; the last rows are in the log"
+        f"the loop's process {how}: nothing is commanded any more. Ledger and mode are kept; start it again, and it "
+        f"goes on from there; {again}; the last rows are in the log"
     )

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtec.errors import DriverError, RtecError
+from rtec.errors import DriverError, RtecError, unforeseen
 from rtec.machine import Machine
 from rtec.runtime.clock import Clock, RealClock
 from rtec.runtime.devices import make_device
@@ -49,7 +49,7 @@ class Task:
 def work(task: Task) -> None:
     """Be the worker, until the supervisor asks to end or is gone.
 
-    What cannot be opened is told in the memory; any other fault ends the process, and the supervisor says so.
+    What cannot be opened, and what nobody foresaw, is told in the memory and ends the process.
     """
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
@@ -60,11 +60,17 @@ def work(task: Task) -> None:
         try:
             device: Any = make_device(task.name, task.table, task.machine, clock, task.path)
             stack.enter_context(device)
+            _Desk(task, device, clock).serve()
         except RtecError as e:
-            memory.told.write({"open": [str(e)]})
-            memory.state = FAILED
-            return
-        _Desk(task, device, clock).serve()
+            _last_words(memory, str(e))
+        except Exception as e:
+            _last_words(memory, unforeseen(e))
+            raise
+
+
+def _last_words(memory: Published, text: str) -> None:
+    memory.told.write({"open": [text]})
+    memory.state = FAILED
 
 
 class _Desk:

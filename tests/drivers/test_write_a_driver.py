@@ -101,6 +101,20 @@ def test_a_sensor_that_is_not_there_is_refused(site: Path) -> None:
     assert "[device.cabinet] the machine has no sensor 'T_bett'; did you mean 'T_bed'?" in " ".join(said.split())
 
 
+@pytest.mark.parametrize("in_loop", [True, False])
+def test_a_fault_of_such_a_driver_is_told_by_its_own_words(site: Path, in_loop: bool) -> None:
+    """Oracle: the error that is put into it, in the loop's process and in one of its own."""
+    module = site / "rtec_hwmon.py"
+    faulty = MODULE.replace("int(file.read_text()) / 1000", "{}['its own fault']")
+    if in_loop:
+        faulty = faulty.replace("    options_model =", "    IN_LOOP = True\n    options_model =")
+    module.write_text(faulty, encoding="utf-8")
+    said = " ".join(rtec(site, "run", "run.toml", "--duration", "0.5", expected=2).split())
+    told = "fault in the program or in a library that it uses: KeyError: 'its own fault'"
+    where = "rtec: the loop's process ended at a" if in_loop else "rtec: [device.cabinet]"
+    assert f"{where} {told}" in said
+
+
 def test_what_else_the_page_says(site: Path) -> None:
     """Its table of methods against the ports; its commands run, but for the last part of the names."""
     rows = dict(re.findall(r"^\| (\w+) \| (.*?) \|", PAGE.split("## What a driver can be")[1], re.MULTILINE))
