@@ -14,6 +14,12 @@ class _Model(StrEnum):
     bent = "non-linear"
 
 
+class _Phase(StrEnum):
+    auto = "auto"
+    angle = "angle"
+    time = "time"
+
+
 class _Centre(StrEnum):
     shared = "shared"
     each = "each"
@@ -37,6 +43,9 @@ def ballbar(
     centre: Annotated[
         _Centre, typer.Option(help="Does the table-side ball stay where it is from test to test, or not?")
     ] = _Centre.shared,
+    phase: Annotated[
+        _Phase, typer.Option(help="Servo phase: one angle in all tests, or one time? Matters if feed/radius differs.")
+    ] = _Phase.auto,
     dynamic: Annotated[
         bool, typer.Option("--dynamic/--no-dynamic", help="Look for dynamic effects and those of the drive, too.")
     ] = True,
@@ -65,7 +74,9 @@ def ballbar(
 
     measurements = load_measurements(files, load_machine(machine))
     with bar(f"{len(measurements)} tests"):
-        found = diagnose(measurements, model.value, window_deg, centre.value, orders, dynamic=dynamic)
+        found = diagnose(
+            measurements, model.value, window_deg, centre.value, orders, dynamic=dynamic, phase=phase.value
+        )
     facts = ball_bar_facts(found)
     path = write_page(ball_bar_page(found), facts, report) if report else None
     if as_json:

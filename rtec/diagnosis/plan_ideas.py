@@ -107,6 +107,7 @@ def _along(axis: Axis, machine: Machine) -> Iterator[Idea]:
 
 
 TURNS = str.maketrans("XYZ", "ABC")
+TURN_DEG = 360.0
 
 
 def _circles(machine: Machine, given: Sequence[Measurement]) -> Iterator[Idea]:
@@ -126,11 +127,27 @@ def _again(setup: BallBarSetup, bars: Sequence[BallBarSetup]) -> Iterator[Idea]:
     for height, radius in levels:
         same = height == setup.height_mm
         for direction in ("ccw", "cw"):
-            new = setup.model_copy(update={"height_mm": height, "radius_mm": radius, "direction": direction})
+            new = _changed(setup, height, radius, direction)
             if not any(_alike(new, s) for s in bars):
                 yield _circle(new, AGAIN_H if same else RAISE_H)
     feed = round(setup.feed_mm_min * (0.3 if setup.feed_mm_min > 2000.0 else 3.0), 1)
     yield _circle(setup.model_copy(update={"feed_mm_min": feed}), AGAIN_H, f", feed {feed:g} mm/min")
+
+
+def _changed(setup: BallBarSetup, height_mm: float, radius_mm: float, direction: str) -> BallBarSetup:
+    """The same arc at another height or in the other sense, then begun at its other end.
+
+    It has the same angular speed: a lag of an axis is then the same angle at both heights.
+    """
+    end = setup.start_deg + setup.sense * setup.arc_deg
+    changes = {
+        "height_mm": height_mm,
+        "radius_mm": radius_mm,
+        "direction": direction,
+        "feed_mm_min": round(setup.feed_mm_min * radius_mm / setup.radius_mm, 1),
+        "start_deg": setup.start_deg if direction == setup.direction or setup.arc_deg == TURN_DEG else end,
+    }
+    return setup.model_copy(update=changes)
 
 
 def _alike(one: BallBarSetup, other: BallBarSetup) -> bool:

@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec import __version__
-from rtec.metrology.procedures.ball_bar import Diagnosis
+from rtec.metrology.procedures.ball_bar import LEFT, Diagnosis
 from rtec.metrology.procedures.ball_bar_design import SETTING_UP
 from rtec.metrology.procedures.ball_bar_effects import feeds_of
 from rtec.metrology.procedures.ball_bar_iso import Harmonic
 from rtec.metrology.procedures.ball_bar_values import Value
 from rtec.report import ball_bar_figures as draw
+from rtec.report import ball_bar_figures_causes as draw_causes
 from rtec.report.ball_bar_beyond import UNITS, beyond_facts, beyond_section
+from rtec.report.ball_bar_phase import phase_facts, phase_lines
 from rtec.report.html import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
@@ -22,11 +24,14 @@ FORMULAS = (
     "largest difference of the two at one angle; D least-squares radius of both minus nominal; F radial deviation.",
     "Causes after [BB Table 1], columns from the machine's own chain, fitted to the exact length of the bar. Intervals "
     "are 95 %, widened by how long readings in a row err together.",
+    "Scale: positive where the axis goes too far. Servo phase: positive where the first axis leads. Squareness and "
+    "perpendicularity are turns after the right hand; the note says which way the axis leans.",
     "Clearance: the axis lags half of it behind on either flank; it is minus the reversal value B of ISO 230-2.",
     "Reversal spike: positive where the axis comes late, drawn outwards. Lateral play: place of the slide moving to "
     "plus minus that moving to minus.",
 )
-CURVES = 5
+SMALLEST_UM = 0.01
+"""A cause that makes less of a circle than this has no panel."""
 
 
 def ball_bar_page(d: Diagnosis, figures: bool = True) -> Page:
@@ -36,12 +41,15 @@ def ball_bar_page(d: Diagnosis, figures: bool = True) -> Page:
         Section("Circle", _notes(d), _rounds(d), _polar(d) if figures else None),
         *([Section("Both senses", [], _pairs(d))] if d.pairs else []),
         Section("Causes, largest first", _explained(d), _shares(d), _linear(d) if figures else None),
-        Section("Parameters", [f"Model: {d.fitted.model}, because {d.reason}.", *_apart(d)], _values(d)),
+        *(_one_by_one(d) if figures else []),
+        Section(
+            "Parameters", [f"Model: {d.fitted.model}, because {d.reason}.", *phase_lines(d), *_apart(d)], _values(d)
+        ),
         *([beyond_section(d)] if d.dynamic else []),
     ]
     if any(s.measured for s in d.spectra):
         sections.append(Section("Harmonics", [], _spectra(d), _spectrum_figure(d) if figures else None))
-    top = [s for s in d.shares if s.group != "left over"][:1]
+    top = [s for s in d.shares if s.group != LEFT][:1]
     lead = f"Plane {plane}: " + "; ".join(f"{r.name} G = {r.g_um:.2f} µm" for r in d.rounds) + "."
     if top:
         lead += f" Largest cause: {top[0].group}, {top[0].g_um:.2f} µm by itself."
@@ -70,6 +78,7 @@ def ball_bar_facts(d: Diagnosis) -> dict[str, object]:
         "model": d.fitted.model,
         "reason": d.reason,
         "rank": d.fitted.rank,
+        "servo_phase": phase_facts(d),
         "parameters": {
             v.name: {
                 "value": v.value, "se": v.se, "low": v.low, "high": v.high, "unit": v.unit, "title": v.title,
@@ -90,6 +99,13 @@ def ball_bar_facts(d: Diagnosis) -> dict[str, object]:
 
 def _notes(d: Diagnosis) -> list[str]:
     out = [f"{c.name}: {c.left_out} readings are missing or outside the arc" for c in d.circles if c.left_out]
+    for c in d.circles:
+        ends = [[c.setup.start_deg + c.setup.sense * way for way in gap] for gap in c.gaps]
+        out += [
+            f"{c.name}: no readings from {low:.0f} to {high:.0f}°; so no least-squares centre for F and no harmonics"
+            if c.closed else f"{c.name}: no readings from {low:.0f} to {high:.0f}°"
+            for low, high in ends
+        ]  # fmt: skip
     high = [c.name for c in d.circles if abs(c.setup.height_mm) > 1e-9]
     if high:
         out.append(f"{', '.join(high)}: readings are along the bar, which leans (height is not zero)")
@@ -202,10 +218,19 @@ def _polar(d: Diagnosis) -> Figure:
 
 
 def _linear(d: Diagnosis) -> Figure:
-    groups = [s.group for s in d.shares if s.group != "left over" and s.g_um > 0.01][:CURVES]
-    curves = [(g, d.fitted.parts_um[g]) for g in groups]
-    png = draw.linear(_traces(d), curves, d.window_deg, used=bool(d.found.beyond.picks))
-    return Figure("linear.png", png, "deviation against angle: measured, fitted, and the largest causes")
+    png = draw_causes.linear(_traces(d), d.window_deg, used=bool(d.found.beyond.picks))
+    return Figure("linear.png", png, "deviation against angle: measured, fitted, and left over, by test")
+
+
+def _one_by_one(d: Diagnosis) -> list[Section]:
+    """Every cause by itself, largest first."""
+    shown = [s for s in d.shares if s.group != LEFT and s.g_um > SMALLEST_UM]
+    if not shown:
+        return []
+    curves = [(f"{s.group} ({100.0 * s.share:.0f} %)", d.fitted.parts_um[s.group]) for s in shown]
+    png = draw_causes.causes(_traces(d), curves, d.window_deg)
+    figure = Figure("causes.png", png, "each cause by itself against angle, largest first; all panels have one scale")
+    return [Section("Causes one by one", ["What each adds to the length of the bar."], None, figure)]
 
 
 def _spectrum_figure(d: Diagnosis) -> Figure:

@@ -47,7 +47,26 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
     figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * 0.92), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     ax = figure.subplots()
-    largest = max(float(np.abs(t.measured_um).max()) for t in traces)
+    gain = frame(ax, letters, max(float(np.abs(t.measured_um).max()) for t in traces))
+    for i, (trace, (colour, line)) in enumerate(zip(traces, _looks(len(traces)), strict=True)):
+        around(ax, trace.angle_rad, MIDDLE + gain * trace.measured_um, colour, "-", 1.4, 0.55)
+        label = f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}"
+        around(ax, trace.angle_rad, MIDDLE + gain * trace.fitted_um, colour, line, 2.6, 1.0, label)
+        arrow(ax, trace, MIDDLE + (1.06 + 0.07 * (i % len(LOOKS))) * ROOM, colour)
+    ax.text(0, -0.16, "thin: measured\nthick: fitted", ha="center", va="top", fontsize=13, color=GREY)
+    ax.set_title(title)
+    ax.legend(loc="upper left", frameon=False, fontsize=12)
+    return _png(figure)
+
+
+def frame(ax: "Axes", letters: tuple[str, str], largest: float) -> float:
+    """The circle, rings at a round deviation, the plane's directions and an error bar; gives the magnification.
+
+    Args:
+        ax: a plain panel; its own axes are taken away.
+        letters: directions of the plane, to the right and upwards.
+        largest: deviation, µm, that has to find room.
+    """
     gain = ROOM / max(largest, 1e-6)
     round_rad = np.linspace(0.0, 2.0 * np.pi, 361)
     ax.plot(np.cos(round_rad), np.sin(round_rad), color=GREY, linewidth=1.2)
@@ -55,11 +74,6 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
     for ring in (-scale, scale):
         r = MIDDLE + gain * ring
         ax.plot(r * np.cos(round_rad), r * np.sin(round_rad), color="#CCCCCC", linewidth=0.8, linestyle=":")
-    for i, (trace, (colour, line)) in enumerate(zip(traces, _looks(len(traces)), strict=True)):
-        _draw(ax, trace.angle_rad, MIDDLE + gain * trace.measured_um, colour, "-", 1.4, 0.55)
-        label = f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}"
-        _draw(ax, trace.angle_rad, MIDDLE + gain * trace.fitted_um, colour, line, 2.6, 1.0, label)
-        _arrow(ax, trace, MIDDLE + (1.06 + 0.07 * (i % len(LOOKS))) * ROOM, colour)
     reach = MIDDLE + 1.45 * ROOM
     for letter, end in zip(letters, ((reach, 0.0), (0.0, reach)), strict=True):
         start = (0.45 * end[0], 0.45 * end[1])
@@ -68,53 +82,9 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
     ax.set_xlim(-reach, reach + 0.15)
     ax.set_ylim(-reach, reach + 0.12)
     _bar(ax, gain * scale, f"{scale:g} µm")
-    ax.text(0, -0.16, "thin: measured\nthick: fitted", ha="center", va="top", fontsize=13, color=GREY)
     ax.set_aspect("equal")
     ax.set_axis_off()
-    ax.set_title(title)
-    ax.legend(loc="upper left", frameon=False, fontsize=12)
-    return _png(figure)
-
-
-@_styled
-def linear(
-    traces: Sequence[Trace], causes: Sequence[tuple[str, Sequence[Floats]]], window_deg: float, *, used: bool = False
-) -> bytes:
-    """Deviation against angle, one panel a test: measured, fitted and the largest causes.
-
-    Args:
-        traces: the tests.
-        causes: name, and its curve in every test, µm.
-        window_deg: about each quadrant, shaded.
-        used: readings there are used in the fit.
-    """
-    figure, axes = _figure(len(traces), 5.2)
-    for i, (ax, trace) in enumerate(zip(axes, traces, strict=True)):
-        deg = np.rad2deg(trace.angle_rad)
-        shift = 360.0 * np.floor(deg.min() / 360.0 + 1e-9)
-        deg = deg - shift
-        order = np.argsort(deg, kind="stable")
-        for quadrant in np.arange(90.0 * np.floor(deg.min() / 90.0), deg.max() + 90.0, 90.0):
-            ax.axvspan(quadrant - window_deg, quadrant + window_deg, color="#ECECEC", zorder=0, linewidth=0)
-        # What is measured lies wide and pale under what is fitted, so that neither hides the other.
-        ax.plot(deg[order], trace.measured_um[order], color=GREY, linewidth=4.0, alpha=0.45, label="measured")
-        ax.plot(deg[order], trace.fitted_um[order], color=OFF, linewidth=1.5, label="fitted")
-        for k, (name, curves) in enumerate(causes):
-            colour, line = CAUSES[k % len(CAUSES)], LINE_OF[k % len(LINE_OF)]
-            ax.plot(deg[order], curves[i][order], linewidth=1.8, color=colour, linestyle=line, label=name)
-        ax.axhline(0.0, color="black", linewidth=0.8)
-        ax.set_xlim(max(deg.min(), -30.0), deg.max())
-        ax.set_xticks(np.arange(90.0 * np.ceil(deg.min() / 90.0 - 1e-6), deg.max() + 1.0, 90.0))
-        ax.set_title(f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}")
-        ax.set_ylabel("bar longer, µm")
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=12)
-    told = "" if used else ", not used in the fit"
-    axes[-1].set_xlabel(f"angle on the circle, degrees; grey: near a quadrant{told}")
-    return _png(figure)
-
-
-LINE_OF = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
-CAUSES = (ON, LINES[3], LINES[4], LINES[5], "black")
+    return gain
 
 
 @_styled
@@ -134,24 +104,34 @@ def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> bytes:
         ax.set_ylabel("amplitude, µm")
         ax.grid(visible=False, axis="x")
         ax.legend(frameon=False, ncols=2, loc="upper right")
-    axes[-1].set_xlabel("waves in one turn")
+        _cut_first(ax, measured, fitted)
+    axes[-1].set_xlabel("waves in one turn (one wave: mostly where the ball was set up)")
     return _png(figure)
+
+
+def _cut_first(ax: "Axes", measured: Floats, fitted: Floats) -> None:
+    """Where one wave a turn towers over the others, they have the room, and its size is written at it."""
+    others = float(max(measured[1:].max(), fitted[1:].max()))
+    if measured[0] > 2.0 * others > 0.0:
+        ax.set_ylim(0.0, 1.5 * others)
+        ax.text(1.5, 1.42 * others, f"{measured[0]:.1f} µm", va="top", fontsize=13, color=GREY)
 
 
 def _looks(count: int) -> list[tuple[str, str]]:
     return [LOOKS[i % len(LOOKS)] for i in range(count)]
 
 
-def _draw(
+def around(
     ax: "Axes", angle: Floats, radius: Floats, colour: str, line: str, width: float, alpha: float, label: str = ""
 ) -> None:
+    """A curve drawn round the circle, broken where the angles jump."""
     jumps = np.flatnonzero(np.abs(np.diff(angle)) > np.pi / 2) + 1
     for k, part in enumerate(np.split(np.arange(len(angle)), jumps)):
         ax.plot(radius[part] * np.cos(angle[part]), radius[part] * np.sin(angle[part]), color=colour, linestyle=line,
                 linewidth=width, alpha=alpha, label=label if k == 0 else "")  # fmt: skip
 
 
-def _arrow(ax: "Axes", trace: Trace, radius: float, colour: str) -> None:
+def arrow(ax: "Axes", trace: Trace, radius: float, colour: str) -> None:
     """Where the test begins, and which way it goes, outside of everything that is drawn."""
     start = float(trace.angle_rad[0])
     angle = start + trace.sense * np.linspace(0.0, ARROW_RAD, 12)

@@ -12,6 +12,7 @@ from rtec.diagnosis.locate_bins import MOVES, REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.readings import Readings, Series
 from rtec.diagnosis.words import UNITS
 from rtec.report import compare_figures, compare_lines
+from rtec.report.compare_circle import angle_of, circle_picture
 from rtec.report.compare_stack import Stack, stack_along
 from rtec.report.html import Figure, Section
 
@@ -38,11 +39,16 @@ def _figures(c: Comparison, item: Compared, s: Series, title: str) -> list[tuple
     measured, predicted = c.traces.measured[s.part], c.traces.predicted[s.part]
     left = measured - predicted
     out = []
-    main = _main_axis(readings, s)
+    polar = circle_picture(readings, s, title, measured, predicted)
+    if polar is not None:
+        shows = "Measured and predicted drawn outwards from the circle; beside it what is left."
+        out.append(("measured and predicted on the circle", Figure("polar.png", polar, shows)))
+    main = angle_of(readings, s) or _main_axis(readings, s)
     if main is not None:
         name, place, direction = main
-        png = compare_lines.over_position(title, unit, f"{name}, mm", place, direction, measured, predicted, item.floor)
-        shows = "Measured and predicted over position, each direction by itself; below what is left."
+        png = compare_lines.over_position(title, unit, name, place, direction, measured, predicted, item.floor)
+        where = "position, each direction by itself" if polar is None else "the angle on the circle"
+        shows = f"Measured and predicted over {where}; below what is left."
         out.append(("measured and predicted", Figure("position.png", png, shows)))
     cells = _map(readings, s, left, main, {b.channel for r in item.worst[:1] for b in r.bounds})
     if cells is not None:
@@ -63,13 +69,13 @@ def _figures(c: Comparison, item: Compared, s: Series, title: str) -> list[tuple
 
 
 def _main_axis(readings: Readings, s: Series) -> tuple[str, Floats, Floats] | None:
-    """Name, positions and directions of the axis that moved most; None where none did."""
+    """Name with unit, positions and directions of the axis that moved most; None where none did."""
     state, best = readings.states[s.source], None
     for axis in readings.machine.axes:
         place = state.value(axis.channel)[s.row]
         span = float(np.ptp(place))
         if span > MOVES * (axis.travel_mm[1] - axis.travel_mm[0]) and (best is None or span > best[0]):
-            best = span, axis.name, place, np.sign(state.value(axis.direction_channel)[s.row])
+            best = span, f"{axis.name}, mm", place, np.sign(state.value(axis.direction_channel)[s.row])
     return None if best is None else best[1:]
 
 
@@ -86,7 +92,7 @@ def _stack(c: Comparison, item: Compared, s: Series, main: tuple[str, Floats, Fl
     parts = {p.label: c.traces.parts[p.label][s.part] for p in item.parts}
     measured = c.traces.measured[s.part]
     scale, name = time_unit(float(np.ptp(s.time_s)))
-    found = [stack_along((f"{main[0]}, mm", main[1]), main[2], parts, measured)] if main else []
+    found = [stack_along((main[0], main[1]), main[2], parts, measured)] if main else []
     slow = [
         (f"{n}, °C", v) for n, v in _sensors(c.traces.readings, s) if np.isfinite(v).all() and np.ptp(v) > REAL_DEGC
     ]
@@ -105,7 +111,7 @@ def _map(
     scale, name = time_unit(float(np.ptp(s.time_s)))
     warm = [(f"{n}, °C", v) for n, v in _sensors(readings, s) if np.isfinite(v).all() and np.ptp(v) > REAL_DEGC]
     slow = [*warm, (f"time, {name} since the first reading", (s.time_s - s.time_s[0]) / scale)]
-    pairs = [((f"{main[0]}, mm", main[1]), up) for up in slow] if main else list(combinations(slow, 2))
+    pairs = [((main[0], main[1]), up) for up in slow] if main else list(combinations(slow, 2))
     # What the worst region is told by is shown, where it can be.
     pairs = [p for p in pairs if any(name.split(",")[0] in wanted for name, _ in p[1 if main else 0 :])] or pairs
     ways = _ways(main[2] if main else np.zeros(len(left)))

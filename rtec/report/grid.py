@@ -9,7 +9,7 @@ from rtec import __version__
 from rtec.errors import MeasurementError
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.grid import GridSetup, analyse
-from rtec.metrology.procedures.grid_compare import certain, directions, feeds, places
+from rtec.metrology.procedures.grid_compare import certain, directions, feeds, not_compared, places
 from rtec.metrology.procedures.grid_edges import TRIM_MM, Edge
 from rtec.metrology.procedures.grid_names import Item, same_feed, slowest
 from rtec.report import grid_figures as draw
@@ -20,7 +20,8 @@ FEET = (
     "Signs are those of e = ε × p: e_x = +EB z, e_z = -EB x. Squareness is the difference of the two edges' best-fit "
     "directions, which the plate's own turn does not enter. Straightness is the range about the best-fit line.",
     "U: expanded uncertainty, coverage factor 2, from the readings, widened by how long they err together, and the "
-    "plate's accuracy where it does not fall out of the difference.",
+    "plate's accuracy where it does not fall out of the difference. Between set-ups it does if [setup] plate names the "
+    "same plate in both and the same part of it is run over.",
     "“yes”: all the questions of this report asked together, noise alone would say so about once in fifty reports.",
 )
 
@@ -85,6 +86,9 @@ def grid_page(r: GridReport, figures: bool = True) -> Page:
     sections += [Section(c.heading, [], _compared(c, r.found)) for c in r.comparisons]
     if figures:
         sections += _overlays(r)
+    left_out = not_compared(r.setups)
+    if left_out:
+        sections.append(Section("Not compared", [f"{line}." for line in left_out]))
     plural = "s" if len(r.setups) > 1 else ""
     lead = f"{len(r.setups)} set-up{plural}. "
     names = dict.fromkeys(f"{i.name} = {i.value:.2f} {i.unit}" for i in r.found)
@@ -102,6 +106,7 @@ def grid_facts(r: GridReport) -> dict[str, object]:
              "pieces": len(s.edges), "items": s.items}
             for s in r.setups
         ],
+        "not_compared": not_compared(r.setups),
         "comparisons": [
             {"heading": c.heading, "items": c.items, "certain": [i.name for i in c.items if i in r.found]}
             for c in r.comparisons
@@ -129,14 +134,30 @@ def _compared(c: Comparison, found: Sequence[Item]) -> Table:
     return Table(head, rows, words=(0, 1, 2, 5, 6))
 
 
-def _pieces(edges: Sequence[Edge], family: int, level: dict[int, float]) -> list[draw.Piece]:
-    """Edges without their plane's mean: where a plate lies is no fault of the machine."""
+def _pieces(edges: Sequence[Edge], family: int, level: dict[int, float], turn: float) -> list[draw.Piece]:
+    """Edges without their plane's mean and the plate's turn: how a plate lies is no fault of the machine."""
+    middle = {k: float(np.mean([np.ptp(e.place_mm) / 2 + e.place_mm.min() for e in edges if e.along == k] or [0.0]))
+              for k in (0, 1)}  # fmt: skip
     out = []
     for e in edges:
         order = np.argsort(e.place_mm)
-        across = e.readings_um[1 - e.along][order] - level[1 - e.along]
-        out.append(draw.Piece(e.along, e.way, e.place_mm[order], e.beside_mm, across, family))
+        place = e.place_mm[order]
+        turned = (turn if e.along == 0 else -turn) * (place - middle[e.along])
+        across = e.readings_um[1 - e.along][order] - level[1 - e.along] - turned
+        out.append(draw.Piece(e.along, e.way, place, e.beside_mm, across, family))
     return out
+
+
+def _turn(s: GridSetup, edges: Sequence[Edge]) -> float:
+    """How the sides along the first letter lean, µm per mm, 0 where the plate is known: [XT] draws them level."""
+    first = [e for e in edges if e.along == 0]
+    if s.setup.alignment == "none" or not first:
+        return 0.0
+    return float(np.mean([e.across.line_um[0] / e.length_mm for e in first]))
+
+
+def _how(s: GridSetup) -> str:
+    return "" if s.setup.alignment == "none" else f"the plate's turn taken out by the sides along {s.lean.letters[0]}"
 
 
 def _level(edges: Sequence[Edge]) -> dict[int, float]:
@@ -154,9 +175,10 @@ def _contour(s: GridSetup, number_: int, magnification: float | None) -> Figure:
     chosen = outside or slow
     runs = sorted({e.run for e in chosen})[:2]
     level = _level([e for e in chosen if e.run in runs])
-    pieces = [p for k, run in enumerate(runs) for p in _pieces([e for e in chosen if e.run == run], k, level)]
+    turn = _turn(s, [e for e in chosen if e.run in runs])
+    pieces = [p for k, run in enumerate(runs) for p in _pieces([e for e in chosen if e.run == run], k, level, turn)]
     gain = magnification or draw.usual_magnification(pieces)
-    png = draw.contour(f"{s.name}, {s.setup.plane}", s.lean.letters, pieces, [f"run {r}" for r in runs], gain)
+    png = draw.contour(f"{s.name}, {s.setup.plane}", s.lean.letters, pieces, [f"run {r}" for r in runs], gain, _how(s))
     return Figure(f"contour-{number_ + 1}.png", png, "path with its deviation drawn normal to it, magnified")
 
 
@@ -177,7 +199,7 @@ def _overlays(r: GridReport) -> list[Section]:
         known = sorted({round(e.feed_mm_min, 6) for e in s.edges if np.isfinite(e.feed_mm_min)})
         if len(known) > 1:
             families = {f"{f:g} mm/min": [e for e in _outline(s.edges) if same_feed(e.feed_mm_min, f)] for f in known}
-            figure = _laid_over(families, s, r.magnification, f"feeds-{len(out) + 1}.png")
+            figure = _laid_over(families, s, r.magnification, f"feeds-{len(out) + 1}.png", still=True)
             out += [Section(f"{s.name}: feeds", [], None, figure)] if figure else []
     return out
 
@@ -198,11 +220,16 @@ def _moved(e: Edge, s: GridSetup) -> Edge:
     return replace(e, place_mm=e.place_mm - middle[e.along], beside_mm=e.beside_mm - middle[1 - e.along])
 
 
-def _laid_over(families: dict[str, list[Edge]], s: GridSetup, magnification: float | None, name: str) -> Figure | None:
+def _laid_over(
+    families: dict[str, list[Edge]], s: GridSetup, magnification: float | None, name: str, *, still: bool = False
+) -> Figure | None:
+    """Families of edges in one figure; the plate lies `still` between them, or each set-up's own lie is taken out."""
     chosen = {k: [e for e in v if e.run == min(x.run for x in v)] for k, v in families.items() if v}
     if len(chosen) < 2:
         return None
-    pieces = [p for k, v in enumerate(chosen.values()) for p in _pieces(v, k, _level(v))]
+    lies = [(_level(v), _turn(s, v)) for v in chosen.values()]
+    lies = [lies[0]] * len(lies) if still else lies
+    pieces = [p for k, v in enumerate(chosen.values()) for p in _pieces(v, k, *lies[k])]
     gain = magnification or draw.usual_magnification(pieces)
-    png = draw.contour(f"Plane {s.setup.plane}", s.lean.letters, pieces, list(chosen), gain)
+    png = draw.contour(f"Plane {s.setup.plane}", s.lean.letters, pieces, list(chosen), gain, _how(s))
     return Figure(name, png, "two paths laid over each other, deviations drawn normal to them, magnified")

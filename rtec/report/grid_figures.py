@@ -40,7 +40,12 @@ class Piece:
 
 @_styled
 def contour(
-    title: str, letters: tuple[str, str], pieces: Sequence[Piece], names: Sequence[str], magnification: float
+    title: str,
+    letters: tuple[str, str],
+    pieces: Sequence[Piece],
+    names: Sequence[str],
+    magnification: float,
+    how: str = "",
 ) -> bytes:
     """Commanded path in grey, actual path beside it; arrows along the feed, a bar for the size of an error.
 
@@ -50,6 +55,7 @@ def contour(
         pieces: of all families (set-ups, feeds or directions laid over each other).
         names: of the families.
         magnification: of the deviation against the path.
+        how: what was taken out before, in words.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -65,7 +71,7 @@ def contour(
         _draw(ax, piece, colour, magnification, label)
     _size(ax, pieces, magnification)
     ax.set_aspect("equal")
-    ax.set_xlabel(f"{letters[0]}, mm")
+    ax.set_xlabel(f"{letters[0]}, mm; {how}" if how else f"{letters[0]}, mm")
     ax.set_ylabel(f"{letters[1]}, mm")
     ax.set_title(f"{title}; deviation {f'{magnification:,.0f}'.replace(',', chr(0x2009))} times")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=min(3, len(names)), frameon=False)

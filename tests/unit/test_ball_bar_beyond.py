@@ -59,8 +59,8 @@ def test_a_clearance_that_is_larger_away_from_the_middle_needs_another_radius() 
     """Oracle: what was made true. `δ = k p²` on one radius is a clearance and a phase; the test to add is named."""
     one = diagnosed(THREE, {"bow_x": 300.0})
     (wanted,) = [w for w in one.wanted if "clearance_bow_x" in w.names]
-    assert wanted.test == "test1 again with height 90 mm and radius 120 mm"
-    d = diagnosed((*THREE, Test(90.0, 120.0, "ccw")), {"bow_x": 300.0})
+    assert wanted.test == "test1 again with height 90 mm, radius 120 mm, 800 mm/min"
+    d = diagnosed((*THREE, Test(90.0, 120.0, "ccw", 800.0)), {"bow_x": 300.0})
     assert named(d) == {"clearance_bow_x"}
     for name, value in (("clearance_bow_x", 300.0), ("clearance_x", 3.0), ("phase", 20.0)):
         v = d.fitted.value(name)
@@ -104,7 +104,7 @@ def test_two_feeds_tell_the_servo_from_geometry() -> None:
     """Oracle: what was made true. The test that was asked for is the one that is added."""
     one = diagnosed(THREE, SERVO)
     assert one.wanted[0].feed_mm_min == 3000.0
-    assert set(one.wanted[0].names) == set(SERVO)
+    assert set(one.wanted[0].names) >= set(SERVO)
     d = diagnosed((*THREE, Test(0.0, 150.0, "ccw", 3000.0)), SERVO)
     assert named(d) == set(SERVO)
     wanted = {**SERVO, "phase": 20.0, "scale_x": 10.0, "scale_y": -20.0, "squareness": -30.0, "clearance_x": 3.0}

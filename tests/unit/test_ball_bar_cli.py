@@ -74,7 +74,7 @@ def test_what_was_made_true_is_found(
     assert [t["left_out"] for t in found["tests"]] == [80, 80, 80]
     assert found["both_senses"][0]["names"] == ["c", "b"]
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "polar.png", "linear.png", "harmonics.png", "report.html", "result.json",
+        "polar.png", "linear.png", "causes.png", "harmonics.png", "report.html", "result.json",
     }  # fmt: skip
     assert json.loads((tmp_path / "out" / "result.json").read_text())["model"] == "linear"
 

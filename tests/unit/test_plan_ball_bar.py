@@ -162,6 +162,21 @@ def test_ideas_are_what_the_machine_can_take() -> None:
     assert all(e.hours > 0.0 for e in extras.values())
 
 
+def test_a_part_of_a_circle_is_run_back_over_the_same_part() -> None:
+    """Oracle: by hand: 220° from -20° ccw are -20° … 200°, so cw they begin at 200°; beyond is the table. The feed goes
+    with the radius, so that the angular speed is the same."""
+    part = [circle(ONE, start_deg=-20.0, arc_deg=220.0, feed_mm_min=1000.0)]
+    extras = {e.name: e.measurement.instrument.setup.model_dump() for e in extra_tests(gantry(), part)}
+    for name, start, feed in (
+        ("ball bar XY, cw, height 0 mm", 200.0, 1000.0),
+        ("ball bar XY, ccw, height 30 mm", -20.0, 979.8),
+        ("ball bar XY, cw, height 30 mm", 200.0, 979.8),
+    ):
+        assert (extras[name]["start_deg"], extras[name]["arc_deg"], extras[name]["feed_mm_min"]) == (start, 220.0, feed)
+    whole = {e.name: e.measurement.instrument.setup.model_dump() for e in extra_tests(gantry(), circles(ONE))}
+    assert whole["ball bar XY, cw, height 30 mm"]["start_deg"] == 0.0
+
+
 # ---- the same with effects, and with other instruments beside
 
 

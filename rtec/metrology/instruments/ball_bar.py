@@ -28,8 +28,8 @@ Positive = Annotated[float, Field(gt=0)]
 Plane = Literal["XY", "YZ", "ZX", "XZ"]
 JUST_BEFORE_RAD = 1e-6
 """An axis that stands exactly at its turning point still has the direction in which it came."""
-EARLIER_DEG = 90.0
-"""A recording may begin so much earlier than the set-up's overshoot says."""
+COVERED_DEG = 1.0
+"""Of two ways to count turns that cover the arc equally well but for this, the one that fits the overshoot is right."""
 
 
 class BallBarSetup(Setup):
@@ -205,15 +205,31 @@ def circle_channels(machine: Machine, setup: BallBarSetup, angle_rad: Floats) ->
 def travelled_deg(setup: BallBarSetup, angle_deg: Floats, run: Ints) -> Floats:
     """How far along the circle each reading is from the start of the arc, degrees, (n,), run by run.
 
-    Below zero before the arc, beyond `arc_deg` after it; angles may start again at 360 or go on. A recording may begin
-    with the overshoot or with the arc.
+    Below zero before the arc, beyond `arc_deg` after it; angles may start again at 360 or go on. Of the whole turns
+    that a recording can be off, those are taken with which it covers the arc; of several, those with which it begins
+    nearest to the overshoot that the set-up names.
     """
     out = np.empty(len(angle_deg))
     for number in np.unique(run):
         rows = run == number
         way = setup.sense * (np.rad2deg(np.unwrap(np.deg2rad(angle_deg[rows]))) - setup.start_deg)
-        out[rows] = way - 360.0 * np.floor((way[0] + setup.overshoot_deg + EARLIER_DEG) / 360.0)
+        out[rows] = way + 360.0 * _turns(setup, way)
     return out
+
+
+def _turns(setup: BallBarSetup, way_deg: Floats) -> int:
+    """Whole turns to add to a run."""
+    low, high = float(way_deg.min()), float(way_deg.max())
+    near = round(-way_deg[0] / 360.0)
+    span = int((high - low) // 360.0) + 2
+    choices = range(near - span, near + span + 1)
+
+    def covered(turns: int) -> float:
+        return min(high + 360.0 * turns, setup.arc_deg) - max(low + 360.0 * turns, 0.0)
+
+    most = max(covered(k) for k in choices)
+    good = [k for k in choices if covered(k) > most - COVERED_DEG]
+    return min(good, key=lambda k: abs(float(way_deg[0]) + 360.0 * k + setup.overshoot_deg))
 
 
 def _affine(pose_mm: Floats) -> Floats:

@@ -27,6 +27,8 @@ class GridEncoderSetup(Setup):
         zero: of both readings; once, or in every run.
         alignment: the plate's turn in its plane; once, or in every run.
         accuracy_um: the plate's own error, plus or minus, over its range; it enters every stated uncertainty.
+        plate: name or number of the plate. Between two set-ups with the same one, over the same part of it and lying
+            the same way round, its own error falls out. Empty: not known.
     """
 
     plane: Literal["XY", "YZ", "XZ"]
@@ -35,6 +37,7 @@ class GridEncoderSetup(Setup):
     zero: Scope = "setup"
     alignment: Scope = "setup"
     accuracy_um: Annotated[float, Field(ge=0)] = 0.0
+    plate: str = ""
 
     @property
     def letters(self) -> tuple[Letter, Letter]:

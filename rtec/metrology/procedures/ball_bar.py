@@ -22,11 +22,14 @@ from rtec.metrology.procedures.ball_bar_iso import (
     least_squares_circle,
     roundness,
 )
+from rtec.metrology.procedures.ball_bar_phase import Phase, ServoPhase, Shift, if_time, servo_phase
 from rtec.metrology.procedures.ball_bar_search import Found, search
 from rtec.metrology.procedures.ball_bar_wanted import Wanted, wanted
 
 Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0
+LEFT = "left over"
+"""Name among the shares of what no cause explains."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ class Diagnosis:
         found: what was looked for beyond [BB]'s parameters, what was found, and what could not be.
         centre: as asked.
         dynamic: was anything beyond [BB]'s parameters looked for?
+        phase: the servo phase taken as one angle in all tests, or as one time, and why.
     """
 
     circles: tuple[Circle, ...]
@@ -87,12 +91,21 @@ class Diagnosis:
     found: Found = field(default_factory=Found)
     centre: Centre = "shared"
     dynamic: bool = True
+    phase: ServoPhase = field(default_factory=lambda: ServoPhase(()))
 
     @cached_property
     def wanted(self) -> tuple[Wanted, ...]:
         """Further tests that would show what these do not."""
         with one_blas_thread():
-            return wanted(self.circles, self.found.left_out, self.centre)
+            return wanted(self.circles, self.found.left_out, self.centre, in_time=self.phase.taken == "time")
+
+    @cached_property
+    def if_time(self) -> tuple[Shift, ...]:
+        """Parameters that depend on whether the servo phase is one angle or one time, where these tests do not tell."""
+        if self.phase.decided:
+            return ()
+        with one_blas_thread():
+            return if_time(self.circles, self.fitted, self.window_deg, self.centre)
 
 
 def diagnose(
@@ -103,6 +116,7 @@ def diagnose(
     orders: int = 15,
     *,
     dynamic: bool = True,
+    phase: Phase = "auto",
 ) -> Diagnosis:
     """Diagnose tests of one plane together.
 
@@ -114,17 +128,20 @@ def diagnose(
         centre: does the table-side ball stay where it is from test to test?
         orders: harmonics.
         dynamic: look for causes beyond [BB]'s parameters.
+        phase: is the servo phase one angle in all tests, or one time? It matters where feed over radius differs.
 
     Raises:
         MeasurementError: other instruments, planes or machines; too few readings.
     """
     with one_blas_thread():
-        return _diagnose(circles_of(measurements), model, window_deg, centre, orders, dynamic)
+        servo = servo_phase(circles_of(measurements), phase, window_deg, centre, dynamic=dynamic)
+        return _diagnose(servo, model, window_deg, centre, orders, dynamic)
 
 
 def _diagnose(
-    circles: tuple[Circle, ...], model: Choice, window_deg: float, centre: Centre, orders: int, dynamic: bool
+    phase: ServoPhase, model: Choice, window_deg: float, centre: Centre, orders: int, dynamic: bool
 ) -> Diagnosis:
+    circles = phase.circles
     still = fit(circles, bent=False, window_deg=window_deg, centre=centre)
     found = search(circles, still, window_deg, centre) if dynamic else Found()
     fitted, reason = chosen(circles, model, window_deg, centre, found.beyond)
@@ -145,6 +162,7 @@ def _diagnose(
         found=found,
         centre=centre,
         dynamic=dynamic,
+        phase=phase,
     )
 
 
@@ -154,7 +172,7 @@ def _shares(circles: Sequence[Circle], fitted: Fitted) -> tuple[Share, ...]:
         for group, curves in fitted.parts_um.items()
         if group != SETTING_UP
     }
-    sizes["left over"] = max(_g(c, left) for c, left in zip(circles, fitted.left_um, strict=True))
+    sizes[LEFT] = max(_g(c, left) for c, left in zip(circles, fitted.left_um, strict=True))
     whole = sum(sizes.values()) or 1.0
     ranked = sorted(sizes.items(), key=lambda item: -item[1])
     return tuple(Share(group, g, g / whole) for group, g in ranked)

@@ -20,7 +20,7 @@ from rtec.effects import Effect
 from rtec.effects.derived import FAR_MM
 from rtec.metrology.procedures.ball_bar_causes import At, Cause, Shape
 from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_effects import along, axis_of, feeds_of, same_feed, shape_of
+from rtec.metrology.procedures.ball_bar_effects import ALIKE_FEED, along, axis_of, feeds_of, shape_of
 
 Floats = NDArray[np.float64]
 Kind = Literal["plain", "wave", "spike"]
@@ -121,11 +121,11 @@ def _change_over(circles: Sequence[Circle]) -> Iterator[Candidate]:
 def _spikes(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
     """One at each feed: how an axis sticks depends on it."""
     letter = circles[0].setup.letters[place]
-    feeds = feeds_of(circles)
+    feeds = feeds_of(circles, ALIKE_FEED)
     effect = along(circles[0], "reversal_spike", place)
     grid = effect.nonlinear(circles[0].machine)[0].grid
     for feed in feeds:
-        here = [c for c in circles if same_feed(c.setup.feed_mm_min, feed)]
+        here = [c for c in circles if _at_feed(feeds, feed)(c)]
         most = min(c.setup.radius_mm for c in here) * (1.0 - np.cos(np.deg2rad(WIDEST_DEG)))
         least = min(c.setup.radius_mm * (1.0 - np.cos(c.step_rad)) for c in here)
         # Half a step of the catalogue's grid apart, so that none falls between two and leaves much at the quadrants.
@@ -139,9 +139,14 @@ def _spikes(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
         yield Candidate(
             f"spike_{letter}{suffix}".lower(), f"reversal spike (stick-slip) of {letter}{at}",
             f"reversal spike {letter}", "reversal_spike", "spike",
-            _spike(effect, letter, place, suffix, feed, at, ends), ways,
+            _spike(effect, letter, place, suffix, at, ends, _at_feed(feeds, feed)), ways,
             missing if ends else f"{letter} does not turn round on the arc{at}", place, feed,
         )  # fmt: skip
+
+
+def _at_feed(feeds: Sequence[float], feed: float) -> Callable[[Circle], bool]:
+    """Is a feed the one of a list that is nearest to a test's own?"""
+    return lambda c: min(feeds, key=lambda f: abs(f - c.setup.feed_mm_min)) == feed
 
 
 def _turns(circle: Circle, place: int, sign: float) -> bool:
@@ -152,7 +157,7 @@ def _turns(circle: Circle, place: int, sign: float) -> bool:
 
 
 def _spike(
-    effect: Effect, letter: str, place: int, suffix: str, feed: float, at: str, ends: Sequence[End]
+    effect: Effect, letter: str, place: int, suffix: str, at: str, ends: Sequence[End], mine: Callable[[Circle], bool]
 ) -> Callable[[float], tuple[Cause, ...]]:
     def made(way_mm: float) -> tuple[Cause, ...]:
         def end(sign: float) -> Shape:
@@ -160,7 +165,7 @@ def _spike(
 
             def shape(where: At) -> Floats:
                 # Coming away from the + end the axis moves to minus.
-                here = (where.circle.way(place) * sign < 0.0) & same_feed(where.circle.setup.feed_mm_min, feed)
+                here = (where.circle.way(place) * sign < 0.0) & mine(where.circle)
                 return np.where(here, of(where), 0.0)
 
             return shape

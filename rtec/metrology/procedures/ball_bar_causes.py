@@ -92,8 +92,7 @@ def causes(circle: Circle, *, bent: bool) -> tuple[Cause, ...]:
         Cause("squareness", f"squareness {a}-{b}", "urad", "squareness",
               f"E{turns[n]}0{axis[a]}", lambda at: np.ones(len(at.p))),
         Cause("phase", f"servo phase mismatch {a}-{b}", "urad", "servo phase", f"E{a}{axis[a]}",
-              lambda at: -1e-3 * at.circle.setup.sense * at.circle.setup.radius_mm * np.sin(at.circle.angle_rad),
-              square=lambda at: -0.5e-9 * at.circle.setup.radius_mm * np.cos(at.circle.angle_rad)),
+              _ahead, square=_ahead_square),
     )  # fmt: skip
     if not bent:
         return plain
@@ -110,6 +109,18 @@ def causes(circle: Circle, *, bent: bool) -> tuple[Cause, ...]:
         Cause("twist", f"twist of the guide of {b} (roll)", "urad_per_m", f"twist {b}",
               f"E{turns[b]}{axis[b]}", lambda at: -at.q * 1e-3),
     )  # fmt: skip
+
+
+def _ahead(at: At) -> Floats:
+    """The first axis one µrad ahead on the circle, µm."""
+    circle = at.circle
+    gain = -1e-3 * circle.phase_rate * circle.setup.sense * circle.setup.radius_mm
+    return np.asarray(gain * np.sin(circle.angle_rad), dtype=np.float64)
+
+
+def _ahead_square(at: At) -> Floats:
+    gain = -0.5e-9 * at.circle.phase_rate**2 * at.circle.setup.radius_mm
+    return np.asarray(gain * np.cos(at.circle.angle_rad), dtype=np.float64)
 
 
 def tip_um(cause: Cause, circle: Circle, origin: Circle, *, square: bool = False) -> Floats:

@@ -27,6 +27,8 @@ END_DEG = 0.01  # commanded positions are rounded to 1 µm
 QUADRANT_RAD = np.deg2rad(0.05)
 LEAST = 24
 """Readings on an arc; fewer do not show its shape."""
+GAP_DEG = 20.0
+"""Readings may be missing over so much of an arc; with more it is not the arc of the set-up, or not a full circle."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class Circle:
         reading_um: (n,).
         run: (n,).
         left_out: readings that are missing or outside the arc.
+        phase_rate: servo phase in this test over that in the first: 1 where it is one angle in all of them; where it
+            is one time, this angular speed over the first one's.
     """
 
     name: str
@@ -51,6 +55,7 @@ class Circle:
     reading_um: Floats
     run: Ints
     left_out: int = 0
+    phase_rate: float = 1.0
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -61,9 +66,20 @@ class Circle:
         return self.instrument.setup
 
     @property
-    def full(self) -> bool:
-        """Does it go all the way round?"""
+    def closed(self) -> bool:
+        """Does the arc go all the way round?"""
         return self.setup.arc_deg > 359.0
+
+    @property
+    def full(self) -> bool:
+        """Does it, with readings everywhere?"""
+        return self.closed and not self.gaps
+
+    @cached_property
+    def gaps(self) -> tuple[tuple[float, float], ...]:
+        """Long pieces of the arc without readings, each from where to where, degrees from the arc's start."""
+        ways = np.concatenate([[0.0], np.sort(self.travel_deg), [self.setup.arc_deg]])
+        return tuple((float(ways[i]), float(ways[i + 1])) for i in np.flatnonzero(np.diff(ways) > GAP_DEG))
 
     @property
     def omega_rad_s(self) -> float:
@@ -129,7 +145,7 @@ class Circle:
         """Only these readings."""
         return Circle(
             self.name, self.machine, self.instrument, self.angle_rad[keep], self.travel_deg[keep],
-            self.reading_um[keep], self.run[keep], self.left_out,
+            self.reading_um[keep], self.run[keep], self.left_out, self.phase_rate,
         )  # fmt: skip
 
 
@@ -150,6 +166,14 @@ def circle_of(measurement: Measurement) -> Circle:
         raise MeasurementError(
             f"{name}: {int(keep.sum())} readings on the arc of {setup.arc_deg:g}° from {setup.start_deg:g}°, need "
             f"{LEAST}; are start_deg, arc_deg and direction right?"
+        )
+    low, high = float(travel[keep].min()), float(travel[keep].max())
+    if low > GAP_DEG or high < setup.arc_deg - GAP_DEG:
+        ends = (setup.start_deg + setup.sense * way for way in (low, high))
+        raise MeasurementError(
+            f"{name}: [setup] arc_deg is {setup.arc_deg:g} from start_deg {setup.start_deg:g} {setup.direction}, but "
+            f"the readings only go from {' to '.join(f'{end:.0f}' for end in ends)}°; set start_deg and arc_deg "
+            f"({high - low:.0f} or less) to what was measured"
         )
     angle = np.deg2rad(setup.start_deg + setup.sense * travel)
     return Circle(

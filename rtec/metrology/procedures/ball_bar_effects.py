@@ -16,6 +16,8 @@ from rtec.metrology.procedures.ball_bar_circle import Circle
 Floats = NDArray[np.float64]
 SAME_FEED = 1e-3
 """Feeds nearer than this share of each other are one."""
+ALIKE_FEED = 0.25
+"""Feeds nearer than this stick alike: those that only go with the radius are not looked at by themselves."""
 
 
 def axis_of(circle: Circle, place: int) -> Axis:
@@ -80,15 +82,15 @@ def _counted(at: At, place: int) -> State:
     return State(state.machine, state.time_s, {**state.channels, axis.channel: position})
 
 
-def feeds_of(circles: Sequence[Circle]) -> list[float]:
-    """Feeds of some tests, mm/min, each once, rising."""
+def feeds_of(circles: Sequence[Circle], share: float = SAME_FEED) -> list[float]:
+    """Feeds of some tests, mm/min, each once, rising; `share`: see `same_feed`."""
     out: list[float] = []
     for c in circles:
-        if not any(same_feed(c.setup.feed_mm_min, f) for f in out):
+        if not any(same_feed(c.setup.feed_mm_min, f, share) for f in out):
             out.append(c.setup.feed_mm_min)
     return sorted(out)
 
 
-def same_feed(one: float, other: float) -> bool:
-    """Are two feeds one?"""
-    return abs(one - other) <= SAME_FEED * max(abs(one), abs(other))
+def same_feed(one: float, other: float, share: float = SAME_FEED) -> bool:
+    """Are two feeds nearer to each other than a share of them?"""
+    return abs(one - other) <= share * max(abs(one), abs(other))

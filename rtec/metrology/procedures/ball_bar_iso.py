@@ -113,17 +113,24 @@ def _pair(ccw: Circle, cw: Circle) -> BothWays:
     way = np.linspace(0.0, ccw.setup.arc_deg, count)
     angle_deg = ccw.setup.start_deg + way
     # The clockwise path meets the same angles from the other end.
-    meet = (-(angle_deg - cw.setup.start_deg)) % 360.0 if ccw.full else ccw.setup.arc_deg - way
+    meet = (-(angle_deg - cw.setup.start_deg)) % 360.0 if ccw.closed else ccw.setup.arc_deg - way
     apart = np.abs(mean_path(ccw, way) - mean_path(cw, meet))
+    apart[_without(ccw, way) | _without(cw, meet)] = 0.0
     worst = int(np.argmax(apart))
     at = float(angle_deg[worst] % 360.0)
     return BothWays((ccw.name, cw.name), float(np.ptp(left)), float(apart[worst]), at, radius)
 
 
+def _without(circle: Circle, travel_deg: Floats) -> NDArray[np.bool_]:
+    """Which places are in a gap of the readings."""
+    inside = [(low < travel_deg) & (travel_deg < high) for low, high in circle.gaps]
+    return np.asarray(np.any([np.zeros(len(travel_deg), dtype=np.bool_), *inside], axis=0), dtype=np.bool_)
+
+
 def _same_circle(one: Circle, other: Circle) -> bool:
     a, b = one.setup, other.setup
     numbers = [(a.radius_mm, b.radius_mm), (a.height_mm, b.height_mm), *zip(a.centre_mm, b.centre_mm, strict=True)]
-    start = 0.0 if one.full else a.start_deg + a.arc_deg - b.start_deg
+    start = 0.0 if one.closed else a.start_deg + a.arc_deg - b.start_deg
     return (
         all(abs(x - y) < SAME_MM for x, y in numbers)
         and abs(a.feed_mm_min - b.feed_mm_min) < 1.0

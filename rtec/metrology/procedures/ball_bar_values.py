@@ -8,6 +8,7 @@ import numpy as np
 from rtec.metrology.procedures.ball_bar_beyond import HALF_WAYS, WIDTH, Candidate
 from rtec.metrology.procedures.ball_bar_causes import Cause
 from rtec.metrology.procedures.ball_bar_circle import Circle
+from rtec.metrology.procedures.ball_bar_effects import ALIKE_FEED, same_feed
 from rtec.metrology.procedures.ball_bar_rank import Rank
 
 Number = tuple[float, float]
@@ -77,7 +78,7 @@ def of_width(candidate: Candidate, way_mm: float, way_se: float, circles: Sequen
     """Width of a spike at half its height, on the axis' way; the note has it as an angle and as a time."""
     words = {}
     for c in circles:
-        if candidate.feed_mm_min and abs(c.setup.feed_mm_min / candidate.feed_mm_min - 1.0) > 1e-3:
+        if candidate.feed_mm_min and not same_feed(c.setup.feed_mm_min, candidate.feed_mm_min, ALIKE_FEED):
             continue
         ends = [np.arccos(max(1.0 - u * way_mm / c.setup.radius_mm, -1.0)) for u in HALF_WAYS]
         angle = float(ends[1] - ends[0])
@@ -87,12 +88,14 @@ def of_width(candidate: Candidate, way_mm: float, way_se: float, circles: Sequen
 
 
 def note_of(cause: Cause, numbers: Mapping[str, Number], circles: Sequence[Circle]) -> str:
-    """What a servo's parameter comes to at the feeds of the tests."""
+    """What a servo's parameter comes to at the feeds of the tests; which way a squareness leans."""
     value = numbers.get(cause.name, UNKNOWN)[0]
     if not np.isfinite(value) or value == 0.0:
         return ""
+    if cause.name == "squareness" or cause.name.startswith("perpendicularity"):
+        return _leans(cause, value, circles[0])
     if cause.name == "phase":
-        words = {c.name: f"{1e-3 * value / c.omega_rad_s:.3g} ms" for c in circles}
+        words = {c.name: f"{1e-3 * value * c.phase_rate / c.omega_rad_s:.3g} ms" for c in circles}
     elif cause.name == "delay":
         words = {c.name: f"{1e3 * value * c.omega_rad_s:.3g} µrad" for c in circles}
     elif cause.name.startswith("gain_"):
@@ -105,6 +108,18 @@ def note_of(cause: Cause, numbers: Mapping[str, Number], circles: Sequence[Circl
         # A loop of first order without feed-forward is ½ τ² a short, K_v = 1/τ.
         loop = f"; as of a position loop of K_v = {1e3 / np.sqrt(2.0 * value):.0f} 1/s without feed-forward"
     return _by_test(words) + loop
+
+
+def _leans(cause: Cause, value: float, circle: Circle) -> str:
+    """Which way an axis leans that is turned so: `ε × d`; the sign of a turn alone says it to nobody."""
+    a, b, n = circle.setup.letters
+    unit = dict(zip("XYZ", np.eye(3), strict=True))
+    turn = value * unit["XYZ"["ABC".index(cause.component[1])]]
+    if cause.name == "squareness":
+        less = float(np.cross(turn, unit[a]) @ unit[b]) > 0.0
+        return f"the angle between +{a} and +{b} is {'less' if less else 'more'} than 90°"
+    own = cause.name[-1].upper()
+    return f"towards +{own} the line {'climbs' if float(np.cross(turn, unit[own]) @ unit[n]) > 0.0 else 'falls'} in {n}"
 
 
 def _by_test(words: Mapping[str, str]) -> str:

@@ -25,6 +25,10 @@ from rtec.metrology.procedures.grid_edges import SAME_MM, Edge
 from rtec.metrology.procedures.grid_names import COVERAGE, Item, same_feed
 
 SURE = 0.02
+BESIDE = 0.05
+"""A plate that is moved along one direction is off by less than this share of the way in the others."""
+SAME_PART_MM = 2.0
+"""A plate's own error changes slowly: edges nearer than this run over the same part of it."""
 
 
 def certain(items: Sequence[Item]) -> tuple[Item, ...]:
@@ -41,20 +45,50 @@ def places(one: GridSetup, other: GridSetup) -> tuple[Item, ...]:
     where the moved one stands (cross-talk). Straightness of the moved axis between the two places enters, too.
     """
     squares = [squareness_of(s) for s in (one, other)]
-    if one.setup.plane != other.setup.plane or squares[0] is None or squares[1] is None:
-        return ()
-    apart = [x - y for x, y in zip(one.setup.origin_mm, other.setup.origin_mm, strict=True)]
-    moved = [d for d, x in zip("XYZ", apart, strict=True) if abs(x) > SAME_MM]
-    if len(moved) != 1:
+    moved = moved_along(one, other)
+    if one.setup.plane != other.setup.plane or squares[0] is None or squares[1] is None or len(moved) != 1:
         return ()
     name, means, unit = _named(one, moved[0])
     value, se = (squares[0][0] - squares[1][0]) / unit, float(np.hypot(squares[0][1], squares[1][1]))
     length_m = min(e.length_mm for s in (one, other) for k in (0, 1) for e in at_corner(s, k)) * 1e-3
-    plate = [plate_um(s) * np.sqrt(2.0) / length_m for s in (one, other)]
+    plate = [0.0 if _same_plate(one, other) else plate_um(s) * np.sqrt(2.0) / length_m for s in (one, other)]
     place = "XYZ".index(moved[0])
     where = f"{moved[0].lower()} {one.setup.origin_mm[place]:g} and {other.setup.origin_mm[place]:g}"
     u = COVERAGE * float(np.sqrt(se**2 + plate[0] ** 2 + plate[1] ** 2))
     return (Item(name, means, where, value, "µm/m", u, _chance(value, 0.5 * u)),)
+
+
+def moved_along(one: GridSetup, other: GridSetup) -> tuple[str, ...]:
+    """Directions in which the plate was moved; by how much a hand misses the others by does not count."""
+    apart = {d: abs(x - y) for d, x, y in zip("XYZ", one.setup.origin_mm, other.setup.origin_mm, strict=True)}
+    least = max(SAME_MM, BESIDE * max(apart.values()))
+    return tuple(d for d, way in apart.items() if way > least)
+
+
+def not_compared(setups: Sequence[GridSetup]) -> tuple[str, ...]:
+    """Pairs of set-ups in one plane that no comparison is made of, and why, in words."""
+    out = []
+    for i, one in enumerate(setups):
+        for other in setups[i + 1 :]:
+            moved = moved_along(one, other)
+            if one.setup.plane != other.setup.plane or len(moved) == 1:
+                continue
+            ways = f"moved along {' and '.join(moved)} at once, so no one axis' turn tells" if moved else "not moved"
+            out.append(f"{one.name} and {other.name} are not compared: between them the plate was {ways}")
+    return tuple(out)
+
+
+def _same_plate(one: GridSetup, other: GridSetup) -> bool:
+    """Is the same part of the same plate run over? Its own error is then in both."""
+    if not one.setup.plate or one.setup.plate != other.setup.plate:
+        return False
+    spans = []
+    for s in (one, other):
+        middle = [s.setup.origin_mm["XYZ".index(d)] for d in s.lean.letters]
+        ends = [x - middle[k] for k in (0, 1) for e in at_corner(s, k)[:1] for x in (e.low_mm, e.high_mm)]
+        beside = [e.beside_mm - middle[1 - k] for k in (0, 1) for e in at_corner(s, k)[:1]]
+        spans.append(np.array([*ends, *beside]))
+    return spans[0].shape == spans[1].shape and bool(np.abs(spans[0] - spans[1]).max() < SAME_PART_MM)
 
 
 def directions(setup: GridSetup) -> tuple[Item, ...]:

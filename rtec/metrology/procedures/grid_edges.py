@@ -5,7 +5,7 @@ plain number: twice the first coefficient is the deviation of the best-fit line 
 the straightness, and the standard errors follow from one matrix.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +15,12 @@ from rtec.errors import MeasurementError
 from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.fitting import correlation_time
+from rtec.metrology.procedures.grid_path import EXACT_MM, straight_pieces
 
 Floats = NDArray[np.float64]
 DEGREE = 5
 TRIM_MM = 2.0
 """Left out at both ends: a corner is braking and swinging, not geometry."""
-STEP_MM = 1e-6
 LEAST = 12
 SAME_MM = 0.5
 
@@ -131,14 +131,17 @@ def edges_of(measurement: Measurement, trim_mm: float = TRIM_MM) -> tuple[Edge, 
     for number in np.unique(measurement.run):
         rows = np.flatnonzero(measurement.run == number)
         came = [0, 0]
-        for along, way, first, last in _pieces(place[:, rows]):
+        for along, way, first, last in straight_pieces(place[:, rows]):
             edge = _edge(measurement, place, rows[first : last + 1], along, way, came[1 - along], trim_mm)
             came[along] = way
             if edge is not None:
                 out.append(edge)
     if not out:
+        a, b = instrument.setup.letters
         raise MeasurementError(
-            f"{name}: no straight piece along {' or '.join(instrument.setup.letters)} with {LEAST} readings"
+            f"{name}: no straight piece along {a} or {b} with {LEAST} readings and {4.0 * trim_mm:g} mm; the positions "
+            f"go over {np.ptp(place[0]):.4g} mm along {a} and {np.ptp(place[1]):.4g} mm along {b}. Are they those of "
+            f"the path, in mm?"
         )
     return tuple(out)
 
@@ -167,26 +170,13 @@ def mean_curve(curves: Sequence[Curve]) -> Curve:
     return Curve(whole, np.sum([c.covariance for c in curves], axis=0) / n**2)
 
 
-def _pieces(place: Floats) -> Iterator[tuple[int, int, int, int]]:
-    """Direction, way, first and last row of each stretch in which one coordinate alone changes, and one way."""
-    step = np.diff(place, axis=1)
-    moved = np.abs(step) > STEP_MM
-    which = np.where(moved[0] & ~moved[1], 0, np.where(moved[1] & ~moved[0], 1, -1))
-    way = np.where(which >= 0, np.sign(np.where(which == 0, step[0], step[1])), 0.0)
-    label = np.where(which >= 0, 2 * which + (way > 0), -1)
-    starts = np.flatnonzero(np.diff(label, prepend=-2) != 0)
-    for first, last in zip(starts, [*starts[1:], len(label)], strict=True):
-        if label[first] >= 0:
-            yield int(which[first]), int(way[first]), int(first), int(last)
-
-
 def _edge(
     measurement: Measurement, place: Floats, rows: NDArray[np.int64], along: int, way: int, came: int, trim_mm: float
 ) -> Edge | None:
     own = place[along, rows]
     low, high = float(own.min()), float(own.max())
     readings = np.stack([measurement.readings[c][rows] for c in measurement.instrument.columns()])
-    inside = (own > low + trim_mm - STEP_MM) & (own < high - trim_mm + STEP_MM)
+    inside = (own > low + trim_mm - EXACT_MM) & (own < high - trim_mm + EXACT_MM)
     keep = inside & np.isfinite(readings).all(axis=0)
     if keep.sum() < LEAST or high - low < 4.0 * trim_mm:
         return None
