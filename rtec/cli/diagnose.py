@@ -217,6 +217,8 @@ def _names(only: str | None) -> list[str] | None:
     from rtec.effects import effect_class
 
     names = [n.strip() for n in only.split(",") if n.strip()]
+    if not names:
+        raise typer.BadParameter("name at least one effect: --only scale,backlash", param_hint="--only")
     for name in names:
         effect_class(name, "--only")
     return names

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rtec.diagnosis import words
 from rtec.diagnosis.candidates import Untried
 from rtec.diagnosis.floor import unit_of
 from rtec.diagnosis.result import Absent, Finding, NotTestable
@@ -96,6 +97,5 @@ def absent_ones(
 
 
 def _hardly(key: tuple[str, str], size: float, usual: float, unit: str) -> NotTestable:
-    what = {"um": "µm", "urad": "µrad", "noise": "× noise"}[unit]
-    here = f"of a usual size it makes {usual:.1g} {what} here, and would be seen from {size:.2g} {what} on"
-    return NotTestable(*key, f"what drives it hardly changed: {here}", "vary what drives it more, or by itself")
+    why = words.hardly((usual,), (size,), unit)
+    return NotTestable(*key, why, "vary what drives it more, or by itself", usual, size)

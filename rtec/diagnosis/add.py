@@ -17,6 +17,7 @@ from rtec.diagnosis.ranged import ranged
 from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import held_out
 from rtec.diagnosis.rivals import Rival
+from rtec.diagnosis.scaled import check_scales
 from rtec.diagnosis.usable import apart, check_enough, check_finite, unsure
 from rtec.effects import Effect
 from rtec.errors import ModelError
@@ -118,7 +119,7 @@ def add(
         stage: told how far it is.
 
     Raises:
-        MeasurementError: a channel is missing.
+        MeasurementError: a channel is missing, or readings have the wrong sign or unit.
         ModelError: a new effect is in the model already, or no reading shows it.
     """
     tell = stage or (lambda *_: None)
@@ -133,6 +134,7 @@ def _add(
     check_enough(measurements)
     tell("refitting the model as it is", 0, 3)
     readings = clean_readings(model, measurements)
+    check_scales(readings, predicted(model.effects, readings))
     # Readings that the model was fitted to before say nothing new of how sure its numbers are.
     again = any(m.sha256 in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None

@@ -55,7 +55,9 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         log_odds: log evidence of the one over the other.
     """
     why, test = _told(one, other)
-    if cos < APART and log_odds > WITHIN:
+    apart = cos < APART and log_odds > WITHIN
+    if apart:
+        why, test = "", "add rank 1, then diagnose again"
         how = (
             f"it explains another part of the readings (cosine {cos:.2f}) and helps runs left out: both may be missing"
         )
@@ -65,7 +67,9 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         how = "the readings make it less likely, yet runs that were left out are predicted better by it"
     else:
         how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"
-    return Alike(other.effect, other.component, f"{how}; {why}" if why else how, test, label=label_of(other))
+    return Alike(
+        other.effect, other.component, f"{how}; {why}" if why else how, test, label=label_of(other), apart=apart
+    )
 
 
 def _told(one: Effect, other: Effect) -> tuple[str, str]:

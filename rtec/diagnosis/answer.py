@@ -17,8 +17,9 @@ from rtec.diagnosis.drifts import run_drifts
 from rtec.diagnosis.folded import fold
 from rtec.diagnosis.gains import with_gains
 from rtec.diagnosis.noise import Whitener
-from rtec.diagnosis.refit import Fit, inverse, solve
+from rtec.diagnosis.refit import Fit, inverse, resolved, solve
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown, label_of
+from rtec.diagnosis.scaled import odd_scales
 from rtec.diagnosis.screen import Projected, Screen
 from rtec.diagnosis.separating import fitted_to
 from rtec.diagnosis.tried import Prepared, Tried
@@ -30,6 +31,8 @@ from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
 
+DECIDED = 0.99
+"""A number of which a smaller share is decided by itself has no error to be told."""
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 BETTER = 0.9
@@ -110,14 +113,13 @@ class _Answer:
         self, found: Screen, rank: int, t: Tried, tried: Sequence[Tried], p: float, share: float, accepted: bool
     ) -> Finding:
         candidate, winner = self.s.candidates[t.number], tried[0]
-        theta = candidate.thetas[t.theta]
         same = self._same(found, winner, t) or (t.number != self.s.partner and self._disputes(winner, t))
         confused = tuple(self._alikes(found, t, tried)) if rank == 1 and accepted else ()
-        numbers, size = self._numbers(candidate.effect, theta, t)
+        numbers, size = self._numbers(candidate.effect, t.theta, t)
         return Finding(
             rank=rank,
             effect=candidate.effect,
-            theta=theta,
+            theta=t.theta,
             parameters=numbers,
             channels=candidate.effect.channels(self.s.model.machine),
             heldout_drop=t.drop,
@@ -176,20 +178,23 @@ class _Answer:
                 behind = 0.0
             if same:
                 out.setdefault((other.effect, other.component), (alike(mine, other, cos, behind), number))
-        said = self._separated(found, winner, list(out.values())) if self.s.explain else [a for a, _ in out.values()]
-        folded = fold(self.readings, mine, self.s.candidates[winner.number].thetas[winner.theta])
+        rivals = [r for r in out.values() if not r[0].apart]
+        said = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
+        said += [a for a, _ in out.values() if a.apart]
+        folded = fold(self.readings, mine, winner.theta)
         return [*said, *([folded] if folded is not None else [])]
 
     def _separated(self, found: Screen, winner: Tried, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same with the test that this machine can take and that tells them apart soonest."""
         whitener, base = self.s.prepared.whitener, self.s.prepared.base
 
-        def fitted(number: int, theta: int) -> FittedEffect:
-            candidate = self.s.candidates[number]
-            return fitted_to(whitener, base, candidate.effect, candidate.thetas[theta])
+        def fitted(number: int, theta: Mapping[str, float]) -> FittedEffect:
+            return fitted_to(whitener, base, self.s.candidates[number].effect, theta)
 
         mine = fitted(winner.number, winner.theta)
-        others = [(a, fitted(n, found.variants[found.best[n]].theta)) for a, n in alikes]
+        known = {n: self.s.candidates[n].thetas[found.variants[found.best[n]].theta] for _, n in alikes}
+        known |= {t.number: t.theta for t in self.s.tried}
+        others = [(a, fitted(n, known[n])) for a, n in alikes]
         try:
             return list(with_gains(others, mine, self.s.model, whitener))
         except RtecError:  # a machine that no planned test can be simulated on: the catalogue's words stand
@@ -204,10 +209,12 @@ class _Answer:
         fitted = FittedEffect(effect, {p.name: float(v) for p, v in zip(linear, values, strict=True)}, at)
         slopes = [slope(fitted, self.readings, name, values) for name in at]
         whole = np.concatenate([t.fit.columns, *[s[:, None] for s in slopes]], axis=1)
-        spread = np.sqrt(np.maximum(np.diag(inverse(t.fit.whitener(whole))), 0.0))
+        white = t.fit.whitener(whole)
+        # Of a number that others could take the place of, the pseudo-inverse knows the share that it gave it.
+        spread = np.where(resolved(white) > DECIDED, np.sqrt(np.maximum(np.diag(inverse(white)), 0.0)), 0.0)
         spread = np.concatenate([spread[first : first + len(linear)], spread[t.fit.columns.shape[1] :]])
         numbers = {
-            p.name: Number(v, float(se), p.unit)
+            p.name: Number(v, float(se) if se > 0.0 else None, p.unit)
             for p, v, se in zip(
                 (*linear, *effect.nonlinear(machine)), (*map(float, values), *at.values()), spread, strict=True
             )
@@ -239,7 +246,8 @@ class _Answer:
     ) -> Diagnosis:
         readings, prepared = self.readings, self.s.prepared
         scale = self._scale()
-        left = floor.cleaned(readings, readings.values - prepared.predicted)
+        measured, said = (floor.cleaned(readings, v) for v in (readings.values, prepared.predicted))
+        left, odd = measured - said, odd_scales(readings, measured, said)
         rms = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
         noise = min(floor.pooled(readings, floor.floors(self._noise(findings)), scale), rms)
         accepted = bool(findings) and findings[0].accepted
@@ -268,6 +276,7 @@ class _Answer:
             not_testable=(*untestable(self.s.untried, found), *unseen),
             absent=absent,
             notes=(
+                *odd,
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
                 *words.notes(prepared.spikes, len(readings), [m.name for m in readings.measurements]),
@@ -282,7 +291,7 @@ class _Answer:
                 readings, floor.rms_by_series(readings, floor.cleaned(readings, self.s.without.left)), scale
             ),
         )
-        return words.with_sentence(draft, smallest)
+        return words.with_sentence(draft, smallest, odd)
 
     @cached_property
     def _typed(self) -> Typed | None:

@@ -21,6 +21,7 @@ from rtec.diagnosis.locate import locate
 from rtec.diagnosis.locate_bins import MOVES, unit_of
 from rtec.diagnosis.noise import Whitener, find_noise
 from rtec.diagnosis.readings import Readings, Series, read
+from rtec.diagnosis.scaled import odd_scales
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
@@ -33,6 +34,8 @@ Stage = Callable[[str, int, int], None]
 
 ABOVE = 1.1
 """Measured errors of less than so many times the floor have nothing to explain."""
+WORSE = 2.0
+"""A model that leaves so many times the mean square of what is measured makes it worse."""
 SURELY = 1.5
 """So many times the floor are never left by noise alone."""
 NO_ARM, NOTHING = 1e-12, 1e-9
@@ -70,7 +73,8 @@ def compare(
     items = tuple(
         _compared(model, traces, s, float(f), w) for s, f, w in zip(readings.series, fitted, worst, strict=True)
     )
-    return Comparison(model.name, items, (*_stuck(readings), *notes), seed, traces)
+    odd = odd_scales(readings, traces.measured, traces.predicted)
+    return Comparison(model.name, items, (*odd, *_stuck(readings), *notes), seed, traces)
 
 
 def _stuck(readings: Readings) -> tuple[str, ...]:
@@ -148,7 +152,8 @@ def _compared(model: Model, traces: Traces, s: Series, fitted: float, worst: tup
     measured, left = size_of(traces.measured[s.part]), size_of(traces.left[s.part])
     repeated = repeats_floor(readings, s, traces.left[s.part])
     # A fitted noise model errs to the large side where there is no drift; noise is never more than what is left.
-    floor = min(fitted, left.rms) if repeated is None else repeated
+    fitted = min(fitted, left.rms)
+    floor = fitted if repeated is None else repeated
     source: FloorFrom = "fitted noise model" if repeated is None else "repeats"
     return Compared(
         m.name, s.column, m.instrument.name, "urad" if s.unit == "urad" else "um", len(s), int(s.run[-1]) + 1,
@@ -173,7 +178,8 @@ def explained(measured: float, left: float, floor: float) -> float | None:
         None where what is measured is hardly above the floor.
     """
     if not measured > ABOVE * floor:
-        return None
+        # Nothing to explain, and a model that says far more than there is makes it worse all the same.
+        return -1.0 if left**2 > WORSE * max(measured, floor) ** 2 else None
     share = 1.0 - (left**2 - floor**2) / (measured**2 - floor**2)
     return min(max(share, -1.0), 1.0)
 

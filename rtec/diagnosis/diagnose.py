@@ -7,7 +7,7 @@ unlikely (family-wise), the evidence holds with the noise found anew, and runs t
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -21,13 +21,15 @@ from rtec.diagnosis.answer import Searched, answer
 from rtec.diagnosis.at_once import MANY, each
 from rtec.diagnosis.candidates import library
 from rtec.diagnosis.noise import Whitener, without_drift
+from rtec.diagnosis.polish import live_columns, polished
 from rtec.diagnosis.readings import Readings
 from rtec.diagnosis.refit import ROUNDS, Fit, fit_columns, held_out
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
-from rtec.diagnosis.screen import UNMOVED, Memory, Projected, Screen, screen
+from rtec.diagnosis.screen import Memory, Projected, Screen, screen
 from rtec.diagnosis.thin import looked_at
 from rtec.diagnosis.tried import Tried, prepare
 from rtec.diagnosis.unnamed import Shaped, adequacy, best_shapes
+from rtec.diagnosis.usable import check_enough
 from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -42,6 +44,8 @@ DISTINCT, ONE = 80, 0.9999
 """So many of the best are looked through for shapes that are one and the same, and what counts as that."""
 OVERWHELMING = math.log(50.0)
 """Posterior odds, as a logarithm, that need no draws of chance; a name needs `SURE` of them."""
+FEW = 40.0
+"""With so few readings beyond the numbers found, any fit looks too good, and only draws of chance count."""
 BESIDE = 3
 """Effects that are tried beside the best, before it is given up for a shape without a name."""
 ADEQUATE, LEAST = 0.95, 0.7
@@ -81,8 +85,9 @@ def diagnose(
         stage: told how far it is.
 
     Raises:
-        MeasurementError: the measurements do not fit together, or lack a channel that the model needs.
+        MeasurementError: the measurements do not fit together, are too few, or lack a channel that the model needs.
     """
+    check_enough(measurements)
     with one_blas_thread():
         return _Search(model, measurements, seed, alpha, draws, only, explain, stage or (lambda *_: None)).diagnosis()
 
@@ -116,7 +121,7 @@ class _Search:
     def diagnosis(self) -> Diagnosis:
         """Go through the steps."""
         prepared, readings = self.prepared, self.readings
-        projected = Projected.of(prepared.whitener, prepared.base, readings.values)
+        projected = self._projected
         same = self._columns_of_few if self._few[1] is readings else None
         found = screen(readings, self.candidates, projected, lambda d, t: self.stage("weighing candidates", d, t), same)
         self.stage("what chance can do", 0, 1)
@@ -154,7 +159,17 @@ class _Search:
         make chance look better than it is.
         """
         beyond = best.log_evidence - self._prior_odds
-        return best.holds and beyond > SURE and (p < self.alpha or beyond > OVERWHELMING)
+        return best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
+
+    @cached_property
+    def _projected(self) -> Projected:
+        """The readings, whitened, less the current model."""
+        return Projected.of(self.prepared.whitener, self.prepared.base, self.readings.values)
+
+    @property
+    def _many(self) -> bool:
+        """Whether there are so many readings beyond the numbers found that a likelihood is worth what it says."""
+        return self._projected.freedom > FEW
 
     @property
     def _prior_odds(self) -> float:
@@ -207,23 +222,29 @@ class _Search:
             self.stage("fitting the best anew", next(counted), len(looks))
             look, number = which
             variant = look.variants[look.best[number]]
-            columns = self._columns(number, variant.theta)
+            theta = self._polished(number, variant.theta, look.projected.whitener, base)
+            columns = self._columns(number, theta)
             fit = self._fit(np.concatenate([base, columns], axis=1))
             evidence = fit.log_likelihood - without.log_likelihood - 0.5 * variant.count * n
             evidence -= look.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.model.machine)
-            return Tried(number, variant.theta, columns, fit, evidence, *self._left_out(fit.whitener, columns))
+            return Tried(number, theta, columns, fit, evidence, *self._left_out(fit.whitener, columns))
 
         # What does worse on runs left out is no winner, whatever its evidence.
         return sorted(each(tried, looks, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
 
-    def _columns(self, number: int, theta: int) -> Floats:
-        """Columns of a candidate; one that hardly moves the readings at its usual size is nothing but rounding."""
-        effect = self.candidates[number].effect
-        columns = self.readings.columns(effect, self.candidates[number].thetas[theta])
-        usual = np.array([p.typical for p in effect.coefficients(self.model.machine)])
-        live = np.sqrt(np.mean(columns**2, axis=0)) * usual > UNMOVED
-        return np.asarray(columns * live)
+    def _polished(self, number: int, theta: int, now: Whitener, base: Floats) -> Mapping[str, float]:
+        """Non-linear parameters of a candidate at their best beside a base, from those that were tried."""
+        candidate = self.candidates[number]
+        keep, few = self._few
+        noise = Whitener(few, now.noises, now.wides, now.least)
+        return polished(
+            candidate.effect, candidate.thetas, theta, few, lambda: Projected.of(noise, base[keep], few.values)
+        )
+
+    def _columns(self, number: int, theta: Mapping[str, float]) -> Floats:
+        """Columns of a candidate, (m, k)."""
+        return live_columns(self.candidates[number].effect, theta, self.readings)
 
     def _top(self, found: Screen) -> list[int]:
         """The best few of different kinds, and what the screen does not tell from the best."""
@@ -266,7 +287,7 @@ class _Search:
         top = max(tops, key=lambda t: t.log_evidence, default=None)
         self._top_shape = top
         if best is None:
-            sure = top is not None and top.log_evidence > OVERWHELMING
+            sure = top is not None and top.log_evidence > OVERWHELMING and self._many
             return False, None, self._unknown(top) if sure and top is not None else None
         share = adequacy(best.columns, tops, self.prepared.base, self.readings)
         if top is None or top.log_evidence < best.log_evidence + WITHIN:
@@ -294,12 +315,13 @@ class _Search:
 
         def tried(number: int) -> Tried:
             variant = found.variants[found.best[number]]
-            columns = self._columns(number, variant.theta)
+            theta = self._polished(number, variant.theta, found.projected.whitener, base)
+            columns = self._columns(number, theta)
             fit = self._fit(np.concatenate([base, columns], axis=1))
             gain = fit.log_likelihood - first.fit.log_likelihood - 0.5 * variant.count * math.log(len(self.readings))
             evidence = first.log_evidence + gain - found.search_cost(number) - self._choice_cost(number)
             drop, left_out = self._left_out(fit.whitener, fit.columns[:, width:])
-            return Tried(number, variant.theta, columns, fit, evidence, drop, left_out, base.shape[1])
+            return Tried(number, theta, columns, fit, evidence, drop, left_out, base.shape[1])
 
         return each(tried, self._distinct(found)[:BESIDE], len(self.readings))
 
@@ -310,6 +332,8 @@ class _Search:
         warmed through. Asked for only where one is sure of itself but for the runs left out, and only where no shape
         without a name comes near.
         """
+        if not self._many:
+            return None
         width, bar = self.prepared.base.shape[1], self._prior_odds + OVERWHELMING
         best: tuple[Tried, Tried] | None = None
         firsts = [t for t in sorted(tried, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]

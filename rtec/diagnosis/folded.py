@@ -19,6 +19,13 @@ ORDERS = (1, 2)
 RESOLVED_MM = 1e-3
 
 
+def period_mm(effect: Effect, theta: Mapping[str, float]) -> float | None:
+    """The period of a wave along an axis; None for anything else, and for what may be more than a wave."""
+    if getattr(effect, "axis", None) is None:
+        return None
+    return next((theta[name] for name in PERIODS if name in theta), getattr(effect, "lambda_mm", None))
+
+
 def step_mm(readings: Readings, channel: str, component: str) -> float | None:
     """The step between targets along an axis where all are equal; None where they are not, or are few.
 
@@ -52,9 +59,8 @@ def fold(readings: Readings, effect: Effect, theta: Mapping[str, float]) -> Alik
         effect: a wave along its axis, or anything else.
         theta: its period.
     """
-    period = next((theta[name] for name in PERIODS if name in theta), None)
-    axis = getattr(effect, "axis", None)
-    if period is None or axis is None:
+    period, axis = period_mm(effect, theta), getattr(effect, "axis", None)
+    if period is None or axis is None or not theta:
         return None
     channel = next(a.channel for a in readings.machine.axes if a.name == axis)
     step = step_mm(readings, channel, effect.component)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import floor, units, words
+from rtec.diagnosis.folded import period_mm
 from rtec.diagnosis.noise import Whitener
 from rtec.diagnosis.readings import Readings, Series
 from rtec.diagnosis.refit import solve
@@ -23,7 +24,12 @@ def of_effect(
     readings: Readings, base: Floats, whitener: Whitener, label: str, effect: Effect, theta: Mapping[str, float]
 ) -> Picture | None:
     """Picture of an effect."""
-    return _picture(readings, base, whitener, readings.columns(effect, theta), label, effect.channels(readings.machine))
+    channels = effect.channels(readings.machine)
+    found = _picture(readings, base, whitener, readings.columns(effect, theta), label, channels)
+    period = period_mm(effect, theta)
+    if found is None or period is None:
+        return found
+    return replace(found, period_mm=period, others=tuple(replace(other, period_mm=period) for other in found.others))
 
 
 def of_shape(

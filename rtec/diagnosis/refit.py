@@ -76,6 +76,15 @@ def inverse(columns: Floats) -> Floats:
     return np.asarray(_pseudo(scaled.T @ scaled) / np.outer(scale, scale))
 
 
+def resolved(columns: Floats) -> Floats:
+    """How far each coefficient is decided by itself, (p,): 1, or less where others could take its place, 0 unseen."""
+    scale = np.linalg.norm(columns, axis=0)
+    there = scale > NOTHING
+    scaled = columns / np.where(there, scale, 1.0)
+    gram = scaled.T @ scaled
+    return np.asarray(np.where(there, np.diag(_pseudo(gram) @ gram), 0.0))
+
+
 def _pseudo(gram: Floats) -> Floats:
     if not len(gram):
         return gram

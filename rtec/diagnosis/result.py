@@ -37,6 +37,7 @@ class Alike:
         separating_test: experiment that tells them apart.
         label: short name with what it depends on, such as its sensor.
         gain: expected log Bayes factor of that experiment; None where it was not worked out.
+        apart: it explains another part of the readings: no rival, but maybe missing as well.
     """
 
     effect: str
@@ -45,6 +46,7 @@ class Alike:
     separating_test: str
     gain: float | None = None
     label: str = ""
+    apart: bool = False
 
 
 def label_of(effect: Effect) -> str:
@@ -98,18 +100,22 @@ class Finding:
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect that these measurements could not have shown, whatever its size.
+    """An effect that these measurements could not have shown, or only if it were far larger than usual.
 
     Attributes:
         effect, component: which; an empty component stands for all.
         why: what was never moved or recorded.
         test: the measurement that would show it.
+        usual: root mean square that it makes in these readings where it has its usual size; None where it makes none.
+        smallest: root mean square from which on it would have been seen; None where it never would.
     """
 
     effect: str
     component: str
     why: str
     test: str
+    usual: float | None = None
+    smallest: float | None = None
 
 
 @dataclass(frozen=True)
@@ -166,6 +172,7 @@ class Picture:
         residual: what the current model leaves, refitted without the effect, (n,).
         part: what the effect says of it, (n,).
         drivers: channel, its unit and values (n,); the first is drawn along.
+        period_mm: of a wave along the first; None for anything else.
         direction: last direction of the first driver where it is a position, (n,); None otherwise.
         time_s: (n,).
         title: the label and the measurement, with its column where it has several.
@@ -181,6 +188,7 @@ class Picture:
     time_s: Floats
     title: str = ""
     others: "tuple[Picture, ...]" = ()
+    period_mm: float | None = None
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.diagnosis.words import labels
 
 TOLD = 4
 
@@ -34,6 +35,8 @@ class Rival:
 def rivals_of(found: Diagnosis, taken: Finding) -> tuple[Rival, ...]:
     """Everything that these readings cannot tell from what was taken, likeliest first.
 
+    What explains another part of the readings is no rival of it: it is looked for again once this one is in the model.
+
     Args:
         found: the diagnosis that proposed it.
         taken: one of its findings.
@@ -41,12 +44,22 @@ def rivals_of(found: Diagnosis, taken: Finding) -> tuple[Rival, ...]:
     if not found.findings or not found.findings[0].accepted:
         return ()
     known = {(a.effect, a.component): a for a in found.findings[0].confused_with}
+    apart = {key for key, a in known.items() if a.apart} if taken is found.findings[0] else set()
     partner = taken.partner.effect if taken.partner else None
-    group = [f for f in found.group if f is not taken and f.effect != partner]
-    out = [Rival(f.label, f.confidence, _test(known.get((f.effect.effect, f.effect.component)))) for f in group]
-    there = {(f.effect.effect, f.effect.component) for f in (taken, *group)}
+    group = [
+        (f, label)
+        for f, label in zip(found.findings, labels(found.findings), strict=True)
+        if f.group and f is not taken and f.effect != partner and _key(f) not in apart
+    ]
+    out = [Rival(label, f.confidence, _test(known.get(_key(f)))) for f, label in group]
+    there = {_key(taken), *(_key(f) for f, _ in group)} | apart
     others = [a for key, a in known.items() if key not in there]
-    return (*out, *(Rival(a.label or f"{a.effect}({a.component})", None, _test(a)) for a in others))
+    out += [Rival(a.label or f"{a.effect}({a.component})", None, _test(a)) for a in others]
+    return tuple(out)
+
+
+def _key(finding: Finding) -> tuple[str, str]:
+    return finding.effect.effect, finding.effect.component
 
 
 def _test(alike: Alike | None) -> str:

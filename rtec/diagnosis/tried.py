@@ -1,6 +1,6 @@
 """Readings made ready for the search, and candidates fitted along with the current model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +55,7 @@ class Tried:
     """A candidate fitted along with the current model and a noise found anew."""
 
     number: int
-    theta: int
+    theta: Mapping[str, float]
     columns: Floats
     fit: Fit
     log_evidence: float

@@ -1,24 +1,26 @@
 """The answer as a good colleague would say it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.units import named, spoken
 
 TOGETHER = "found, to be added together with rank 1"
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 
 
-def with_sentence(d: Diagnosis, smallest: float) -> Diagnosis:
+def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = ()) -> Diagnosis:
     """The diagnosis with its verdict in one sentence.
 
     Args:
         d: without a sentence.
         smallest: size from which on half of the effects that were looked for would have been seen.
+        odd: readings of the wrong sign or unit, in words.
     """
-    return replace(d, sentence=_sentence(d, smallest))
+    said = _sentence(d, smallest)
+    return replace(d, sentence=f"{odd[0]} Put that right first; as they stand: {said}" if odd else said)
 
 
 def _sentence(d: Diagnosis, smallest: float) -> str:
@@ -35,10 +37,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             f"and on runs that were not used {f.heldout_drop:.0%} of the mean square goes with it"
         )
     if d.verdict == "ambiguous":
-        names = _names(d)
-        test = next((a.separating_test for a in d.findings[0].confused_with if a.separating_test), "")
-        way = f"; to tell them apart: {test}" if test else ""
-        return f"one of {names} is missing, or more than one, and these readings cannot say which{way}"
+        return _one_of(d)
     if d.verdict == "unknown_effect" and d.unknown is not None:
         where = " and ".join(map(named, d.unknown.channels))
         how = (
@@ -61,11 +60,34 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     return f"nothing missing that these readings could show{limit}: {left}"
 
 
-def _names(d: Diagnosis) -> str:
+def _one_of(d: Diagnosis) -> str:
+    """Rivals that do the same, and what may be missing beside them because it does something else."""
     first = d.findings[0]
-    group = [first, *(f for f in d.group if f.rank > 1)]
-    names = [f.label for f in group] + [a.label or f"{a.effect}({a.component})" for a in first.confused_with]
-    return ", ".join(list(dict.fromkeys(names))[:4])
+    apart = {(a.effect, a.component) for a in first.confused_with if a.apart}
+    beside = _beside(d, apart)
+    group = [first, *(f for f in d.group if f.rank > 1 and (f.effect.effect, f.effect.component) not in apart)]
+    rivals = [a for a in first.confused_with if not a.apart]
+    names = list(dict.fromkeys([*(f.label for f in group), *map(_label, rivals)]))
+    more = f"; for another part of the readings {beside} may be missing as well" if beside else ""
+    if len(names) == 1:
+        forms = "; which form of it, these readings cannot say" if len(group) > 1 else ""
+        return f"{first.label} is missing{forms}{more}: add it, then diagnose again"
+    test = next((a.separating_test for a in rivals if a.separating_test), "")
+    way = f"; to tell them apart: {test}" if test else ""
+    named_so = ", ".join(names[:4])
+    return f"one of {named_so} is missing, or more than one, and these readings cannot say which{way}{more}"
+
+
+def _beside(d: Diagnosis, apart: Collection[tuple[str, str]]) -> str:
+    """What may be missing beside the first: the one that helps runs left out most, and how many are like it."""
+    others = [f for f in d.findings if (f.effect.effect, f.effect.component) in apart]
+    names = list(dict.fromkeys(f.label for f in sorted(others, key=lambda f: -f.heldout_drop)))
+    more = f" (or one of {len(names) - 1} like it)" if len(names) > 1 else ""
+    return f"{names[0]}{more}" if names else ""
+
+
+def _label(alike: Alike) -> str:
+    return alike.label or f"{alike.effect}({alike.component})"
 
 
 def beside(speaks: Sequence[str]) -> tuple[str, ...]:
@@ -74,6 +96,20 @@ def beside(speaks: Sequence[str]) -> tuple[str, ...]:
         return ()
     more = f" (or one of {len(speaks) - 1} like it)" if len(speaks) > 1 else ""
     return (f"more is missing: beside what is named, {speaks[0]}{more} speaks up; add the first, then diagnose again",)
+
+
+def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
+    """Why an effect would show only if it were far larger than usual.
+
+    Args:
+        usual: root mean squares in the readings at its usual size, for each component that it may feed.
+        smallest: root mean squares from which on it would be seen.
+        unit: of both, as in a diagnosis.
+    """
+    low, high, named_so = f"{min(usual):.1g}", f"{max(usual):.1g}", UNITS[unit]
+    makes = low if low == high else f"{low} to {high}"
+    here = f"of a usual size it makes {makes} {named_so} here, and would be seen from {min(smallest):.2g} {named_so} on"
+    return f"what drives it hardly changed: {here}"
 
 
 def why_not(mine: float, best: float, gain: float, same: bool) -> str:

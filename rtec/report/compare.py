@@ -13,6 +13,8 @@ from rtec.report.procedures import number
 
 MOST_PARTS, MOST_SAME, MOST_SEEN, MOST_LEAD = 8, 3, 5, 4
 AT_FLOOR = 1.1
+TAKES_ALL = 0.99
+"""Of what is left: more than this in a fitted noise model is all of it."""
 
 
 def compare_page(c: Comparison, figures: bool = True) -> Page:
@@ -197,10 +199,17 @@ def _noise(c: Comparison) -> Section:
         else:
             said = f"from repeats, {i.floor:.2g} {unit}"
             if not math.isclose(i.floor, i.floor_fitted, rel_tol=0.15):
-                slow = ", drift slower than the repeats with it," if i.floor_fitted > i.floor else ""
-                said += f" (a fitted noise model{slow} says {i.floor_fitted:.2g} {unit})"
+                said += f" ({_fitted(i)})"
         words.append(f"{_name(i, c)}: {said}.")
     return Section("Where the noise floor comes from", words)
+
+
+def _fitted(i: Compared) -> str:
+    """What the fitted noise model says where repeats decide: drift that they do not see, and all that it may hold."""
+    if i.floor_fitted >= i.left.rms * TAKES_ALL:
+        return "a fitted noise model, which cannot tell slow drift from what the model misses, takes all that is left"
+    slow = ", drift slower than the repeats with it," if i.floor_fitted > i.floor else ""
+    return f"a fitted noise model{slow} says {i.floor_fitted:.2g} {UNITS[i.unit]}"
 
 
 def _seen(sees: Sequence[str]) -> str:

@@ -6,17 +6,21 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from rtec import __version__
-from rtec.diagnosis.result import Diagnosis, Finding, Picture
+from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, Picture
 from rtec.diagnosis.units import spoken, titled
-from rtec.diagnosis.words import UNITS, labels, sentence
+from rtec.diagnosis.words import UNITS, hardly, labels, sentence
 from rtec.report.html import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 if TYPE_CHECKING:
     from rtec.report.diagnosis_figures import Panel
 
-MOST_PANELS, SHOWN = 3, 8
+MOST_PANELS, SHOWN, WHERE, MOST_NUMBERS = 3, 8, 5, 4
+FOLDED = 4.0
+"""Periods of a wave from which on all are drawn over one."""
 BETTER = 0.005
 """Share of the mean square; falls of less are none."""
 
@@ -95,19 +99,22 @@ def _to_type(d: Diagnosis, files: Sequence[Path]) -> list[Section]:
 
 def _panels(p: Picture) -> "list[Panel]":
     """Of one reading column all that drives it, of several the first driver each."""
+    if not p.others:
+        return [_panel(p, k) for k in range(len(p.drivers[:MOST_PANELS]))]
+    return [_panel(q, 0) for q in (p, *p.others) if q.drivers]
+
+
+def _panel(p: Picture, k: int) -> "Panel":
+    """Against one driver; a wave of many periods within one of them, where all lie on each other."""
     from rtec.report.diagnosis_figures import Panel
 
-    if not p.others:
-        return [
-            Panel(p.title if k == 0 else "", UNITS[p.unit], p.residual, p.part, titled(name, unit), value,
-                  p.direction if k == 0 else None)
-            for k, (name, unit, value) in enumerate(p.drivers[:MOST_PANELS])
-        ]  # fmt: skip
-    return [
-        Panel(q.title, UNITS[q.unit], q.residual, q.part, titled(*q.drivers[0][:2]), q.drivers[0][2], q.direction)
-        for q in (p, *p.others)
-        if q.drivers
-    ]
+    name, unit, value = p.drivers[k]
+    below = titled(name, unit)
+    if k == 0 and p.period_mm is not None and float(np.ptp(value)) > FOLDED * p.period_mm:
+        value, below = value % p.period_mm, f"{below}: places within each period of {p.period_mm:.4g} mm"
+    return Panel(
+        p.title if k == 0 else "", UNITS[p.unit], p.residual, p.part, below, value, p.direction if k == 0 else None
+    )
 
 
 def _candidate_words(d: Diagnosis) -> list[str]:
@@ -121,6 +128,8 @@ def _candidate_words(d: Diagnosis) -> list[str]:
             )
     else:
         out.append(f"None of them passed: rank 1 {_doubt(d, first)}.")
+    if any(n.se is None for f in d.findings for n in list(f.parameters.values())[:MOST_NUMBERS]):
+        out.append("A number that is open makes no difference here, or numbers of the model could take its place.")
     return out
 
 
@@ -172,17 +181,26 @@ def _short(d: Diagnosis, f: Finding) -> str:
 def _numbers(f: Finding) -> str:
     parts = []
     for name, n in f.parameters.items():
-        se = f" ± {n.se:.2g}" if n.se is not None and math.isfinite(n.se) else ""
+        if n.se is None:  # it makes no difference to these readings, or numbers of the model could take its place
+            parts.append(f"{name} open")
+            continue
+        se = f" ± {n.se:.2g}" if math.isfinite(n.se) else ""
         parts.append(f"{name} {n.value:.4g}{se} {spoken(n.unit)}".strip())
-    return "; ".join(parts[:4]) + (" …" if len(parts) > 4 else "")
+    return "; ".join(parts[:MOST_NUMBERS]) + (" …" if len(parts) > MOST_NUMBERS else "")
 
 
 def _confused(d: Diagnosis) -> list[Section]:
     if not d.group or not d.findings[0].confused_with:
         return []
-    rows = [[a.label, a.why, a.separating_test] for a in d.findings[0].confused_with]
+    alikes, head = d.findings[0].confused_with, ("effect", "why", "test")
+    rivals = [[a.label, a.why, a.separating_test] for a in alikes if not a.apart]
+    beside = [[a.label, a.why, a.separating_test] for a in alikes if a.apart]
     words = ["These would explain the readings as well. The test on the right tells them apart."]
-    return [Section("What it may be instead", words, Table(("effect", "why", "test"), rows, words=(0, 1, 2)))]
+    out = [Section("What it may be instead", words, Table(head, rivals, words=(0, 1, 2)))] if rivals else []
+    if beside:
+        table = Table(("effect", "why", "what to do"), beside, words=(0, 1, 2))
+        out.append(Section("What may be missing beside it", [], table))
+    return out
 
 
 def _absent(d: Diagnosis) -> list[Section]:
@@ -193,7 +211,7 @@ def _absent(d: Diagnosis) -> list[Section]:
         low, high, where = smallest.get(a.effect, (math.inf, 0.0, set()))
         smallest[a.effect] = (min(low, a.smallest), max(high, a.smallest), {*where, a.component})
     rows = [
-        [name, number(low), number(high), ", ".join(sorted(where)[:5]) + (" …" if len(where) > 5 else "")]
+        [name, number(low), number(high), ", ".join(sorted(where)[:WHERE]) + (" …" if len(where) > WHERE else "")]
         for name, (low, high, where) in sorted(smallest.items())
     ]
     unit = UNITS[d.unit]
@@ -208,9 +226,22 @@ def _untestable(d: Diagnosis) -> list[Section]:
     if not d.not_testable:
         return []
     seen: dict[tuple[str, str], list[str]] = {}
+    faint: dict[str, list[NotTestable]] = {}
     for n in d.not_testable:
-        seen.setdefault((n.why, n.test), []).append(n.effect)
+        if n.usual is None or n.smallest is None:
+            seen.setdefault((n.why, n.test), []).append(n.effect)
+        else:
+            faint.setdefault(n.effect, []).append(n)
     rows = [[", ".join(dict.fromkeys(names)), why, test] for (why, test), names in seen.items()]
-    words = ["These readings could not have shown them, whatever their size."]
+    rows += [_hardly(name, of, d.unit) for name, of in faint.items()]
+    words = ["These readings could not have shown them, or only if they were far larger than usual."]
     head = ("effect", "why not", "what would show it")
     return [Section("Could not be checked", words, Table(head, rows, words=(0, 1, 2)))]
+
+
+def _hardly(name: str, of: Sequence[NotTestable], unit: str) -> list[str]:
+    """One row for an effect, whatever it feeds."""
+    where = sorted({n.component for n in of})
+    named = f"{name}({', '.join(where[:WHERE])}{' …' if len(where) > WHERE else ''})"
+    usual, smallest = [n.usual or 0.0 for n in of], [n.smallest or 0.0 for n in of]
+    return [named, hardly(usual, smallest, unit), of[0].test]

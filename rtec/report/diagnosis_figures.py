@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from rtec.report.figures import GREY, OFF, ON, _figure, _png, _styled
 
 Floats = NDArray[np.float64]
-BINS = 24
+BINS, MOST_PLACES = 24, 120
+"""Stretches that a line is drawn over; where there are not too many places, each is its own."""
 MOST_DOTS = 4000
 NO_BETTER = 0.005
 """Share of the mean square; falls of less are none."""
@@ -72,7 +73,11 @@ def binned(value: Floats, height: Floats) -> tuple[Floats, Floats]:
     """Mean height over stretches of a value that hold equally many readings, (k,) each."""
     order = np.argsort(value, kind="stable")
     places = len(np.unique(value))
-    parts = np.array_split(order, max(1, min(BINS if places > BINS else places, len(value))))
+    if places <= MOST_PLACES:
+        edges = np.flatnonzero(np.diff(value[order])) + 1
+        parts = np.split(order, edges)
+    else:
+        parts = np.array_split(order, max(1, min(BINS, len(value))))
     return (
         np.array([float(value[p].mean()) for p in parts if len(p)]),
         np.array([float(height[p].mean()) for p in parts if len(p)]),

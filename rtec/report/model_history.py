@@ -19,10 +19,9 @@ def history_page(model: Model, figures: bool = True) -> Page:
     last, errors = steps[-1], rescaled(steps)
     # A refit alone begins with what the model left as it stood.
     begun = errors[0] if len(steps) > 1 or steps[0]["before"] is None else steps[0]["before"]
-    lead = (
-        f"{len(steps)} {'entry' if len(steps) == 1 else 'entries'}: from {begun:.3g} to {errors[-1]:.3g} "
-        f"{UNITS.get(last['unit'], last['unit'])} on runs left out of the fit."
-    )
+    unit = UNITS.get(last["unit"], last["unit"])
+    fell = f"{errors[-1]:.3g} {unit}" if begun == errors[-1] else f"from {begun:.3g} to {errors[-1]:.3g} {unit}"
+    lead = f"{len(steps)} {'entry' if len(steps) == 1 else 'entries'}: {fell} on runs left out of the fit."
     return Page(f"History of {model.name}", lead, [], history_sections(model, figures))
 
 

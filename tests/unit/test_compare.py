@@ -13,6 +13,7 @@ from rtec.cli.main import status
 from rtec.diagnosis.compare import compare, explained
 from rtec.diagnosis.compare_floor import flattened
 from rtec.diagnosis.compare_spikes import wrong_readings
+from rtec.diagnosis.floor import floors
 from rtec.diagnosis.readings import read
 from rtec.errors import MeasurementError
 from rtec.machine import machine_from
@@ -74,6 +75,8 @@ def test_explained_share() -> None:
     assert explained(2.0, 10.0, 1.0) == -1.0
     assert explained(1.05, 1.0, 1.0) is None
     assert explained(0.0, 0.0, 0.0) is None
+    # Readings in mm under a column of µm: nothing to explain, and the model's micrometres are far off.
+    assert explained(0.004, 3.8, 0.12) == -1.0
 
 
 def test_perfect_model_is_at_the_floor() -> None:
@@ -95,6 +98,18 @@ def test_floor_without_repeats_comes_from_the_noise_model() -> None:
     # No axis moved: only links that stand still, and of these what shifts along the probe or turns.
     assert "EZ0workpiece" in item.sees
     assert not {c for c in item.sees if c[2:] in ("X", "Z")}
+
+
+def test_a_fitted_noise_is_never_more_than_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: noise cannot be more than the whole; where repeats decide, the page says that it took all."""
+    monkeypatch.setattr("rtec.diagnosis.compare.floors", lambda *given: 30.0 * floors(*given))
+    slow = compare(model(), [drift(3, white_um=0.3)]).items[0]
+    assert slow.floor == slow.floor_fitted == slow.left.rms
+    repeated = compare(model(SCALE), [laser([SCALE, BACKLASH], 6)])
+    item = repeated.items[0]
+    assert item.floor < item.floor_fitted == item.left.rms
+    (said,) = [s for s in compare_page(repeated, figures=False).sections if s.heading.startswith("Where the noise")]
+    assert "takes all that is left" in said.text[0]
 
 
 def test_floor_from_repeats_does_not_depend_on_what_the_model_misses() -> None:

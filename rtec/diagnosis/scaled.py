@@ -1,0 +1,68 @@
+"""Readings with the wrong sign or in the wrong unit: they follow the model, but times minus one, or a thousand.
+
+No machine changes so between two measurements; a file does. A refit would turn every number of the model round, and the
+loop would then double the error instead of taking it away.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.diagnosis import floor
+from rtec.diagnosis.readings import Readings
+from rtec.errors import MeasurementError
+
+Floats = NDArray[np.float64]
+
+ALIKE = 0.8
+"""Square of the correlation of what is measured and what is predicted, from which on the one follows the other."""
+NEAR = 0.2
+"""How far a factor may be from the one that it is taken for, as a share of it."""
+INCH = 25.4
+FACTORS = {
+    -1.0: "is minus what the model predicts: is the sign of the readings right?",
+    1e-3: "is a thousandth of what the model predicts: are the readings in mm?",
+    -1e-3: "is minus a thousandth of what the model predicts: are the readings in mm, with the other sign?",
+    1e3: "is a thousand times what the model predicts: are the readings in nm?",
+    -1e3: "is minus a thousand times what the model predicts: are the readings in nm, with the other sign?",
+    1.0 / INCH: "is 1/25.4 of what the model predicts: are the readings in thousandths of an inch?",
+    -1.0 / INCH: "is -1/25.4 of what the model predicts: are they in thousandths of an inch, with the other sign?",
+}  # fmt: skip
+
+
+def odd_scales(readings: Readings, measured: Floats, predicted: Floats) -> tuple[str, ...]:
+    """Words for each reading column that follows the model by a factor that only a file can have.
+
+    Args:
+        readings: the readings.
+        measured, predicted: less what the instruments cannot know, (m,).
+    """
+    out = []
+    for s in readings.series:
+        said = _factor(measured[s.part], predicted[s.part])
+        if said:
+            out.append(f"{readings.measurements[s.source].name} {s.column}: what is measured {said}")
+    return tuple(out)
+
+
+def _factor(measured: Floats, predicted: Floats) -> str:
+    cross, own, other = float(measured @ predicted), float(predicted @ predicted), float(measured @ measured)
+    if not own * other > 0.0 or cross * cross < ALIKE * own * other:
+        return ""
+    factor = cross / own
+    return next((said for f, said in FACTORS.items() if abs(factor / f - 1.0) < NEAR), "")
+
+
+def check_scales(readings: Readings, predicted: Floats) -> None:
+    """Refuse to fit a model to readings of the wrong sign or unit.
+
+    Args:
+        readings: the readings.
+        predicted: what the model says of them, (m,).
+
+    Raises:
+        MeasurementError: some are.
+    """
+    odd = odd_scales(readings, floor.cleaned(readings, readings.values), floor.cleaned(readings, predicted))
+    if odd:
+        way = "put it right in the file; if it is the model that was wrong, fit it anew with `rtec fit`"
+        raise MeasurementError("\n".join(f"{said} Nothing was fitted: {way}" for said in odd))
