@@ -6,7 +6,6 @@ from rtec.diagnosis.add import Added
 from rtec.diagnosis.improve import Improved
 from rtec.diagnosis.usable import apart, share
 from rtec.diagnosis.words import UNITS, sentence
-from rtec.report.diagnosis import diagnosis_page
 from rtec.report.html import Page, Section, Table
 from rtec.report.model_history import history_sections
 from rtec.report.procedures import number
@@ -58,9 +57,8 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
     """All steps of an improvement."""
     anew = _refit_words(r.refit) if r.refit else ""
     if not r.steps:
-        last = r.diagnoses[-1]
         added = f"No effect was added: {WHY_ENDED[r.reason]}." if anew else f"Nothing was added: {WHY_ENDED[r.reason]}."
-        lead = f"{anew}{added} {sentence(last.sentence)}"
+        lead = f"{anew}{added} {_left(r)}"
     else:
         first, last_step = r.steps[0], r.steps[-1]
         unit = UNITS[last_step.unit]
@@ -78,6 +76,11 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         )
         for i, s in enumerate(r.steps, 1)
     ]
-    last_page = diagnosis_page(r.diagnoses[-1], figures=False) if r.diagnoses else None
-    tail = [Section("What is left", [last_page.lead])] if last_page else []
+    tail = [Section("What is left", [_left(r)])] if r.diagnoses else []
     return Page("The model improved", lead, [], [*history_sections(r.model, figures), *sections, *tail])
+
+
+def _left(r: Improved) -> str:
+    """What the last diagnosis says, in one sentence; of what was seen and not added, that it is so."""
+    said = sentence(r.diagnoses[-1].sentence)
+    return f"Seen, and too little to be added: {said}" if r.reason == "no_gain" else said

@@ -19,6 +19,7 @@ from rtec.effects.from_text import expression_from_text
 from rtec.errors import MeasurementError, ModelError
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
+from rtec.report.additions import improved_page
 from rtec.report.model_history import rescaled, steps_of
 from tests.unit.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
 
@@ -179,6 +180,16 @@ def test_what_was_passed_over_is_told() -> None:
     told = first.model.history[-1]["passed_over"]
     assert [r["effect"] for r in told] == rivals
     assert any(r.get("separating_test") for r in told)
+
+
+def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: no fall of the error is worth an effect here, so that what is named is not what ought to be added."""
+    monkeypatch.setattr("rtec.diagnosis.improve.LITTLE", 2.0)
+    result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
+    assert (result.reason, result.steps, result.diagnoses[-1].findings[0].accepted) == ("no_gain", (), True)
+    page = improved_page(result, figures=False)
+    for said in (page.lead, *page.sections[-1].text):
+        assert "Seen, and too little to be added: " in said
 
 
 def test_ctrl_c_says_what_is_written(capsys: pytest.CaptureFixture[str]) -> None:
