@@ -32,6 +32,8 @@ Stage = Callable[[str, int, int], None]
 
 WORTH = 1e-3
 """A relative fall of the held-out error of less is none: numbers that are free to move always find a little."""
+ROUNDING = 1e-9
+"""What is left of a column that the instrument's own unknowns take up entirely, as a share of it, is no more."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,11 @@ def _add(
     return replace(made, notes=(*made.notes, *searched))
 
 
+def _moves(readings: Readings, column: Floats) -> bool:
+    """Whether more of a column, (m,), than rounding is left once the instruments' own unknowns are taken out."""
+    return bool(np.abs(floor.cleaned(readings, column)).max() > ROUNDING * np.abs(column).max())
+
+
 def _with_new(
     model: Model, new: Sequence[FittedEffect], before: Joint, readings: Readings, loose: float | None
 ) -> tuple[Joint, tuple[str, ...]]:
@@ -156,7 +163,7 @@ def _with_new(
     for fitted in new:
         placed, said = ranged(fitted, before, readings)
         columns = check_finite(placed, readings)
-        if not np.abs(columns).max(initial=0.0) > 0.0:
+        if not any(_moves(readings, column) for column in columns.T):
             raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
         found.append(placed)
         words += said

@@ -12,6 +12,12 @@ from rtec.diagnosis.units import spoken
 from rtec.report.html import Page, Section, Table
 
 SHOWN = 8
+HARDLY = math.log(2.0)
+"""A test that gives smaller odds for no pair is not worth naming."""
+NO_TEST = (
+    "No single test of this machine tells any two of them apart at these sizes. Two tests together may: add another to "
+    "the planned ones and ask again; or take what drives them further (longer, hotter, faster, more load)."
+)
 
 
 def plan_page(a: Answer) -> Page:
@@ -28,7 +34,7 @@ def plan_page(a: Answer) -> Page:
             Section("Smallest size that would be found", [], _sizes(s)),
             *_proposals(a.proposals),
             *_separators(a.separators),
-            *_setups([*a.route, *a.proposals[:SHOWN]], a.separators[:SHOWN]),
+            *_setups([*a.route, *a.proposals[:SHOWN]], _helpful(a.separators)),
         ],
         foot=[
             f"Three standard errors, white noise of {a.noise:g} µm or µrad.",
@@ -108,17 +114,25 @@ def _separators(separators: Sequence[Separator]) -> list[Section]:
     """Tests by the odds that they would give for the right one of each two rivals."""
     if not separators:
         return []
+    helpful = _helpful(separators)
     rows = [
-        [s.test.name, hours_in_words(s.test.hours), f"{s.clear} of {len(s.pairs)}", _worst(s.pairs)]
-        for s in separators[:SHOWN]
+        [s.test.name, hours_in_words(s.test.hours), f"{s.clear} of {len(s.pairs)}", _worst(s.pairs)] for s in helpful
     ]
     names = dict.fromkeys(n for p in separators[0].pairs for n in (p.one, p.other))
     said = [
         f"Rivals: {', '.join(names)}. Each is taken to be true at its usual size, the others are fitted to what it "
         "would show in all tests together; told apart means 20 to 1 or better."
     ]
+    if not any(s.clear for s in separators):
+        said.append(NO_TEST)
+    if not rows:
+        return [Section("What tells the rivals apart", said)]
     head = ("test to add", "takes", "pairs told apart", "odds of the worst pair")
     return [Section("What tells the rivals apart, best first", said, Table(head, rows, words=(0, 1, 2, 3)))]
+
+
+def _helpful(separators: Sequence[Separator]) -> list[Separator]:
+    return [s for s in separators if max(p.gain for p in s.pairs) > HARDLY][:SHOWN]
 
 
 def _setups(proposals: Sequence[Proposal], separators: Sequence[Separator]) -> list[Section]:

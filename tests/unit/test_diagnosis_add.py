@@ -176,6 +176,14 @@ def test_what_nothing_moves_is_refused(measured: list[Measurement]) -> None:
         add(model, [blank(SCALE_Z, model)], measured)
 
 
+def test_what_the_instrument_takes_up_is_refused() -> None:
+    """Oracle: Z stands still at 130 mm, so its scale adds one and the same length to all readings: the laser's zero."""
+    model = model_of(SCALE, error=0.1)
+    aside = laser([SCALE], 3, targets={"step_mm": 13.7, "at_mm": {"Z": [130.0]}})
+    with pytest.raises(ModelError, match=r"no reading shows scale\(EXX, Z\)"):
+        add(model, [blank("scale,component=EXX,axis=Z,k=1", model)], [aside])
+
+
 def test_twice_is_refused(measured: list[Measurement]) -> None:
     model = model_of(SCALE, BACKLASH)
     with pytest.raises(ModelError, match="backlash"):

@@ -14,12 +14,13 @@ from rtec.cli.main import status
 from rtec.diagnosis.gains import with_gains
 from rtec.diagnosis.plan import Extra
 from rtec.diagnosis.result import Alike
-from rtec.diagnosis.separating import CLEAR, fitted_to, separating, usual_size
+from rtec.diagnosis.separating import CLEAR, Pair, Separator, fitted_to, separating, usual_size
 from rtec.diagnosis.tried import prepare
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from rtec.report.plan import _separators
 from rtec.sim.campaign import simulate
 from rtec.sim.campaign_settings import Settings
 from rtec.sim.campaign_truth import effect_from_text
@@ -216,6 +217,15 @@ def test_command_ranks_tests_for_rivals(tmp_path: Path, capsys: pytest.CaptureFi
     shown = " ".join(capsys.readouterr().out.split())
     assert "What tells the rivals apart, best first" in shown
     assert found[0]["test"] in shown
+
+
+@pytest.mark.parametrize(("gain", "rows"), [(0.0, 0), (math.log(5.0), 1)])
+def test_where_no_test_tells_the_rivals_apart_that_is_said(gain: float, rows: int) -> None:
+    """Oracle: odds of 1 and of 5 to 1, both below the 20 that tell apart; even odds name no test."""
+    test = Extra("laser along X", laser([SCALE], 1), 1.0)
+    (section,) = _separators([Separator(test, (Pair("a", "b", gain, 0.0),))])
+    assert "No single test of this machine tells any two of them apart" in section.text[1]
+    assert (len(section.table.rows) if section.table else 0) == rows
 
 
 def test_usual_size_is_the_catalogues() -> None:
