@@ -119,4 +119,6 @@ def effect_class(name: str, where: str) -> type[Effect]:
         return found.effects[name]
     if name in found.faults:
         raise ModelError(f"{where}: effect {name!r} of a plug-in: {found.faults[name]}")
-    raise ModelError(f"{where}: no effect {name!r}{nearest(name, all_effects())}")
+    near = nearest(name, all_effects())
+    installed = "" if "did you mean" in near else " (if it is of a plug-in, install its package here)"
+    raise ModelError(f"{where}: no effect {name!r}{installed}{near}")

@@ -125,7 +125,7 @@ def test_without_the_package_its_models_are_refused(tmp_path: Path) -> None:
     content = tables(Model(MACHINE))
     content["effect"] = [{"effect": "worn_patch", "component": "EXX", "axis": "X", "coefficient": {}}]
     (tmp_path / "m.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
-    with pytest.raises(ModelError, match="no effect 'worn_patch'"):
+    with pytest.raises(ModelError, match=r"no effect 'worn_patch' \(if it is of a plug-in, install its package here\)"):
         load_model(tmp_path / "m.toml", MACHINE)
 
 
