@@ -33,7 +33,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
                 f"{f.heldout_drop:.0%} of the mean square there goes with both"
             )
         return (
-            f"{f.label} is missing: it makes {f.size_um:.2g} {unit} of the {d.rms_residual:.2g} {unit} that are left, "
+            f"{f.label} is missing: it makes {_of_what_is_left(f.size_um, d.rms_residual, unit)}, "
             f"and on runs that were not used {f.heldout_drop:.0%} of the mean square goes with it"
         )
     if d.verdict == "ambiguous":
@@ -58,6 +58,13 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     limit = f" (half of the catalogue from {smallest:.2g} {unit} on)" if math.isfinite(smallest) else ""
     left = f"{d.rms_residual:.2g} {unit} are left, noise is {d.noise_floor:.2g}"
     return f"nothing missing that these readings could show{limit}: {left}"
+
+
+def _of_what_is_left(size: float, left: float, unit: str) -> str:
+    made, there = f"{size:.2g} {unit}", f"{left:.2g} {unit}"
+    if float(f"{size:.2g}") <= float(f"{left:.2g}"):
+        return f"{made} of the {there} that are left"
+    return f"{made}, {there} are left because the model's numbers have taken up a part of it"
 
 
 def _one_of(d: Diagnosis) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtec.diagnosis import words
 from rtec.diagnosis.base import spikes
 from rtec.diagnosis.diagnose import diagnose
 from rtec.diagnosis.folded import aliases_mm, fold, step_mm
@@ -107,3 +108,12 @@ def test_what_hardly_moved_is_not_called_absent() -> None:
     assert "axis_expansion" not in {a.effect for a in d.absent}
     (why,) = {n.why for n in d.not_testable if n.effect == "axis_expansion"}
     assert "hardly changed" in why
+
+
+@pytest.mark.parametrize(("size", "said"), [(1.35, "1.4 µm of the 1.4 µm that are left"), (1.7, "taken up a part")])
+def test_an_effect_makes_no_more_of_what_is_left_than_there_is(size: float, said: str) -> None:
+    """Oracle: sums. 1.7 of 1.4 µm would be nonsense, and is what a model leaves that follows the effect in part."""
+    d = diagnose(model(), [laser([SCREW], 6)])
+    finding = replace(d.findings[0], size_um=size)
+    told = words.with_sentence(replace(d, verdict="missing_effect", findings=(finding,), rms_residual=1.4), 1.0)
+    assert said in told.sentence
