@@ -106,7 +106,7 @@ def measured(kind: str, seed: int) -> tuple[Machine, list[Measurement], list[Flo
 def judge(kind: str, seed: int) -> Judged:
     """Draw, measure, diagnose with and without what goes beyond [BB], compare with the truth."""
     machine, recordings, clean, centred = measured(kind, seed)
-    found, bb = diagnose(recordings), diagnose(recordings, dynamic=False)
+    found, bb = diagnose(recordings), diagnose(recordings, dynamic=False, phase="angle")
     truth, count, within, inside, off = truth_of(machine), 0, 0, 0, []
     for v in found.fitted.values:
         if np.isfinite(v.value) and not v.with_ and _by_feed(v.name) in truth:
