@@ -15,7 +15,7 @@ from tests.discovery.generator.truths import TRUTHS
 GROUPS = ("singles", "clean", "pairs", "outside", "passive")
 PASSIVE_KINDS = ("laser", "straightness", "drift")
 PASSIVE_TRUTHS = ("axis_expansion", "axis_expansion_nonuniform", "backlash_position", "cyclic_screw", "spindle_growth")
-EVERY = {"singles": 1, "clean": 1, "pairs": 4, "outside": 2, "passive": 4}
+EVERY = {"singles": 1, "clean": 1, "pairs": 6, "outside": 3, "passive": 4}
 """A seed gives one single and one clean set of each noise; every so manieth seed the others."""
 
 
