@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
 from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, check_sensor
-from rtec.effects.geometric import scaled
+from rtec.effects.geometry import scaled
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
 

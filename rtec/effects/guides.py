@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar, Literal
 
 from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings
-from rtec.effects.geometric import Scale, legendre, scaled
+from rtec.effects.geometry import Scale, legendre, scaled
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
 

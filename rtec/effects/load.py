@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings, other_axes
-from rtec.effects.geometric import legendre, scaled
+from rtec.effects.geometry import legendre, scaled
 from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
 from rtec.machine import Machine

@@ -6,7 +6,7 @@ from rtec.effects.cyclic import CouplingMisalignment, CyclicPole, CyclicScrew, I
 from rtec.effects.drift import AmbientDrift, CoolantExpansion, MountExpansion
 from rtec.effects.expression import Expression
 from rtec.effects.friction import AngularReversal, LostMotion, ReversalSpike, Stribeck
-from rtec.effects.geometric import PiecewisePosition, PolynomialPosition, Scale
+from rtec.effects.geometry import PiecewisePosition, PolynomialPosition, Scale
 from rtec.effects.guides import AngularMotion, GuideCurvature, GuideTwist, Parallelism, Squareness, Straightness
 from rtec.effects.load import CrossTalk, ForceDeflection, LoadDeformation, RamSag
 from rtec.effects.motion import ChangeOver, GuideLift, Inertia, ServoLag, ServoPhase

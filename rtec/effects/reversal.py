@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings, check_sensor
-from rtec.effects.geometric import scaled
+from rtec.effects.geometry import scaled
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings, check_sensor
-from rtec.effects.geometric import scaled
+from rtec.effects.geometry import scaled
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
 

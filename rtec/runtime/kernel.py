@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rtec.correction.guard import HOLD_REASONS
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
-from rtec.model.codegen import EXTRA_ARRAYS, KernelSource
+from rtec.model.kernel.write import EXTRA_ARRAYS, KernelSource
 from rtec.runtime.step_text import (
     CONSTANT,
     IMPORTS,

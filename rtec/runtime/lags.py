@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from rtec.model import Model
-from rtec.model.codegen import LAG_SLOTS
-from rtec.model.plan import Plan, plan_model
+from rtec.model.kernel.plan import Plan, plan_model
+from rtec.model.kernel.write import LAG_SLOTS
 
 MOST_APART: Final = math.log(2.0)
 """Time constants within a factor of two remember much the same."""

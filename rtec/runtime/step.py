@@ -13,9 +13,10 @@ from rtec.correction.guard import GuardSettings, Limits
 from rtec.correction.sinks import SinkScale
 from rtec.effects import derived
 from rtec.errors import ModelError
-from rtec.model import Model, elementary
-from rtec.model.build import build_module
-from rtec.model.codegen import write_kernel
+from rtec.model import Model
+from rtec.model.kernel import elementary
+from rtec.model.kernel.build import build_module
+from rtec.model.kernel.write import write_kernel
 from rtec.runtime.inputs import Inputs, loop_faults
 from rtec.runtime.kernel import StepSource, write_step
 from rtec.runtime.lags import lags_of, slots_to_carry

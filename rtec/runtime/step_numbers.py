@@ -11,7 +11,7 @@ from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
-from rtec.model.codegen import EXTRA_ARRAYS
+from rtec.model.kernel.write import EXTRA_ARRAYS
 from rtec.runtime.kernel import StepSource
 
 if TYPE_CHECKING:

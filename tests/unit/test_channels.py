@@ -22,7 +22,7 @@ from rtec.effects.derived import (
     since_turn_track,
 )
 from rtec.effects.expression import Expression
-from rtec.effects.geometric import Scale
+from rtec.effects.geometry import Scale
 from rtec.effects.state import Channels, Value
 from rtec.errors import ConfigError, ModelError
 from rtec.jit import as_written
@@ -32,7 +32,7 @@ from rtec.metrology.files import load_measurement, save_measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.compiled import compile_model
 from rtec.model.fit import Margin, valid_range
-from rtec.model.plan import plan_model
+from rtec.model.kernel.plan import plan_model
 from rtec.model.reversal import reversal_um
 from tests.machines import turning_centre
 from tests.unit import measurement_examples

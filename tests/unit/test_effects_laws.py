@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from rtec import jit
 from rtec.effects import EFFECTS, State, derived, effect_class
 from rtec.errors import ModelError
-from rtec.model import FittedEffect, Model, elementary, load_model, save_model
+from rtec.model import FittedEffect, Model, load_model, save_model
 from rtec.model.compiled import CompiledModel, compile_model
+from rtec.model.kernel import elementary
 from tests.unit.effect_example import MACHINE, Example, states
 from tests.unit.effect_examples import EXAMPLES, everything
 

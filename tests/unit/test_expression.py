@@ -17,7 +17,7 @@ from rtec.effects.expression import Expression
 from rtec.effects.state import State
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model
-from rtec.model.codegen import write_kernel
+from rtec.model.kernel.write import write_kernel
 from tests.machines import turning_centre
 
 Floats = NDArray[np.float64]

@@ -19,11 +19,11 @@ from rtec.effects.derived import lag_update
 from rtec.errors import ModelError
 from rtec.machine import Machine, machine_from
 from rtec.model import FittedEffect, Model
-from rtec.model.codegen import write_kernel
-from rtec.model.elementary import LARGEST, sin_cos
+from rtec.model.kernel.elementary import LARGEST, sin_cos
+from rtec.model.kernel.plan import Plan, plan_model
+from rtec.model.kernel.trace import Graph, SymbolicChannels
+from rtec.model.kernel.write import write_kernel
 from rtec.model.model import names_of
-from rtec.model.plan import Plan, plan_model
-from rtec.model.trace import Graph, SymbolicChannels
 from tests.unit.effect_examples import EXAMPLES, MACHINE, everything, states
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from rtec.machine import Axis, Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
+from rtec.model.kernel.plan import Plan, Product, plan_model
 from rtec.model.model import Model
-from rtec.model.plan import Plan, Product, plan_model
 
 # Division by zero gives inf, as in numpy, and the guard holds on it; an exception would end the loop.
 DECORATOR = '@njit(error_model="numpy")'

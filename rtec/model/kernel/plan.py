@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 
 from rtec.errors import ModelError
 from rtec.machine import Machine
+from rtec.model.kernel.trace import Graph, Node, Symbol, SymbolicChannels
 from rtec.model.model import FittedEffect, Model, names_of
-from rtec.model.trace import Graph, Node, Symbol, SymbolicChannels
 from rtec.tomlfile import nearest
 
 Product = tuple[int, ...]
