@@ -21,14 +21,14 @@ from typing import Any, Final
 
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, RtecError
+from rtec.loop.clock import RealClock, VirtualClock
+from rtec.loop.orders import Order
+from rtec.loop.run_file import RunFile, Setup, load_setup
 from rtec.machine import Machine, load_machine
 from rtec.model import FittedEffect, Model, load_model, save_model
-from rtec.runtime.clock import RealClock, VirtualClock
-from rtec.runtime.config import RunFile, Setup, load_setup
 from rtec.runtime.control_desk import Desk, Peer
 from rtec.runtime.control_left import Left
 from rtec.runtime.keys import add_client, make_server, read_clients
-from rtec.runtime.orders import Order
 from rtec.tomlfile import read_toml, validated
 from tests import setups
 from tests.unit.control_rig import FakeDaemon

@@ -6,9 +6,9 @@ from typing import Any
 import tomli_w
 
 from rtec.effects import EFFECTS
+from rtec.loop.run_file import Setup, load_setup
 from rtec.machine import Machine, load_machine
 from rtec.model import FittedEffect, Model, save_model
-from rtec.runtime.config import Setup, load_setup
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 PROGRAM = "S2500 M3\nG0 X60 Z320\nG1 X50 F1200\nG1 Z300 F600\nG0 X60 Z320"

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec_drivers.ascii_options import SPINDLE, AsciiOptions
 from rtec_drivers.ascii_readings import ReadingBook
 from rtec_drivers.ascii_text import LineParser, LineReader

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from rtec.runtime.clock import RealClock
+from rtec.loop.clock import RealClock
 from rtec_drivers.box_simulator import BoxSimulator
 from rtec_drivers.pty_peer import PtyPeer
 

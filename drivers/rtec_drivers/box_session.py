@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rtec.errors import DriverFault, DriverTimeout
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec_drivers import box_protocol as protocol
 from rtec_drivers.box_protocol import BoxState, Frame, FrameReader, Info
 

@@ -10,8 +10,8 @@ from pydantic import Field, field_validator
 
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec_drivers import can_box_frames as frames
 from rtec_drivers.box_ledger import BoxLedger
 from rtec_drivers.box_options import axis_order, max_counts_per_s

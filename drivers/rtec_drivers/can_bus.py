@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.tomlfile import Strict
 from rtec_drivers.modbus_worker import Backoff, Worker
 

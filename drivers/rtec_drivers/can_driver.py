@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec_drivers.can_bus import CanOptions, CanPort
 from rtec_drivers.can_nodes import NMT, NodeOptions, NodeWatch
 from rtec_drivers.can_signals import Dbc, SignalOptions, Source

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec.tomlfile import nearest
 from rtec_drivers.can_bus import CanOptions, CanPort
 from rtec_drivers.can_nodes import NodeOptions, NodeWatch

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ConfigError, DriverUnavailable
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec.tomlfile import nearest
 from rtec_drivers.modbus_exchange import Exchange, RtuExchange, TcpExchange
 from rtec_drivers.modbus_line import Line, RtuLine, TcpLine, TcpOptions

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from rtec.errors import DriverUnavailable
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec_drivers.modbus_frame import Answer, Request, decode, find_rtu, split_tcp
 from rtec_drivers.modbus_line import Line
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Protocol
 from pydantic import Field
 
 from rtec.errors import DriverTimeout, DriverUnavailable
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.tomlfile import Strict
 from rtec_drivers.serial_line import PortFinder, PortOptions, SerialLine
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from rtec.errors import DriverTimeout
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec_drivers.modbus_exchange import LONGEST_NOISE, Exchange
 from rtec_drivers.modbus_frame import ERRORS, frames_of_slaves, why_not
 from rtec_drivers.modbus_line import Line

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from rtec.errors import DriverError, DriverUnavailable, unforeseen
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.runtime.realtime import prepare_worker
 
 NS = 1_000_000_000

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec_drivers.wire_faults import WireFaults
 
 

@@ -6,7 +6,7 @@ from queue import SimpleQueue
 from typing import Generic, TypeVar
 
 from rtec.errors import DriverError, unforeseen
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.runtime.realtime import prepare_worker
 
 T = TypeVar("T")

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec_drivers import box_protocol as protocol
 from rtec_drivers.box_ledger import BoxLedger
 from rtec_drivers.box_options import BoxOptions, axis_order, max_counts_per_s

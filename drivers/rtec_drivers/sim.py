@@ -15,8 +15,8 @@ from pydantic import Field, model_validator
 
 from rtec.correction.sinks import Sink
 from rtec.errors import ConfigError, DriverUnavailable
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 from rtec.tomlfile import Strict

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec_drivers import zmq_message as message
 from rtec_drivers.box_options import max_counts_per_s
 from rtec_drivers.count_tracker import CountTracker

@@ -9,7 +9,7 @@ import typer
 from rtec.cli.control_options import At, Config, Json, KeyFile
 
 if TYPE_CHECKING:
-    from rtec.runtime.orders import Order
+    from rtec.loop.orders import Order
 
 app = typer.Typer(no_args_is_help=True, help="Order a running daemon about: enable, hold, fade, resume, reload, mark.")
 
@@ -81,10 +81,10 @@ def mark(
 
 
 def _give(name: str, text: str, config: Path | None, at: str | None, key: Path | None, as_json: bool) -> None:
-    from rtec.runtime.clock import RealClock
+    from rtec.loop.clock import RealClock
+    from rtec.loop.orders import order_named
     from rtec.runtime.control_client import Client, find
     from rtec.runtime.control_follow import carry_out
-    from rtec.runtime.orders import order_named
 
     order: Order = order_named(name)
     with Client(find(config, at, key)) as client:

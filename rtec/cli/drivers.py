@@ -19,8 +19,8 @@ def drivers(
     Example: rtec drivers serial_box
     """
     from rtec.cli.show import show_page
+    from rtec.loop.driver_facts import all_drivers, driver_facts
     from rtec.report.drivers_page import driver_page, drivers_page
-    from rtec.runtime.driver_facts import all_drivers, driver_facts
 
     found = all_drivers() if name is None else [driver_facts(name)]
     if as_json:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtec.runtime.clock import Clock, RealClock
+from rtec.loop.clock import Clock, RealClock
 
 if TYPE_CHECKING:
     from rtec.runtime.log_open import Log

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rtec.runtime.config import Setup
+    from rtec.loop.run_file import Setup
 
 MORE = "and {} rows more"
 
@@ -41,7 +41,7 @@ def replay(
     `rtec replay configs/mouse-capture.toml mouse.sr --out corrected.sr`
     """
     from rtec.errors import ConfigError
-    from rtec.runtime.config import load_setup
+    from rtec.loop.run_file import load_setup
 
     setup = load_setup(config)
     if log.suffix == ".sr":

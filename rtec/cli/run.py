@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rtec.runtime.config import Setup
+    from rtec.loop.run_file import Setup
     from rtec.runtime.supervisor import Report
 
 
@@ -42,7 +42,7 @@ def run(
 
     Example of a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
     """
-    from rtec.runtime.config import load_setup
+    from rtec.loop.run_file import load_setup
     from rtec.runtime.sign_check import step_of, with_step
 
     setup = with_step(load_setup(config), step_of(step) if step else {})
@@ -50,7 +50,7 @@ def run(
         _dry_run(setup, as_json)
         return
     from rtec.cli.run_screen import Screen, show_report
-    from rtec.runtime.clock import RealClock
+    from rtec.loop.clock import RealClock
     from rtec.runtime.control import Control
     from rtec.runtime.log_of_run import new_log_path
     from rtec.runtime.supervisor import Supervisor

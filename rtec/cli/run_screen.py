@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.flags import flag_lines
+from rtec.loop.run_file import Setup
 from rtec.runtime.aloud import Aloud
-from rtec.runtime.config import Setup
 from rtec.runtime.events import Event
 from rtec.runtime.supervisor import Report, Status
 

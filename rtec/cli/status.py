@@ -22,7 +22,7 @@ def status(
     Example: rtec status configs/turning-centre-sim.toml --watch
     """
     from rtec.cli.status_screen import show, watched
-    from rtec.runtime.clock import RealClock
+    from rtec.loop.clock import RealClock
     from rtec.runtime.control_client import Client, find
     from rtec.runtime.control_facts import well
 

@@ -14,7 +14,7 @@ from rtec.cli.show import PIPED_WIDTH
 from rtec.runtime.control_facts import axis_rows, footer, headline, input_rows, troubles
 
 if TYPE_CHECKING:
-    from rtec.runtime.clock import Clock
+    from rtec.loop.clock import Clock
     from rtec.runtime.control_client import Client
 
 PERIOD_NS: Final = 250_000_000

@@ -26,9 +26,9 @@ from rtec.demo.day import CYLINDER, FACE, NS, SHOULDER, Floats, Ints, Track
 from rtec.demo.live import LoopSide, step_settings
 from rtec.demo.sizes import SMOOTH_MM
 from rtec.effects.reversal import Backlash
+from rtec.loop.records import Samples
+from rtec.loop.step import Step
 from rtec.model import Model
-from rtec.runtime.records import Samples
-from rtec.runtime.step import Step
 from rtec.sim.geometry import Geometry
 from rtec.sim.truth import Truth
 

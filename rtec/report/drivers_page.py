@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
+from rtec.loop.driver_facts import DriverFacts
+from rtec.loop.driver_options import Option
 from rtec.report.html import Page, Section, Table
-from rtec.runtime.driver_facts import DriverFacts
-from rtec.runtime.driver_options import Option
 
 
 def drivers_page(drivers: Sequence[DriverFacts]) -> Page:

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import RtecError
-from rtec.runtime.loop import Loop, Row, bind_rows
+from rtec.loop.loop import Loop, Row, bind_rows
+from rtec.loop.state import StateWriter
+from rtec.loop.step import Step, StepSettings
 from rtec.runtime.ring import Ring
 from rtec.runtime.signals import starter
-from rtec.runtime.state import StateWriter
-from rtec.runtime.step import Step, StepSettings
 
 PARENT_CHECK_CYCLES: Final = 256
 NOTES_PER_S: Final = 10

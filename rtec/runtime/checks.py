@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from rtec.correction.guard import HOLD_REASONS, REASONS, Flag
-from rtec.runtime.clock import RealClock
-from rtec.runtime.config import Setup
-from rtec.runtime.devices import make_devices, open_ports
-from rtec.runtime.records import MODE_ON, Samples
-from rtec.runtime.step import Step
+from rtec.loop.clock import RealClock
+from rtec.loop.devices import make_devices, open_ports
+from rtec.loop.records import MODE_ON, Samples
+from rtec.loop.run_file import Setup
+from rtec.loop.step import Step
 
 NS = 1e-9
 

@@ -15,8 +15,8 @@ from typing import Any, Final, Self
 
 import zmq
 
-from rtec.runtime.clock import Clock, wall_clock_iso
-from rtec.runtime.config import Setup
+from rtec.loop.clock import Clock, wall_clock_iso
+from rtec.loop.run_file import Setup
 from rtec.runtime.control_desk import Daemon, Desk, Peer
 from rtec.runtime.control_left import Left
 from rtec.runtime.control_lines import Incoming, drain, failed_handshakes, local_socket, network_socket, receive, send

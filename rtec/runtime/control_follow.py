@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from rtec.errors import RtecError
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
+from rtec.loop.orders import MODE_OF, Order
+from rtec.loop.records import MODES_BY_NAME
 from rtec.runtime.control_client import Client
 from rtec.runtime.control_facts import held, um_text
-from rtec.runtime.orders import MODE_OF, Order
-from rtec.runtime.records import MODES_BY_NAME
 
 LONGEST_NS: Final = 15_000_000_000
 PERIOD_NS: Final = 50_000_000

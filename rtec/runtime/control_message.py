@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from rtec.runtime.orders import LONGEST_TEXT, Order, OrderRefused, order_named
+from rtec.loop.orders import LONGEST_TEXT, Order, OrderRefused, order_named
 
 SCHEMA: Final = 1
 LARGEST_REQUEST: Final = 4096

@@ -1,6 +1,6 @@
 """Local sockets of a running daemon: where they are, how they are made so that nobody else can use them.
 
-They lie beside the state in memory (`rtec.runtime.state_files`), under its name.
+They lie beside the state in memory (`rtec.loop.state_files`), under its name.
 """
 
 import os
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from rtec.errors import RtecError
-from rtec.runtime.state_files import state_places
+from rtec.loop.state_files import state_places
 
 ORDERS, STATUS = ".control", ".telemetry"
 MODES: Final = {"user": 0o600, "group": 0o660}

@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtec.errors import RtecError
+from rtec.loop.clock import Clock, RealClock
+from rtec.loop.run_file import RunFile, load_setup
 from rtec.machine import load_machine
-from rtec.runtime.clock import Clock, RealClock
-from rtec.runtime.config import RunFile, load_setup
 from rtec.runtime.doctor_found import DeviceFound, Examination, Fault, Patient
 from rtec.runtime.doctor_look import Look
 from rtec.runtime.doctor_mend import serial_places

@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rtec.loop.run_file import RunFile
 from rtec.machine import Machine
-from rtec.runtime.config import RunFile
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import numpy as np
 
 from rtec.correction.sinks import PulseSink
 from rtec.errors import DriverError
+from rtec.loop.driver_facts import CAN_BE
 from rtec.runtime.doctor_found import DeviceFound, Fault, Patient
 from rtec.runtime.doctor_readings import Readings
 from rtec.runtime.doctor_watch import Ability
-from rtec.runtime.driver_facts import CAN_BE
 
 FEW = 20
 """The first readings may be slow; fewer say nothing of the others."""

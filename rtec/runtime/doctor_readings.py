@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from rtec.correction.sinks import PulseSink
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.runtime.doctor_found import Patient, Value
 from rtec.runtime.doctor_watch import NS, Rate
 

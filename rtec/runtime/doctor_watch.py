@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rtec.errors import DriverError
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 
 NS = 1e-9
 NOTHING_YET = -(2**62)

@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import DriverError, RtecError, unforeseen
+from rtec.loop.clock import Clock, RealClock
+from rtec.loop.devices import Ports, make_devices, open_ports
+from rtec.loop.loop import Loop, bind_rows
+from rtec.loop.ports import OneWay
+from rtec.loop.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
+from rtec.loop.run_file import Setup, load_setup
+from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
+from rtec.loop.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
+from rtec.loop.step import Step
 from rtec.runtime.between import Between
-from rtec.runtime.clock import Clock, RealClock
-from rtec.runtime.config import Setup, load_setup
-from rtec.runtime.devices import Ports, make_devices, open_ports
-from rtec.runtime.loop import Loop, bind_rows
-from rtec.runtime.ports import OneWay
 from rtec.runtime.published import Published
 from rtec.runtime.realtime import prepare_process
-from rtec.runtime.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
 from rtec.runtime.recover import Found, Start, allowed, recover
 from rtec.runtime.ring import Ring
 from rtec.runtime.sign_check import with_step
-from rtec.runtime.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
-from rtec.runtime.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
-from rtec.runtime.step import Step
 from rtec.runtime.worker_port import worker_ports
 
 REHEARSAL_CYCLES = 100

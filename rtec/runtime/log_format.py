@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from rtec.errors import LogError
-from rtec.runtime.records import Commands, Field, Layout, Samples
+from rtec.loop.records import Commands, Field, Layout, Samples
 
 FORMAT_VERSION: Final = "1"
 END_MARK: Final = b"\xff\xff\xff\xff\0\0\0\0"

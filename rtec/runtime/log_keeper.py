@@ -12,12 +12,12 @@ from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen, TimeoutExpired
 from typing import Final
 
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
+from rtec.loop.log_settings import LogTable
+from rtec.loop.state import Saved
 from rtec.runtime.log_names import WRITTEN, log_files
 from rtec.runtime.log_segment import both_clocks
-from rtec.runtime.log_settings import LogTable
 from rtec.runtime.recording import Begin, Recording
-from rtec.runtime.state import Saved
 
 LOOK_NS: Final = 1_000_000_000
 TIDY_NS: Final = 60_000_000_000

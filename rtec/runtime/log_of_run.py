@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from rtec.errors import LogError
-from rtec.runtime.clock import Clock, wall_clock_iso
-from rtec.runtime.config import Setup
+from rtec.loop.clock import Clock, wall_clock_iso
+from rtec.loop.records import Layout
+from rtec.loop.run_file import Setup
 from rtec.runtime.log import LogWriter
 from rtec.runtime.log_names import first_name
 from rtec.runtime.log_segment import time_header
-from rtec.runtime.records import Layout
 
 
 def log_folder(setup: Setup) -> Path | None:

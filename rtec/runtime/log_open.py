@@ -6,7 +6,7 @@ from types import TracebackType
 from typing import Final, Protocol, Self
 
 from rtec.errors import LogError
-from rtec.runtime.records import Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples
 
 PACKED: Final = ".parquet"
 

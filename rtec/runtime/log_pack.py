@@ -12,11 +12,11 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.runtime.log_format import FORMAT_VERSION
 from rtec.runtime.log_open import Log
 from rtec.runtime.log_packed import SAME_AS, same_columns
 from rtec.runtime.log_table import CHUNK_ROWS, Block, chunks, flat_names, flatten
-from rtec.runtime.records import Commands, Layout, Samples
 
 _DELTA: Final = ("time_ns", "counts_time_ns", "counts_", "output_")
 """Columns that change by little from row to row."""

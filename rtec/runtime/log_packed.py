@@ -18,9 +18,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.loop.records import Commands, Field, Layout, Samples
 from rtec.runtime.log_format import columns_of, entry_names, read_layout
 from rtec.runtime.log_table import Block, flat_names, flatten
-from rtec.runtime.records import Commands, Field, Layout, Samples
 
 _Broken = (pa.ArrowException, OSError, ValueError, KeyError, OverflowError)
 SAME_AS: Final = {"applied_um": "requested_um"}

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtec.errors import LogError
-from rtec.runtime.config import Setup
+from rtec.loop.run_file import Setup
 from rtec.runtime.log_names import log_files
 from rtec.runtime.replay import MOST_DIFFERENCES, Difference, ReplayReport, replay_log
 

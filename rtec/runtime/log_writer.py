@@ -16,8 +16,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.runtime.log_format import END_MARK, schema_of
-from rtec.runtime.records import Commands, Layout, Samples
 
 
 class LogWriter:

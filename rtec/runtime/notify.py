@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from rtec.correction.guard import Flag
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.runtime.status import Status
 
 NOT_GOOD: Final = Flag.STALE_COUNTS | Flag.STALE_TEMPERATURE

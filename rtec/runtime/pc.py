@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rtec.errors import DriverUnavailable
-from rtec.runtime.config import Realtime, RunFile
+from rtec.loop.run_file import Realtime, RunFile
 from rtec.runtime.pc_found import Finding, PcFound
 from rtec.runtime.pc_kernel import clock_source, host, kernel, swap
 from rtec.runtime.pc_processor import firmware, governor, idle_states, isolation, loops_processor

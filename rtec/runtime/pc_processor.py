@@ -1,6 +1,6 @@
 """The processor that the loop runs on: is it its own, how deeply it sleeps, its speed, its firmware."""
 
-from rtec.runtime.config import Realtime
+from rtec.loop.run_file import Realtime
 from rtec.runtime.pc_found import Finding
 from rtec.runtime.pc_read import Pc, as_list
 

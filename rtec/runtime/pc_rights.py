@@ -1,6 +1,6 @@
 """What this user may ask of the kernel: a real-time priority, locked memory."""
 
-from rtec.runtime.config import Realtime
+from rtec.loop.run_file import Realtime
 from rtec.runtime.pc_found import Finding
 from rtec.runtime.pc_read import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Pc
 

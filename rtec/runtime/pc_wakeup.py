@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import DriverUnavailable
-from rtec.runtime.clock import Clock, RealClock
-from rtec.runtime.config import Realtime
+from rtec.loop.clock import Clock, RealClock
+from rtec.loop.run_file import Realtime
 from rtec.runtime.pc_found import Finding, State
 from rtec.runtime.realtime import prepare_process
 

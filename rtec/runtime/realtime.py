@@ -4,7 +4,7 @@ import ctypes
 import gc
 import os
 
-from rtec.runtime.config import Realtime
+from rtec.loop.run_file import Realtime
 
 MCL_CURRENT_AND_FUTURE = 3
 PR_SET_TIMERSLACK = 29

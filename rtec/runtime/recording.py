@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from rtec.errors import LogError
-from rtec.runtime.clock import Clock
-from rtec.runtime.records import Commands, Samples
-from rtec.runtime.state import Saved, state_text
+from rtec.loop.clock import Clock
+from rtec.loop.records import Commands, Samples
+from rtec.loop.state import Saved, state_text
 
 RETRY_NS: Final = 5_000_000_000
 

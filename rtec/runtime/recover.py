@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.runtime.loop import HOLDS, lost
-from rtec.runtime.records import MODE_HOLD, MODE_OFF, MODE_ON
-from rtec.runtime.state import Saved, structure_of, units_of
-from rtec.runtime.step import Step
+from rtec.loop.loop import HOLDS, lost
+from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON
+from rtec.loop.state import Saved, structure_of, units_of
+from rtec.loop.step import Step
 
 IntArray = NDArray[np.int64]
 

@@ -8,9 +8,9 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from rtec.errors import RtecError
-from rtec.runtime.config import Setup, load_setup
-from rtec.runtime.orders import OrderRefused
-from rtec.runtime.step import Step
+from rtec.loop.orders import OrderRefused
+from rtec.loop.run_file import Setup, load_setup
+from rtec.loop.step import Step
 
 MOST_BYTES = 65_536
 """So much fits into the pipe while the loop is not yet reading."""

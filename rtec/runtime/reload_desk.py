@@ -5,13 +5,13 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from rtec.runtime.config import Setup
+from rtec.loop.orders import OrderRefused
+from rtec.loop.run_file import Setup
+from rtec.loop.state_files import read_snapshot
 from rtec.runtime.disk_thread import DiskThread
-from rtec.runtime.orders import OrderRefused
 from rtec.runtime.recording import Begin
 from rtec.runtime.reload import STAYS, Reader, Reloaded
 from rtec.runtime.ring import Ring
-from rtec.runtime.state_files import read_snapshot
 
 Note = Callable[[Ring, str, str, str], None]
 

@@ -12,11 +12,11 @@ from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import Edges, counts_at, decode_edges, pack
 from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError, LogError
+from rtec.loop.records import MODES_BY_NAME, Layout, Samples
+from rtec.loop.run_file import CaptureAxis, CaptureTable, Setup
+from rtec.loop.step import Step
 from rtec.machine import Axis
 from rtec.runtime import sigrok
-from rtec.runtime.config import CaptureAxis, CaptureTable, Setup
-from rtec.runtime.records import MODES_BY_NAME, Layout, Samples
-from rtec.runtime.step import Step
 
 Ints = NDArray[np.int64]
 Column = NDArray[np.float64] | Ints

@@ -13,11 +13,11 @@ from typing import Final
 
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
+from rtec.loop.clock import Clock
+from rtec.loop.orders import OrderWords
+from rtec.loop.records import MODE_OFF, MODE_ON
+from rtec.loop.run_file import Setup
 from rtec.model import FittedEffect, Model
-from rtec.runtime.clock import Clock
-from rtec.runtime.config import Setup
-from rtec.runtime.orders import OrderWords
-from rtec.runtime.records import MODE_OFF, MODE_ON
 from rtec.runtime.status import Status
 from rtec.tomlfile import nearest
 

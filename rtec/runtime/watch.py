@@ -3,7 +3,7 @@
 import numpy as np
 
 from rtec.correction.guard import Flag
-from rtec.runtime.records import MODES_BY_NAME, Commands, Layout, Samples
+from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 from rtec.runtime.ring import Ring
 from rtec.runtime.status import Status
 

@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from rtec.errors import DriverError, RtecError, unforeseen
+from rtec.loop.clock import Clock, RealClock
+from rtec.loop.devices import make_device
+from rtec.loop.ports import Resumable
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock, RealClock
-from rtec.runtime.devices import make_device
-from rtec.runtime.ports import Resumable
 from rtec.runtime.published import FAILED, NEVER, OPEN, Published
 from rtec.runtime.signals import SIGNALS, starter
 

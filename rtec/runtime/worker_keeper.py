@@ -5,7 +5,7 @@ import signal
 from collections.abc import Callable
 from typing import Any, Final
 
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.runtime.published import FAILED, OPEN
 from rtec.runtime.signals import signals_wait
 from rtec.runtime.worker import Task, work

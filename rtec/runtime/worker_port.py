@@ -7,9 +7,9 @@ from typing import Final, Self
 import numpy as np
 
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.loop.clock import Clock
+from rtec.loop.ports import FloatArray, IntArray
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
-from rtec.runtime.ports import FloatArray, IntArray
 from rtec.runtime.published import OPEN, STARTING, Published, Reader
 
 LOOK_NS: Final = 10_000_000

@@ -14,9 +14,9 @@ from types import TracebackType
 from typing import Self
 
 from rtec.errors import RtecError
-from rtec.runtime.clock import Clock
-from rtec.runtime.config import Setup
-from rtec.runtime.devices import driver_class
+from rtec.loop.clock import Clock
+from rtec.loop.devices import driver_class
+from rtec.loop.run_file import Setup
 from rtec.runtime.published import Published
 from rtec.runtime.worker import Task
 from rtec.runtime.worker_keeper import Kept

@@ -18,7 +18,7 @@ from timeit import default_timer
 
 import numpy as np
 
-from rtec.runtime.clock import RealClock
+from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
 from rtec_drivers.box_options import BoxOptions
 from rtec_drivers.serial_box import SerialBoxDriver

@@ -15,8 +15,8 @@ from typing import Any
 
 import zmq
 
-from rtec.runtime.clock import RealClock
-from rtec.runtime.config import Setup
+from rtec.loop.clock import RealClock
+from rtec.loop.run_file import Setup
 from rtec.runtime.control_message import TOPIC
 from rtec.runtime.control_places import STATUS, socket_path
 from rtec.runtime.supervisor import Supervisor

@@ -7,11 +7,11 @@ from timeit import default_timer
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.loop.records import Samples
+from rtec.loop.step import Step, StepSettings
 from rtec.runtime.log import LogWriter
 from rtec.runtime.log_open import open_log
 from rtec.runtime.log_pack import pack
-from rtec.runtime.records import Samples
-from rtec.runtime.step import Step, StepSettings
 from tests.bench import models
 from tests.bench.table import Row
 

@@ -4,11 +4,11 @@ import numpy as np
 
 from rtec.correction.guard import Limits
 from rtec.effects import EFFECTS
+from rtec.loop.records import MODE_ON, Samples
+from rtec.loop.step import Step, StepSettings
 from rtec.machine import Machine, machine_from
 from rtec.model import FittedEffect, Model
 from rtec.model.model import names_of
-from rtec.runtime.records import MODE_ON, Samples
-from rtec.runtime.step import Step, StepSettings
 
 SENSORS = tuple(f"T{i}" for i in range(16))
 LIMITS = Limits(warning_um=5000, stop_um=10000, slew_um_s=20000, acceleration_um_s2=500000)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.loop.clock import Clock, RealClock, VirtualClock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock, RealClock, VirtualClock
 from rtec.tomlfile import validated
 from rtec_drivers import serial_box
 from rtec_drivers.box_options import BoxOptions

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 
 import can
 
-from rtec.runtime.clock import RealClock
+from rtec.loop.clock import RealClock
 
 CLOCK = RealClock()
 MS = 1_000_000

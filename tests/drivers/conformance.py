@@ -1,4 +1,4 @@
-"""The laws of `rtec.runtime.ports`, run over every driver.
+"""The laws of `rtec.loop.ports`, run over every driver.
 
 A driver's test file makes a subclass of `DriverLaws` whose name starts with `Test`, and gives it a fixture `rig`: the
 driver's class, options that work, and a device (simulated, on a real bus) that is there while the fixture lives.
@@ -23,9 +23,9 @@ import pytest
 
 from rtec.correction.sinks import PulseSink, Sink
 from rtec.errors import ConfigError, DriverError, DriverUnavailable
+from rtec.loop.clock import Clock, RealClock
+from rtec.loop.ports import Actuator, CountSource, SpindleSource, TemperatureSource
 from rtec.machine import Machine, load_machine
-from rtec.runtime.clock import Clock, RealClock
-from rtec.runtime.ports import Actuator, CountSource, SpindleSource, TemperatureSource
 from rtec.tomlfile import Strict, validated
 from rtec_drivers.registry import DRIVERS
 
@@ -120,7 +120,7 @@ def gives_back(files: int, threads: int) -> bool:
 
 
 class DriverLaws:
-    """One test a law; the oracle of each is the contract in `rtec/runtime/ports.py`."""
+    """One test a law; the oracle of each is the contract in `rtec/loop/ports.py`."""
 
     def test_its_class_says_what_it_is(self, rig: Rig) -> None:
         module, name = rig.kind.__module__, rig.kind.__name__

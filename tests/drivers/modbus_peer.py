@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import DriverFault
+from rtec.loop.clock import RealClock
 from rtec.machine import Machine
-from rtec.runtime.clock import RealClock
 from rtec.tomlfile import validated
 from rtec_drivers.modbus_driver import ModbusDriver
 from rtec_drivers.modbus_options import ModbusOptions

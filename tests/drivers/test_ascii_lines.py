@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
-from rtec.runtime.clock import RealClock, VirtualClock
+from rtec.loop.clock import RealClock, VirtualClock
 from rtec.tomlfile import validated
 from rtec_drivers.ascii_lines import AsciiLinesDriver
 from rtec_drivers.ascii_options import AsciiOptions

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from rtec.correction.guard import Flag
 from rtec.errors import DriverFault
-from rtec.runtime.devices import Ports
-from rtec.runtime.loop import Loop, Row, bind_rows
-from rtec.runtime.records import MODE_ON, MODE_TAKEN_OVER, Commands, Samples
-from rtec.runtime.stats import LoopStats, Trouble
-from rtec.runtime.step import Step
+from rtec.loop.devices import Ports
+from rtec.loop.loop import Loop, Row, bind_rows
+from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.stats import LoopStats, Trouble
+from rtec.loop.step import Step
 from tests import setups
 from tests.drivers.box_rig import MS, MemoryBench, in_memory
 

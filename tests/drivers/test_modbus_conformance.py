@@ -1,4 +1,4 @@
-"""The Modbus driver keeps the laws that every driver keeps. Oracle: the contract in `rtec/runtime/ports.py`."""
+"""The Modbus driver keeps the laws that every driver keeps. Oracle: the contract in `rtec/loop/ports.py`."""
 
 from collections.abc import Iterator
 

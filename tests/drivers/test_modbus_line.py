@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rtec.errors import ConfigError, DriverUnavailable
-from rtec.runtime.ports import Actuator, CountSource, TemperatureSource
+from rtec.loop.ports import Actuator, CountSource, TemperatureSource
 from tests.drivers.modbus_peer import CLOCK, MS, SENSORS, FakeSlave, Seen, crc, driver, line, serial, slave_table, until
 
 

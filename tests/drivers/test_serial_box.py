@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
 from rtec_drivers.serial_box import SerialBoxDriver
 from tests.drivers.box_rig import MS, MemoryBench, in_memory, options
 from tests.drivers.conformance import MACHINE

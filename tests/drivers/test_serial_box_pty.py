@@ -15,7 +15,7 @@ import pytest
 
 from rtec.correction.sinks import FollowingErrorSink, PhaseSink
 from rtec.errors import DriverError, DriverTimeout, DriverUnavailable
-from rtec.runtime.clock import RealClock
+from rtec.loop.clock import RealClock
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.serial_box import SerialBoxDriver
 from rtec_drivers.serial_line import Ports, SerialLine

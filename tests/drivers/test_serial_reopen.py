@@ -3,7 +3,7 @@
 import threading
 
 from rtec.errors import DriverUnavailable
-from rtec.runtime.clock import RealClock, VirtualClock
+from rtec.loop.clock import RealClock, VirtualClock
 from rtec_drivers.reopen import Reopener
 from tests.drivers.conformance import soon
 

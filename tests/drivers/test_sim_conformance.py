@@ -3,7 +3,7 @@
 import pytest
 
 from rtec.correction.sinks import FollowingErrorSink
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
 from rtec_drivers.sim import SimDriver
 from tests.drivers.conformance import MACHINE, DriverLaws, Rig
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rtec.errors import ConfigError, DriverUnavailable
+from rtec.loop.clock import VirtualClock
+from rtec.loop.ports import Actuator, CountSource, SpindleSource, TemperatureSource
 from rtec.machine import load_machine
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.ports import Actuator, CountSource, SpindleSource, TemperatureSource
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 from rtec.tomlfile import validated

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from rtec.errors import DriverUnavailable
-from rtec.runtime.clock import RealClock, VirtualClock
+from rtec.loop.clock import RealClock, VirtualClock
 from rtec_drivers.can_bus import CanLink, CanOptions
 from rtec_drivers.modbus_worker import Backoff, Worker
 from rtec_drivers.reopen import Reopener

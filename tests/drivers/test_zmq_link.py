@@ -18,7 +18,7 @@ import zmq.auth
 
 from rtec.correction.sinks import FollowingErrorSink, PulseSink
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
-from rtec.runtime.clock import RealClock
+from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
 from rtec_drivers import zmq_sockets
 from rtec_drivers.clock_offset import ClockOffset

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import zmq
 
-from rtec.runtime.clock import RealClock
+from rtec.loop.clock import RealClock
 
 MS = 1_000_000
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import DriverTimeout, DriverUnavailable
+from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
 from rtec_drivers.sim import SimDriver, SimOptions
 
 DRIVERS = {"faulty": ("tests.hil.faulty", "FaultyDriver")}

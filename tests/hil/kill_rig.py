@@ -22,15 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.sinks import Sink
-from rtec.runtime.clock import RealClock, VirtualClock
-from rtec.runtime.config import Setup
-from rtec.runtime.devices import Ports
-from rtec.runtime.loop import Loop, Row, bind_rows
-from rtec.runtime.records import MODE_HOLD, MODE_ON, Commands, Samples
+from rtec.loop.clock import RealClock, VirtualClock
+from rtec.loop.devices import Ports
+from rtec.loop.loop import Loop, Row, bind_rows
+from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Samples
+from rtec.loop.run_file import Setup
+from rtec.loop.state import StateWriter, newest
+from rtec.loop.state_files import state_memory
+from rtec.loop.step import Step
 from rtec.runtime.recover import Found, recover
-from rtec.runtime.state import StateWriter, newest
-from rtec.runtime.state_files import state_memory
-from rtec.runtime.step import Step
 from rtec.sim.machine import SimulatedMachine
 from rtec.tomlfile import validated
 from rtec_drivers.sim import SimDriver, SimOptions

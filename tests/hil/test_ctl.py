@@ -19,7 +19,7 @@ import tomli_w
 import zmq
 
 from rtec.correction.guard import Flag
-from rtec.runtime.clock import RealClock
+from rtec.loop.clock import RealClock
 from rtec.runtime.control_client import Client, find
 from rtec.runtime.control_message import TOPIC
 from rtec.runtime.control_places import ORDERS, STATUS, answers, socket_path
@@ -153,7 +153,7 @@ def test_over_the_network(daemon: Running) -> None:
 
 def setup_place(config: Path) -> str:
     """The place that the run file gives for clients on the network."""
-    from rtec.runtime.config import load_setup
+    from rtec.loop.run_file import load_setup
 
     place = load_setup(config).file.control.tcp
     assert place is not None
@@ -172,7 +172,7 @@ def test_a_hundred_subscribers_slow_and_dead_ones_too(daemon: Running) -> None:
     try:
         listening = [subscriber(context, f"ipc://{socket_path(daemon.config, STATUS)}") for _ in range(100)]
         slow = subscriber(context, f"ipc://{socket_path(daemon.config, STATUS)}", 1)
-        from rtec.runtime.config import load_setup
+        from rtec.loop.run_file import load_setup
 
         made = subscriber(dead, f"tcp://{load_setup(daemon.config).file.control.tcp_status}", 1, folder / "office.key")
         assert made.poll(20_000)

@@ -17,10 +17,10 @@ from rtec.demo.day import CYLINDER, FACE, SHOULDER, Plan, Track
 from rtec.demo.live import RATE_HZ, corrected, uncorrected
 from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, Story, config_folder, tell_story
 from rtec.errors import ConfigError, RtecError
+from rtec.loop.records import MODE_OFF
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
 from rtec.report import figures, procedures
-from rtec.runtime.records import MODE_OFF
 from rtec.sim.truth import Truth, load_truth
 
 Floats = NDArray[np.float64]

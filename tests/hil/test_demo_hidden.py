@@ -19,11 +19,11 @@ from rtec.demo.later_page import later_sections, later_words
 from rtec.demo.live import corrected
 from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, config_folder
 from rtec.errors import ConfigError
+from rtec.loop.records import MODE_OFF
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
 from rtec.report.html import Page, render
 from rtec.report.procedures import plain
-from rtec.runtime.records import MODE_OFF
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 

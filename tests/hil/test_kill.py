@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.runtime.records import MODE_HOLD, MODE_ON
+from rtec.loop.records import MODE_HOLD, MODE_ON
 from tests import setups
 from tests.hil import faulty
 from tests.hil.test_run import faulty_run, only_log
@@ -98,7 +98,7 @@ def test_one_run_file_one_loop(tmp_path: Path) -> None:
     """Two loops on one machine would each undo the other's correction. Oracle: the kernel's file lock."""
     import fcntl
 
-    from rtec.runtime.state_files import state_places
+    from rtec.loop.state_files import state_places
 
     config = setups.write(tmp_path, setups.tables(tmp_path))
     path = state_places(config, None).memory

@@ -13,10 +13,10 @@ import pytest
 import tomli_w
 
 from rtec.correction.guard import Flag
+from rtec.loop.orders import Order
+from rtec.loop.run_file import Setup, load_setup
 from rtec.model import Model, save_model
-from rtec.runtime.config import Setup, load_setup
 from rtec.runtime.log import LogReader
-from rtec.runtime.orders import Order
 from rtec.runtime.replay import replay_log
 from rtec.runtime.status import Report, Status
 from rtec.runtime.supervisor import Supervisor

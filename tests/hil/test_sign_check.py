@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.runtime.config import load_setup
+from rtec.loop.run_file import load_setup
 from rtec.runtime.log import LogReader
 from rtec.runtime.sign_check import with_step
 from rtec.runtime.status import Status

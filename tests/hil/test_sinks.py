@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.config import load_setup
-from rtec.runtime.devices import Ports
+from rtec.loop.clock import VirtualClock
+from rtec.loop.devices import Ports
+from rtec.loop.run_file import load_setup
 from rtec_drivers.sim import SimDriver
 from tests import setups
 from tests.unit.test_loop import run
@@ -86,7 +86,7 @@ def test_a_correction_does_not_chase_its_own_reversal(tmp_path: Path, reversal_u
 
 def run_without(tmp_path: Path, content: dict[str, Any]) -> tuple[Any, Any, Any, Any]:
     """The same with the correction off: where the servo leaves the axes by themselves, µm."""
-    from rtec.runtime.records import MODE_OFF
+    from rtec.loop.records import MODE_OFF
 
     folder = tmp_path / "off"
     folder.mkdir()

@@ -10,14 +10,14 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.errors import ConfigError, LogError
+from rtec.loop.clock import VirtualClock
+from rtec.loop.records import Commands, Layout, Samples
+from rtec.loop.run_file import Setup, load_setup
+from rtec.loop.step import Step
 from rtec.runtime import sigrok
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.config import Setup, load_setup
 from rtec.runtime.log import LogReader, LogWriter
-from rtec.runtime.records import Commands, Layout, Samples
 from rtec.runtime.replay import replay_log
 from rtec.runtime.replay_capture import replay_capture
-from rtec.runtime.step import Step
 from tests import setups
 from tests.real_data import real_file
 from tests.unit.test_loop import run

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import DriverFault, DriverTimeout
-from rtec.runtime import devices
-from rtec.runtime.clock import Clock
+from rtec.loop import devices
+from rtec.loop.clock import Clock
 from rtec.runtime.doctor import examine
 from rtec.runtime.doctor_found import DeviceFound, Examination
 from rtec.tomlfile import Strict

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rtec.runtime.clock import RealClock, VirtualClock, wall_clock_ns
+from rtec.loop.clock import RealClock, VirtualClock, wall_clock_ns
 from tests.setups import setup
 from tests.unit.test_loop import run
 

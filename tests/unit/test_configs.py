@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from rtec.loop.clock import VirtualClock
+from rtec.loop.devices import make_devices
+from rtec.loop.run_file import load_setup
+from rtec.loop.step import Step
 from rtec.machine import load_machine
 from rtec.metrology.importing import load_map
 from rtec.model import load_model
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.config import load_setup
-from rtec.runtime.devices import make_devices
-from rtec.runtime.step import Step
 from rtec.sim.campaign_settings import Settings
 from rtec.sim.truth import check_truth, load_truth
 from rtec.tomlfile import read_toml, validated

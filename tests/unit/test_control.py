@@ -17,14 +17,14 @@ import pytest
 import zmq
 
 from rtec.errors import RtecError
-from rtec.runtime.clock import RealClock
-from rtec.runtime.config import Setup
+from rtec.loop.clock import RealClock
+from rtec.loop.orders import Order
+from rtec.loop.run_file import Setup
 from rtec.runtime.control import Control
 from rtec.runtime.control_client import Client, Place, find
 from rtec.runtime.control_lines import QUEUED
 from rtec.runtime.control_message import LARGEST_REQUEST, TOPIC
 from rtec.runtime.control_places import ORDERS, STATUS, answers, listen, socket_path
-from rtec.runtime.orders import Order
 from tests import setups
 from tests.unit.control_rig import SHORT_MS, FakeDaemon, Line
 

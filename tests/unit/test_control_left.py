@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 
 from rtec.diagnosis.compare import compare
+from rtec.loop.clock import VirtualClock
+from rtec.loop.orders import Order
 from rtec.model import Model
-from rtec.runtime.clock import VirtualClock
 from rtec.runtime.control_desk import Desk
 from rtec.runtime.control_facts import axis_rows, footer, headline, held, troubles, well
 from rtec.runtime.control_follow import carry_out
 from rtec.runtime.control_left import LARGEST_BYTES, Left
-from rtec.runtime.orders import Order
 from tests import setups
 from tests.unit.control_rig import FakeDaemon
 from tests.unit.diagnosis_examples import effects, laser, small_machine

@@ -16,7 +16,7 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.cli.status_screen import show, watched
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
 from rtec.runtime.control_client import Client
 from rtec.runtime.control_desk import Desk
 from tests import setups

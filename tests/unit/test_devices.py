@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from rtec.errors import ConfigError
-from rtec.runtime import devices
-from rtec.runtime.clock import VirtualClock
+from rtec.loop import devices
+from rtec.loop.clock import VirtualClock
 from rtec.tomlfile import Strict
 from tests.setups import setup
 

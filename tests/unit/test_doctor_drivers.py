@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rtec.runtime.clock import RealClock, VirtualClock
+from rtec.loop.clock import RealClock, VirtualClock
 from tests.unit.doctor_rig import ALL_SIM, Fake, run_file, seen, sim, texts, with_fake
 
 pytestmark = pytest.mark.xdist_group("real-clock")

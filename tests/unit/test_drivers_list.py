@@ -14,11 +14,11 @@ from pydantic import Field, TypeAdapter
 from rtec.cli.main import status
 from rtec.correction.sinks import Sink
 from rtec.errors import ConfigError, DriverUnavailable
+from rtec.loop.clock import VirtualClock
+from rtec.loop.driver_facts import all_drivers, driver_facts
+from rtec.loop.driver_info import find, installed
+from rtec.loop.driver_options import options_of
 from rtec.report.drivers_page import driver_row
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.driver_facts import all_drivers, driver_facts
-from rtec.runtime.driver_options import options_of
-from rtec.runtime.drivers import find, installed
 from rtec.tomlfile import Strict, validated
 from rtec_drivers.registry import DRIVERS
 from tests.drivers.conformance import CONFIGS, MACHINE

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
+from rtec.loop.state_files import DiskState
 from rtec.runtime.disk_thread import DiskThread
 from rtec.runtime.events import REMEMBERED, Event, Events
 from rtec.runtime.recording import Recording
-from rtec.runtime.state_files import DiskState
 
 
 def event(k: int) -> Event:

@@ -20,10 +20,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.runtime.log import LogReader, LogWriter
 from rtec.runtime.log_export import export, flat_names
 from rtec.runtime.log_format import schema_of
-from rtec.runtime.records import Commands, Layout, Samples
 
 LAYOUT = Layout(("X", "Z"), ("T_spindle", "T_bed", "T_air"))
 HEADER = {"rtec_version": "0.1.0", "config_sha256": "ab" * 32, "host": "büro", "start": "2026-01-01T00:00:00Z"}

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 import rtec.cli.log as log_cli
 from rtec.errors import LogError
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
+from rtec.loop.records import Layout
 from rtec.runtime.log import LogWriter
 from rtec.runtime.log_export import export
 from rtec.runtime.log_names import first_name
@@ -20,7 +21,6 @@ from rtec.runtime.log_segment import look_at
 from rtec.runtime.log_stretch import LogStretch, segments_of
 from rtec.runtime.log_time import instant_ns, utc_text
 from rtec.runtime.recording import free_path
-from rtec.runtime.records import Layout
 from tests.unit.log_rig import LAYOUT, NOON_NS, rows, write
 
 runner = CliRunner()

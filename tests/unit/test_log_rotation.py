@@ -20,18 +20,18 @@ import pyarrow.parquet as pq
 import pytest
 
 from rtec.errors import LogError
-from rtec.runtime.clock import Clock, VirtualClock
+from rtec.loop.clock import Clock, VirtualClock
+from rtec.loop.log_settings import LogTable
+from rtec.loop.records import Layout
 from rtec.runtime.log import LogReader, LogWriter
 from rtec.runtime.log_keeper import TIDY_ANYWAY_NS, TIDY_NS, Keeper
 from rtec.runtime.log_names import first_name, log_files, newest_log, next_log, place_of
 from rtec.runtime.log_open import open_log
 from rtec.runtime.log_pack import pack
 from rtec.runtime.log_segment import being_written, look_at
-from rtec.runtime.log_settings import LogTable
 from rtec.runtime.log_stretch import segments_of
 from rtec.runtime.log_tidy import tidy
 from rtec.runtime.recording import RETRY_NS, Begin, Recording, free_path
-from rtec.runtime.records import Layout
 from tests.unit.log_rig import LAYOUT, NOON_NS, read, rows, same, write
 
 PLENTY = 1 << 60

@@ -7,13 +7,13 @@ import numpy as np
 
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverTimeout
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.config import Setup
-from rtec.runtime.devices import Ports, make_devices, open_ports
-from rtec.runtime.loop import Loop, Row, bind_rows
-from rtec.runtime.ports import IntArray
-from rtec.runtime.records import MODE_ON, Commands, Layout, Samples
-from rtec.runtime.step import Step
+from rtec.loop.clock import VirtualClock
+from rtec.loop.devices import Ports, make_devices, open_ports
+from rtec.loop.loop import Loop, Row, bind_rows
+from rtec.loop.ports import IntArray
+from rtec.loop.records import MODE_ON, Commands, Layout, Samples
+from rtec.loop.run_file import Setup
+from rtec.loop.step import Step
 from rtec_drivers.sim import SimDriver
 from tests.setups import setup
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.loop.records import Layout
 from rtec.runtime.note import NOTE_BYTES, Note
-from rtec.runtime.records import Layout
 from rtec.runtime.ring import Ring
 
 LAYOUT = Layout(("X",), ())

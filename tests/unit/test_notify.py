@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from rtec.correction.guard import Flag
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
 from rtec.runtime.notify import STATUS_NS, Notifier
 from rtec.runtime.status import Status
 from tests import setups

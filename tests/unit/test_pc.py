@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from rtec.errors import DriverUnavailable
+from rtec.loop.run_file import Realtime
 from rtec.report.pc_page import pc_page
-from rtec.runtime.config import Realtime
 from rtec.runtime.pc import look_at, wanted_of
 from rtec.runtime.pc_found import Finding, PcFound
 from rtec.runtime.pc_read import UNLIMITED, Pc, as_list, processor_list

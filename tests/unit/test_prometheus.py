@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from rtec.errors import ConfigError
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
+from rtec.loop.control_settings import ControlTable
 from rtec.runtime.control_desk import Desk
-from rtec.runtime.control_settings import ControlTable
 from rtec.runtime.prometheus import Endpoint, metrics
 from rtec.tomlfile import validated
 from tests import setups

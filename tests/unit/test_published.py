@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
-from rtec.runtime.clock import VirtualClock
+from rtec.loop.clock import VirtualClock
 from rtec.runtime.published import FAILED, NEVER, OPEN, Published, Reader
 from rtec.runtime.worker_port import WorkerPort
 

@@ -7,7 +7,7 @@ import sys
 
 CODE = """
 import gc, json, os
-from rtec.runtime.config import Realtime
+from rtec.loop.run_file import Realtime
 from rtec.runtime.realtime import prepare_process
 said = prepare_process(Realtime(priority=7))
 locked = next(line for line in open("/proc/self/status") if line.startswith("VmLck:")).split()[1]

@@ -14,13 +14,13 @@ import tomli_w
 
 from rtec.correction.guard import Flag, Limits
 from rtec.errors import RtecError
+from rtec.loop.lags import lags_of, slots_to_carry
+from rtec.loop.orders import OrderRefused
+from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Samples
+from rtec.loop.run_file import Setup, load_setup
+from rtec.loop.step import Step, StepSettings
 from rtec.model import Model, save_model
-from rtec.runtime.config import Setup, load_setup
-from rtec.runtime.lags import lags_of, slots_to_carry
-from rtec.runtime.orders import OrderRefused
-from rtec.runtime.records import MODE_HOLD, MODE_ON, Commands, Samples
 from rtec.runtime.reload import MOST_BYTES, Reader, read_again
-from rtec.runtime.step import Step, StepSettings
 from tests import setups
 
 MS = 1_000_000

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtec.errors import RtecError
-from rtec.runtime.records import Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.runtime.ring import Ring
 
 LAYOUT = Layout(("X", "Z"), ("T_spindle", "T_bed", "T_air"))
@@ -226,7 +226,7 @@ def test_views_outlive_the_ring() -> None:
 
 _HOLD = """
 import signal, sys
-from rtec.runtime.records import Layout
+from rtec.loop.records import Layout
 from rtec.runtime.ring import Ring
 ring = Ring.create(Layout(("X",), ()), 8, sys.argv[1])
 print("made", flush=True)
@@ -254,7 +254,7 @@ def test_killed_owner_leaks_nothing_for_long() -> None:
 
 _HOLD_ANY = """
 import signal
-from rtec.runtime.records import Layout
+from rtec.loop.records import Layout
 from rtec.runtime.ring import Ring
 print(Ring.create(Layout(("X",), ()), 8).name, flush=True)
 signal.pause()

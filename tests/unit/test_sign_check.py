@@ -13,17 +13,17 @@ import pytest
 
 from rtec.correction.guard import Limits
 from rtec.errors import ConfigError
+from rtec.loop.clock import VirtualClock
+from rtec.loop.orders import OrderRefused, OrderWords
+from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, Samples
+from rtec.loop.run_file import Setup
+from rtec.loop.step import Step
 from rtec.machine import Machine
 from rtec.model import Model
 from rtec.runtime.checks import dry_run
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.config import Setup
-from rtec.runtime.orders import OrderRefused, OrderWords
-from rtec.runtime.records import MODE_HOLD, MODE_OFF, MODE_ON, Samples
 from rtec.runtime.reload import read_again
 from rtec.runtime.sign_check import StepOrders, step_of, with_step
 from rtec.runtime.status import Status
-from rtec.runtime.step import Step
 from tests import machines, setups
 
 LIMITS = Limits(warning_um=60, stop_um=100, slew_um_s=20, acceleration_um_s2=400)

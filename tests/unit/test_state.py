@@ -8,10 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import RtecError
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.records import MODE_HOLD, MODE_OFF, MODE_ON, Samples
-from rtec.runtime.recover import Found, recover
-from rtec.runtime.state import (
+from rtec.loop.clock import VirtualClock
+from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, Samples
+from rtec.loop.state import (
     IMAGE_BYTES,
     SLOT_BYTES,
     Saved,
@@ -22,15 +21,9 @@ from rtec.runtime.state import (
     state_from_text,
     state_text,
 )
-from rtec.runtime.state_files import (
-    DiskState,
-    read_disk,
-    read_memory,
-    read_snapshot,
-    state_memory,
-    state_places,
-)
-from rtec.runtime.step import Step
+from rtec.loop.state_files import DiskState, read_disk, read_memory, read_snapshot, state_memory, state_places
+from rtec.loop.step import Step
+from rtec.runtime.recover import Found, recover
 from tests import setups
 
 Ints = NDArray[np.int64]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtec.runtime.stats import BINS, Histogram
+from rtec.loop.stats import BINS, Histogram
 
 
 def test_percentiles_are_those_of_the_times_within_a_microsecond() -> None:

@@ -15,11 +15,11 @@ from rtec.correction.guard import Flag, GuardSettings, Limits
 from rtec.correction.sinks import FollowingErrorSink, PhaseSink, PulseSink
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
+from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, Commands, Samples
+from rtec.loop.step import Step, StepSettings
 from rtec.machine import machine_from
 from rtec.model import FittedEffect, Model
 from rtec.model.model import names_of
-from rtec.runtime.records import MODE_HOLD, MODE_OFF, MODE_ON, Commands, Samples
-from rtec.runtime.step import Step, StepSettings
 
 FAST = Limits(warning_um=500, stop_um=1000, slew_um_s=1e6, acceleration_um_s2=1e10)
 SLOW = Limits(warning_um=50, stop_um=100, slew_um_s=20, acceleration_um_s2=400)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rtec.runtime.config import load_setup
+from rtec.loop.run_file import load_setup
 
 ROOT = Path(__file__).parents[2]
 UNIT = "usr/lib/systemd/system/rtec@.service"

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverUnavailable
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.devices import Ports
-from rtec.runtime.loop import Loop, bind_rows
-from rtec.runtime.records import MODE_HOLD, MODE_ON, MODE_TAKEN_OVER, Commands, Samples
-from rtec.runtime.step import Step
+from rtec.loop.clock import VirtualClock
+from rtec.loop.devices import Ports
+from rtec.loop.loop import Loop, bind_rows
+from rtec.loop.records import MODE_HOLD, MODE_ON, MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.step import Step
 from tests import setups
 
 Ints = NDArray[np.int64]

@@ -22,13 +22,13 @@ from rtec.effects import Effect, State, effect_class
 from rtec.effects.derived import since_reversal_track
 from rtec.effects.from_text import expression_from_text
 from rtec.errors import ModelError
+from rtec.loop.inputs import Inputs
+from rtec.loop.records import MODE_ON, Samples
+from rtec.loop.step import Step, StepSettings
 from rtec.model import Model, load_model, save_model
 from rtec.model.compiled import compile_model
 from rtec.model.file import tables
 from rtec.model.fit import fit_model
-from rtec.runtime.inputs import Inputs
-from rtec.runtime.records import MODE_ON, Samples
-from rtec.runtime.step import Step, StepSettings
 from tests.machines import turning_centre
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rtec.runtime.config import Setup
+from rtec.loop.run_file import Setup
 from rtec.runtime.status import Report
 from rtec_drivers.hil.logbook import Logbook
 from rtec_drivers.hil.track import Track

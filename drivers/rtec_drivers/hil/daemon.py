@@ -7,10 +7,10 @@ from pathlib import Path
 from types import FrameType
 
 from rtec.errors import LogError
-from rtec.runtime.clock import RealClock
-from rtec.runtime.config import load_setup
+from rtec.loop.clock import RealClock
+from rtec.loop.run_file import load_setup
+from rtec.loop.state_files import state_places
 from rtec.runtime.hil import FaultOrder, Tell
-from rtec.runtime.state_files import state_places
 from rtec.runtime.status import Status
 from rtec.runtime.supervisor import Supervisor
 from rtec_drivers.hil.bus_run import BusRun

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec_drivers.box_simulator import BoxSimulator
 from rtec_drivers.hil.adapter import SlcanSimulator
 from rtec_drivers.hil.plant import MachinePlant

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from rtec.runtime.clock import VirtualClock
-from rtec.runtime.config import load_setup
-from rtec.runtime.devices import make_devices, open_ports
-from rtec.runtime.loop import Loop, Row, bind_rows
-from rtec.runtime.records import Commands, Samples
-from rtec.runtime.step import Step
+from rtec.loop.clock import VirtualClock
+from rtec.loop.devices import make_devices, open_ports
+from rtec.loop.loop import Loop, Row, bind_rows
+from rtec.loop.records import Commands, Samples
+from rtec.loop.run_file import load_setup
+from rtec.loop.step import Step
 from rtec_drivers.hil.plant import Recorder
 from rtec_drivers.hil.track import Track
 from rtec_drivers.sim import SimDriver

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.loop.stats import Histogram
 from rtec.runtime.hil_result import Check, Deadlines, Resource
-from rtec.runtime.stats import Histogram
 from rtec.runtime.status import Status
 
 LOOP = "rtec-loop"

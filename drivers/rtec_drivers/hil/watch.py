@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from rtec.runtime.clock import Clock
+from rtec.loop.clock import Clock
 from rtec.runtime.hil import FaultOrder
 from rtec.runtime.status import Status
 from rtec_drivers.hil.catalogue import FAULTS, Bus

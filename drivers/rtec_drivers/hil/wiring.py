@@ -9,7 +9,7 @@ import tomli_w
 from pydantic import Field
 
 from rtec.errors import ConfigError
-from rtec.runtime.config import RunFile
+from rtec.loop.run_file import RunFile
 from rtec.tomlfile import nearest, read_toml, validated
 from rtec_drivers.hil.catalogue import BUS_OF_DRIVER, Bus
 from rtec_drivers.sim import SimOptions

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import RtecError
-from rtec.runtime.records import MODE_HOLD, MODE_OFF, MODE_ON
+from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON
 
 
 class Order(StrEnum):

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from rtec.correction.guard import Limits
 from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError
+from rtec.loop.step_source import StepSource
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model.kernel.write import EXTRA_ARRAYS
-from rtec.runtime.kernel import StepSource
 
 if TYPE_CHECKING:
-    from rtec.runtime.step import StepSettings
+    from rtec.loop.step import StepSettings
 
 NS = 1e9
 

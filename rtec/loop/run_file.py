@@ -10,12 +10,12 @@ from pydantic import Field
 from rtec.correction.guard import GuardSettings, Limits
 from rtec.correction.sinks import PulseSink, Sink
 from rtec.errors import ConfigError, RtecError
+from rtec.loop.control_settings import ControlTable
+from rtec.loop.inputs import Inputs, loop_faults
+from rtec.loop.log_settings import LogTable
+from rtec.loop.step import StepSettings
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
-from rtec.runtime.control_settings import ControlTable
-from rtec.runtime.inputs import Inputs, loop_faults
-from rtec.runtime.log_settings import LogTable
-from rtec.runtime.step import StepSettings
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
 
 

@@ -4,9 +4,9 @@ from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from rtec.errors import DriverUnavailable
-from rtec.runtime.driver_options import Option, options_of, summary_of
-from rtec.runtime.drivers import Installed, find, installed
-from rtec.runtime.ports import Actuator, CountSource, SpindleSource, TemperatureSource
+from rtec.loop.driver_info import Installed, find, installed
+from rtec.loop.driver_options import Option, options_of, summary_of
+from rtec.loop.ports import Actuator, CountSource, SpindleSource, TemperatureSource
 
 CAN_BE: dict[str, type] = {
     "counts": CountSource,

@@ -10,11 +10,11 @@ from pydantic import BaseModel
 
 from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError, DriverUnavailable, RtecError
+from rtec.loop.clock import Clock
+from rtec.loop.driver_info import find
+from rtec.loop.ports import Actuator, CountSource, Device, Resumable, SpindleSource, TemperatureSource
+from rtec.loop.run_file import Roles, Setup
 from rtec.machine import Machine
-from rtec.runtime.clock import Clock
-from rtec.runtime.config import Roles, Setup
-from rtec.runtime.drivers import find
-from rtec.runtime.ports import Actuator, CountSource, Device, Resumable, SpindleSource, TemperatureSource
 from rtec.tomlfile import validated
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import RtecError
-from rtec.runtime.clock import Clock
-from rtec.runtime.state import IMAGE_BYTES, SLOT_BYTES, SNAPSHOT, Saved, is_spoilt, newest, read_slot
+from rtec.loop.clock import Clock
+from rtec.loop.state import IMAGE_BYTES, SLOT_BYTES, SNAPSHOT, Saved, is_spoilt, newest, read_slot
 
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")

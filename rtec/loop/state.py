@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ModelError
-from rtec.runtime.records import Samples
-from rtec.runtime.step import Step, StepState
+from rtec.loop.records import Samples
+from rtec.loop.step import Step, StepState
 
 SLOT_BYTES: Final = 32_768
 SLOTS: Final = 3

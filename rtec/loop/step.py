@@ -13,15 +13,15 @@ from rtec.correction.guard import GuardSettings, Limits
 from rtec.correction.sinks import SinkScale
 from rtec.effects import derived
 from rtec.errors import ModelError
+from rtec.loop.inputs import Inputs, loop_faults
+from rtec.loop.lags import lags_of, slots_to_carry
+from rtec.loop.records import Commands, Layout, Samples
+from rtec.loop.step_numbers import check_limits, numbers_of, times_of
+from rtec.loop.step_source import StepSource, write_step
 from rtec.model import Model
 from rtec.model.kernel import elementary
 from rtec.model.kernel.build import build_module
 from rtec.model.kernel.write import write_kernel
-from rtec.runtime.inputs import Inputs, loop_faults
-from rtec.runtime.kernel import StepSource, write_step
-from rtec.runtime.lags import lags_of, slots_to_carry
-from rtec.runtime.records import Commands, Layout, Samples
-from rtec.runtime.step_numbers import check_limits, numbers_of, times_of
 
 Array = NDArray[Any]
 
@@ -114,7 +114,7 @@ class Step:
         return self._numbers, self._times
 
     def constants(self, name: str) -> Array:
-        """The numbers of that name that the step works with, one an axis or sensor (`rtec.runtime.kernel`)."""
+        """The numbers of that name that the step works with, one an axis or sensor (`rtec.loop.step_source`)."""
         return self._numbers[self.source.numbers.at[name]].copy()
 
     def output_of(self, state: StepState) -> NDArray[np.int64]:

@@ -3,7 +3,7 @@
 An order to resume (`Loop.order_resume`) goes to every device that takes one. From then on the correction is held and
 nothing is commanded until the actuator has told its ledger; that becomes the step's own, and the loop goes on from it.
 
-The state is kept (`rtec.runtime.state`) between the step and the command: what is kept is never behind the actuator.
+The state is kept (`rtec.loop.state`) between the step and the command: what is kept is never behind the actuator.
 
 Deadlines are absolute, so jitter does not add up. A cycle that ends after the next deadline costs that deadline (a
 miss, counted) and the loop goes on with the next one that is still to come.
@@ -15,13 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtec.errors import DriverError
-from rtec.runtime.clock import Clock
-from rtec.runtime.devices import Ports
-from rtec.runtime.ports import FloatArray, IntArray
-from rtec.runtime.records import MODE_HOLD, MODE_TAKEN_OVER, Commands, Samples
-from rtec.runtime.state import StateWriter
-from rtec.runtime.stats import LoopStats, Trouble
-from rtec.runtime.step import Step
+from rtec.loop.clock import Clock
+from rtec.loop.devices import Ports
+from rtec.loop.ports import FloatArray, IntArray
+from rtec.loop.records import MODE_HOLD, MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.state import StateWriter
+from rtec.loop.stats import LoopStats, Trouble
+from rtec.loop.step import Step
 
 HOLDS = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
 

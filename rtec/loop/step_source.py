@@ -8,20 +8,10 @@ coefficients, ranges) come in as arrays; only sizes and channel indices are writ
 from dataclasses import dataclass
 
 from rtec.correction.guard import HOLD_REASONS
+from rtec.loop.step_text import CONSTANT, IMPORTS, MOTION, RANGE, SENSOR, SPINDLE, STEP, TURNING, TURNING_SINCE
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model.kernel.write import EXTRA_ARRAYS, KernelSource
-from rtec.runtime.step_text import (
-    CONSTANT,
-    IMPORTS,
-    MOTION,
-    RANGE,
-    SENSOR,
-    SPINDLE,
-    STEP,
-    TURNING,
-    TURNING_SINCE,
-)
 
 
 class Places:
