@@ -9,8 +9,8 @@ import typer
 from rtec.loop.clock import Clock, RealClock
 
 if TYPE_CHECKING:
-    from rtec.runtime.log_open import Log
-    from rtec.runtime.log_segment import Segment
+    from rtec.log.log_open import Log
+    from rtec.log.log_segment import Segment
 
 app = typer.Typer(
     no_args_is_help=True, help="Find logs by time, look into one, follow it while it grows, turn them into a table."
@@ -55,7 +55,7 @@ def info(log: _Log, as_json: _Json = False) -> None:
     Example: rtec log info run.arrows --json
     """
     from rtec.cli.log_screen import print_facts
-    from rtec.runtime.log_open import open_log
+    from rtec.log.log_open import open_log
 
     with open_log(log) as reader:
         facts = _facts(reader)
@@ -84,7 +84,7 @@ def export(
     Example: rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc
     """
     from rtec.cli.progress import bar
-    from rtec.runtime.log_export import export as export_log
+    from rtec.log.export import export as export_log
 
     with _opened(log, from_, to, utc) as reader, bar(out.name) as progress:
         total = reader.rows
@@ -110,8 +110,8 @@ def tail(
     Example: rtec log tail run.arrows -n 5 --follow
     """
     from rtec.cli.log_screen import print_rows
-    from rtec.runtime.log_names import newest_log
-    from rtec.runtime.log_open import open_log
+    from rtec.log.folder import newest_log
+    from rtec.log.log_open import open_log
 
     path: Path | None = newest_log(log)
     try:
@@ -145,7 +145,7 @@ def _facts(reader: "Log") -> dict[str, Any]:
 def _follow(reader: "Log", logs: Path, *, degc: bool) -> Path:
     """Print what is appended, until the next file begins; give that."""
     from rtec.cli.log_screen import print_rows
-    from rtec.runtime.log_names import next_log
+    from rtec.log.folder import next_log
 
     while True:
         first = reader.rows
@@ -159,8 +159,8 @@ def _follow(reader: "Log", logs: Path, *, degc: bool) -> Path:
 
 def _segments(logs: Path, from_: str | None, to: str | None) -> "list[Segment]":
     from rtec.cli.progress import bar
-    from rtec.runtime.log_stretch import segments_of
-    from rtec.runtime.log_time import instant_ns
+    from rtec.log.log_time import instant_ns
+    from rtec.log.stretch import segments_of
 
     bounds = [None if text is None else instant_ns(text) for text in (from_, to)]
     with bar(logs.name) as progress:
@@ -169,9 +169,9 @@ def _segments(logs: Path, from_: str | None, to: str | None) -> "list[Segment]":
 
 def _opened(logs: Path, from_: str | None, to: str | None, utc: bool) -> "Log":
     """One file as it is; else a stretch."""
-    from rtec.runtime.log_open import open_log
-    from rtec.runtime.log_stretch import LogStretch
-    from rtec.runtime.log_time import instant_ns
+    from rtec.log.log_open import open_log
+    from rtec.log.log_time import instant_ns
+    from rtec.log.stretch import LogStretch
 
     if not logs.is_dir() and from_ is None and to is None and not utc:
         return open_log(logs)
@@ -181,7 +181,7 @@ def _opened(logs: Path, from_: str | None, to: str | None, utc: bool) -> "Log":
 
 def _segment_facts(segment: "Segment") -> dict[str, Any]:
     """A file in `list`; these names are the keys of its JSON."""
-    from rtec.runtime.log_time import utc_text
+    from rtec.log.log_time import utc_text
 
     return {
         "log": str(segment.path),

@@ -8,10 +8,10 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.correction.guard import Flag
+from rtec.log.log_open import Log
+from rtec.log.log_segment import Segment
+from rtec.log.log_time import utc_text
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.log_open import Log
-from rtec.runtime.log_segment import Segment
-from rtec.runtime.log_time import utc_text
 
 MODES = {0: "off", 1: "on", 2: "hold", 3: "taken over"}
 DAY_S = 86_400.0

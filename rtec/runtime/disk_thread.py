@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
 
+from rtec.log.events import Event, Events
+from rtec.log.recording import Begin, Recording
 from rtec.loop.records import Commands, Samples
 from rtec.loop.state import Saved
 from rtec.loop.state_files import DiskState
-from rtec.runtime.events import Event, Events
 from rtec.runtime.log_keeper import Keeper
-from rtec.runtime.recording import Begin, Recording
 
 MOST_SECONDS: Final = 60.0
 END_S: Final = 5.0

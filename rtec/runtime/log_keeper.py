@@ -1,7 +1,7 @@
 """Keeps the logs of a running daemon in order: a new file when one is large or old, tidying in a process of its own.
 
 Called from the thread that writes the log. Nothing here waits: a new file is ordered (`Recording.cut`), and the
-process that packs and removes (`rtec.runtime.log_tidy`) is only started and looked at.
+process that packs and removes (`rtec.log.tidy`) is only started and looked at.
 """
 
 import json
@@ -12,12 +12,12 @@ from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen, TimeoutExpired
 from typing import Final
 
+from rtec.log.folder import WRITTEN, log_files
+from rtec.log.log_segment import both_clocks
+from rtec.log.recording import Begin, Recording
 from rtec.loop.clock import Clock
 from rtec.loop.log_settings import LogTable
 from rtec.loop.state import Saved
-from rtec.runtime.log_names import WRITTEN, log_files
-from rtec.runtime.log_segment import both_clocks
-from rtec.runtime.recording import Begin, Recording
 
 LOOK_NS: Final = 1_000_000_000
 TIDY_NS: Final = 60_000_000_000
@@ -129,7 +129,7 @@ class Keeper:
         command = [
             sys.executable,
             "-m",
-            "rtec.runtime.log_tidy",
+            "rtec.log.tidy",
             str(self._folder),
             str(self._rules.disk_share),
             wanted,

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from rtec.errors import LogError
+from rtec.log.folder import first_name
+from rtec.log.log_segment import time_header
+from rtec.log.reader import LogWriter
 from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.records import Layout
 from rtec.loop.run_file import Setup
-from rtec.runtime.log import LogWriter
-from rtec.runtime.log_names import first_name
-from rtec.runtime.log_segment import time_header
 
 
 def log_folder(setup: Setup) -> Path | None:

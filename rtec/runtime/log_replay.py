@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtec.errors import LogError
+from rtec.log.folder import log_files
 from rtec.loop.run_file import Setup
-from rtec.runtime.log_names import log_files
 from rtec.runtime.replay import MOST_DIFFERENCES, Difference, ReplayReport, replay_log
 
 

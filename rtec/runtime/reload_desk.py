@@ -5,11 +5,11 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from rtec.log.recording import Begin
 from rtec.loop.orders import OrderRefused
 from rtec.loop.run_file import Setup
 from rtec.loop.state_files import read_snapshot
 from rtec.runtime.disk_thread import DiskThread
-from rtec.runtime.recording import Begin
 from rtec.runtime.reload import STAYS, Reader, Reloaded
 from rtec.runtime.ring import Ring
 

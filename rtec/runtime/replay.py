@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.log_open import Log, open_log
+from rtec.log.reader import LogWriter
 from rtec.loop.records import MODE_TAKEN_OVER, Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import state_from_text, structure_of
 from rtec.loop.step import Step
-from rtec.runtime.log import LogWriter
-from rtec.runtime.log_open import Log, open_log
 
 MOST_DIFFERENCES = 20
 BLOCK_ROWS = 65_536

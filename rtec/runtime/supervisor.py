@@ -17,6 +17,9 @@ from types import FrameType
 from typing import Any, Final
 
 from rtec.errors import DriverFault, RtecError
+from rtec.log.events import Event, Events, events_path
+from rtec.log.reader import LogWriter
+from rtec.log.recording import Begin, Recording
 from rtec.loop.clock import RealClock, wall_clock_iso
 from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
@@ -24,13 +27,10 @@ from rtec.loop.run_file import Setup
 from rtec.loop.state_files import DiskState, read_memory, remove_memory, state_places
 from rtec.runtime.alarms import Alarms
 from rtec.runtime.disk_thread import MOST_SECONDS, DiskThread
-from rtec.runtime.events import Event, Events, events_path
 from rtec.runtime.fastpath import Orders, fast_path
-from rtec.runtime.log import LogWriter
 from rtec.runtime.log_keeper import Keeper
 from rtec.runtime.log_of_run import log_folder, new_log
 from rtec.runtime.notify import Notifier
-from rtec.runtime.recording import Begin, Recording
 from rtec.runtime.reload_desk import ReloadDesk
 from rtec.runtime.ring import Ring
 from rtec.runtime.sign_check import StepOrders

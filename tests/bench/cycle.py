@@ -8,9 +8,9 @@ from timeit import default_timer
 import numpy as np
 
 from rtec.effects import State
+from rtec.log.reader import LogReader, LogWriter
 from rtec.loop.records import Commands, Samples
 from rtec.loop.step import Step
-from rtec.runtime.log import LogReader, LogWriter
 from tests.bench import models
 from tests.bench.table import Row
 

@@ -7,11 +7,11 @@ from timeit import default_timer
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.log.log_open import open_log
+from rtec.log.packed import pack
+from rtec.log.reader import LogWriter
 from rtec.loop.records import Samples
 from rtec.loop.step import Step, StepSettings
-from rtec.runtime.log import LogWriter
-from rtec.runtime.log_open import open_log
-from rtec.runtime.log_pack import pack
 from tests.bench import models
 from tests.bench.table import Row
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.runtime.log_names import log_files
-from rtec.runtime.log_open import open_log
-from rtec.runtime.log_tidy import tidy
+from rtec.log.folder import log_files
+from rtec.log.log_open import open_log
+from rtec.log.tidy import tidy
 from tests import setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")

@@ -13,10 +13,10 @@ import pytest
 import tomli_w
 
 from rtec.correction.guard import Flag
+from rtec.log.reader import LogReader
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup, load_setup
 from rtec.model import Model, save_model
-from rtec.runtime.log import LogReader
 from rtec.runtime.replay import replay_log
 from rtec.runtime.status import Report, Status
 from rtec.runtime.supervisor import Supervisor
@@ -155,7 +155,7 @@ def test_a_full_disk_costs_the_log_and_nothing_else(setup: Setup, monkeypatch: p
     """Every write fails from some row on, as on a full disk; then there is room again. The correction never notices."""
     import os
 
-    from rtec.runtime import recording
+    from rtec.log import recording
 
     monkeypatch.setattr(recording, "RETRY_NS", 200_000_000)
     real_write, full = os.write, [False]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.runtime.log import LogReader
+from rtec.log.reader import LogReader
 from tests import setups
 from tests.hil import faulty
 

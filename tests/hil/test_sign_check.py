@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtec.log.reader import LogReader
 from rtec.loop.run_file import load_setup
-from rtec.runtime.log import LogReader
 from rtec.runtime.sign_check import with_step
 from rtec.runtime.status import Status
 from rtec.runtime.supervisor import Supervisor

@@ -17,10 +17,10 @@ import pytest
 
 from rtec.correction.guard import Flag
 from rtec.errors import RtecError
+from rtec.log.events import Event
+from rtec.log.reader import LogReader
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state_files import read_memory, state_places
-from rtec.runtime.events import Event
-from rtec.runtime.log import LogReader
 from rtec.runtime.status import Report, Status
 from rtec.runtime.supervisor import Supervisor
 from tests import setups

@@ -10,12 +10,12 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.errors import ConfigError, LogError
+from rtec.log.reader import LogReader, LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.step import Step
 from rtec.runtime import sigrok
-from rtec.runtime.log import LogReader, LogWriter
 from rtec.runtime.replay import replay_log
 from rtec.runtime.replay_capture import replay_capture
 from tests import setups

@@ -8,10 +8,10 @@ from typing import Any
 import zmq
 
 from rtec.correction.guard import Flag
+from rtec.log.events import Event, Events
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup
 from rtec.runtime.control_message import SCHEMA
-from rtec.runtime.events import Event, Events
 from rtec.runtime.keys import ClientKeys
 from rtec.runtime.status import Status
 

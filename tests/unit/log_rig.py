@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.log.log_open import open_log
+from rtec.log.reader import LogWriter
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.log import LogWriter
-from rtec.runtime.log_open import open_log
 
 LAYOUT = Layout(("X", "Z"), ("T_bed", "T_air"))
 NOON_NS = 1_773_057_600_000_000_000

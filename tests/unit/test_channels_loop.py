@@ -18,6 +18,7 @@ from rtec.correction.guard import Flag, Limits
 from rtec.effects.derived import motion_track
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, ModelError
+from rtec.log.reader import LogReader, LogWriter
 from rtec.loop.inputs import Inputs
 from rtec.loop.records import MODE_ON, Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
@@ -25,7 +26,6 @@ from rtec.loop.step import Step, StepSettings
 from rtec.machine import load_machine
 from rtec.model import FittedEffect, Model, save_model
 from rtec.runtime.checks import _inputs
-from rtec.runtime.log import LogReader, LogWriter
 from rtec.runtime.replay import replay_log
 from tests import setups
 from tests.unit.test_step import FAST, MACHINE, NS, PLAIN_NJIT, SLOW, same

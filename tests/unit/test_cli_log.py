@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 import rtec.cli.log as log_cli
 from rtec.errors import LogError
+from rtec.log.reader import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.log import LogWriter
 
 LAYOUT = Layout(("X", "Z"), ("T_bed", "[red]T"))
 HEADER = {"rtec_version": "0.1.0", "host": "pc"}

@@ -20,10 +20,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.export import export, flat_names
+from rtec.log.format import schema_of
+from rtec.log.reader import LogReader, LogWriter
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.log import LogReader, LogWriter
-from rtec.runtime.log_export import export, flat_names
-from rtec.runtime.log_format import schema_of
 
 LAYOUT = Layout(("X", "Z"), ("T_spindle", "T_bed", "T_air"))
 HEADER = {"rtec_version": "0.1.0", "config_sha256": "ab" * 32, "host": "büro", "start": "2026-01-01T00:00:00Z"}
@@ -193,7 +193,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from test_log import LAYOUT, HEADER, part, random_rows
-from rtec.runtime.log import LogWriter
+from rtec.log.reader import LogWriter
 block = random_rows(5000)
 log = LogWriter(Path(sys.argv[1]), LAYOUT, HEADER)
 for start in range(0, 5000, 50):

@@ -8,13 +8,13 @@ from typer.testing import CliRunner
 
 import rtec.cli.log as log_cli
 from rtec.errors import LogError
+from rtec.log.folder import first_name
+from rtec.log.log_segment import look_at
+from rtec.log.reader import LogReader, LogWriter
+from rtec.log.recording import free_path
+from rtec.log.stretch import LogStretch, segments_of
+from rtec.log.tidy import tidy
 from rtec.loop.records import Layout
-from rtec.runtime.log import LogReader, LogWriter
-from rtec.runtime.log_names import first_name
-from rtec.runtime.log_segment import look_at
-from rtec.runtime.log_stretch import LogStretch, segments_of
-from rtec.runtime.log_tidy import tidy
-from rtec.runtime.recording import free_path
 from tests.unit.log_rig import read, rows, same, write
 
 PLENTY = 1 << 60

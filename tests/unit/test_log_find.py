@@ -10,17 +10,17 @@ from typer.testing import CliRunner
 
 import rtec.cli.log as log_cli
 from rtec.errors import LogError
+from rtec.log.export import export
+from rtec.log.folder import first_name
+from rtec.log.log_open import open_log
+from rtec.log.log_segment import look_at
+from rtec.log.log_time import instant_ns, utc_text
+from rtec.log.packed import pack
+from rtec.log.reader import LogWriter
+from rtec.log.recording import free_path
+from rtec.log.stretch import LogStretch, segments_of
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Layout
-from rtec.runtime.log import LogWriter
-from rtec.runtime.log_export import export
-from rtec.runtime.log_names import first_name
-from rtec.runtime.log_open import open_log
-from rtec.runtime.log_pack import pack
-from rtec.runtime.log_segment import look_at
-from rtec.runtime.log_stretch import LogStretch, segments_of
-from rtec.runtime.log_time import instant_ns, utc_text
-from rtec.runtime.recording import free_path
 from tests.unit.log_rig import LAYOUT, NOON_NS, rows, write
 
 runner = CliRunner()

@@ -20,18 +20,18 @@ import pyarrow.parquet as pq
 import pytest
 
 from rtec.errors import LogError
+from rtec.log.folder import first_name, log_files, newest_log, next_log, place_of
+from rtec.log.log_open import open_log
+from rtec.log.log_segment import being_written, look_at
+from rtec.log.packed import pack
+from rtec.log.reader import LogReader, LogWriter
+from rtec.log.recording import RETRY_NS, Begin, Recording, free_path
+from rtec.log.stretch import segments_of
+from rtec.log.tidy import tidy
 from rtec.loop.clock import Clock, VirtualClock
 from rtec.loop.log_settings import LogTable
 from rtec.loop.records import Layout
-from rtec.runtime.log import LogReader, LogWriter
 from rtec.runtime.log_keeper import TIDY_ANYWAY_NS, TIDY_NS, Keeper
-from rtec.runtime.log_names import first_name, log_files, newest_log, next_log, place_of
-from rtec.runtime.log_open import open_log
-from rtec.runtime.log_pack import pack
-from rtec.runtime.log_segment import being_written, look_at
-from rtec.runtime.log_stretch import segments_of
-from rtec.runtime.log_tidy import tidy
-from rtec.runtime.recording import RETRY_NS, Begin, Recording, free_path
 from tests.unit.log_rig import LAYOUT, NOON_NS, read, rows, same, write
 
 PLENTY = 1 << 60
@@ -56,7 +56,7 @@ def test_packed_and_read_again_it_is_the_same_to_the_last_bit(tmp_path: Path, la
 
 def test_many_groups_of_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows are found in whichever group they lie. Oracle: pyarrow counts the groups."""
-    monkeypatch.setattr("rtec.runtime.log_table.CHUNK_ROWS", 100)
+    monkeypatch.setattr("rtec.log.log_table.CHUNK_ROWS", 100)
     path = write(tmp_path / "a.arrows", 0, 730, flush=30)
     with open_log(path) as log:
         pack(log, tmp_path / "a.parquet")
@@ -211,7 +211,7 @@ def test_tidying_runs_once_at_a_time_and_as_a_process(tmp_path: Path) -> None:
     import fcntl
 
     fill(tmp_path, 2)
-    command = [sys.executable, "-m", "rtec.runtime.log_tidy", str(tmp_path), "1.0", "pack"]
+    command = [sys.executable, "-m", "rtec.log.tidy", str(tmp_path), "1.0", "pack"]
     fd = os.open(tmp_path, os.O_RDONLY)
     fcntl.flock(fd, fcntl.LOCK_EX)
     busy = subprocess.run(command, capture_output=True, check=True, timeout=120)
@@ -370,7 +370,7 @@ def test_tidying_is_started_when_there_is_something_to_do(tmp_path: Path, starte
     kept.seconds(round(TIDY_NS * 1e-9) - 1)
     assert not started
     kept.seconds(3)
-    assert started == [[sys.executable, "-m", "rtec.runtime.log_tidy", str(tmp_path), "0.25", "pack"]]
+    assert started == [[sys.executable, "-m", "rtec.log.tidy", str(tmp_path), "0.25", "pack"]]
     assert kept.keeper.trouble == "no room"
     assert kept.told == [("logs removed", "for their disk space: a.parquet")]
     kept.seconds(200)

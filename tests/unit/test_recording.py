@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rtec.errors import LogError
+from rtec.log.recording import RETRY_NS, Begin, Recording, free_path
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.runtime.disk_thread import DiskThread
-from rtec.runtime.recording import RETRY_NS, Begin, Recording, free_path
 
 LAYOUT = Layout(("X",), ())
 

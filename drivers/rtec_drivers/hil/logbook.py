@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.guard import HOLD_REASONS
+from rtec.log.reader import LogReader
 from rtec.loop.records import MODE_TAKEN_OVER, Commands, Samples
 from rtec.loop.run_file import Setup
-from rtec.runtime.log import LogReader
 
 NS = 1e-9
 

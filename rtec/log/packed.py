@@ -1,4 +1,4 @@
-"""Packs a closed log as zstd Parquet: every bit of every row; see `rtec.runtime.log_packed` for the file."""
+"""Packs a closed log as zstd Parquet: every bit of every row; see `rtec.log.log_packed` for the file."""
 
 import json
 import os
@@ -12,11 +12,11 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.format import FORMAT_VERSION
+from rtec.log.log_open import Log
+from rtec.log.log_packed import SAME_AS, same_columns
+from rtec.log.log_table import CHUNK_ROWS, Block, chunks, flat_names, flatten
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.log_format import FORMAT_VERSION
-from rtec.runtime.log_open import Log
-from rtec.runtime.log_packed import SAME_AS, same_columns
-from rtec.runtime.log_table import CHUNK_ROWS, Block, chunks, flat_names, flatten
 
 _DELTA: Final = ("time_ns", "counts_time_ns", "counts_", "output_")
 """Columns that change by little from row to row."""

@@ -1,4 +1,4 @@
-"""Reads a closed log that was packed as zstd Parquet (`rtec.runtime.log_pack`).
+"""Reads a closed log that was packed as zstd Parquet (`rtec.log.packed`).
 
 The columns are those of an export (`counts_X`, `degc_T_spindle`, …), for any program that opens Parquet. One thing
 is special: `applied_um_X` is empty (null) in every row where it is the same number, bit for bit, as `requested_um_X`,
@@ -18,9 +18,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.format import columns_of, entry_names, read_layout
+from rtec.log.log_table import Block, flat_names, flatten
 from rtec.loop.records import Commands, Field, Layout, Samples
-from rtec.runtime.log_format import columns_of, entry_names, read_layout
-from rtec.runtime.log_table import Block, flat_names, flatten
 
 _Broken = (pa.ArrowException, OSError, ValueError, KeyError, OverflowError)
 SAME_AS: Final = {"applied_um": "requested_um"}

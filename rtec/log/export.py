@@ -12,9 +12,9 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from rtec.errors import LogError
+from rtec.log.log_open import Log
+from rtec.log.log_table import CHUNK_ROWS, flat_names, flatten
 from rtec.loop.records import Commands, Samples
-from rtec.runtime.log_open import Log
-from rtec.runtime.log_table import CHUNK_ROWS, flat_names, flatten
 
 __all__ = ["export", "flat_names"]
 

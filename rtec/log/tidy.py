@@ -1,6 +1,6 @@
 """Packs closed logs and removes the oldest where they take too much of the disk: once through a folder.
 
-    python -m rtec.runtime.log_tidy FOLDER DISK_SHARE PACK
+    python -m rtec.log.tidy FOLDER DISK_SHARE PACK
 
 The daemon starts this as a process of its own at the lowest priority: packing takes the processor for a second or so,
 and removing a large file can hold its caller up for as long as the disk likes. What came of it stands on standard
@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Final
 
 from rtec.errors import LogError
-from rtec.runtime.events import events_path
-from rtec.runtime.log_names import WRITTEN, log_files, place_of
-from rtec.runtime.log_open import PACKED, open_log
-from rtec.runtime.log_pack import pack
-from rtec.runtime.log_segment import being_written, look_at
+from rtec.log.events import events_path
+from rtec.log.folder import WRITTEN, log_files, place_of
+from rtec.log.log_open import PACKED, open_log
+from rtec.log.log_segment import being_written, look_at
+from rtec.log.packed import pack
 
 NICE: Final = 19
 MOST_TOLD: Final = 20

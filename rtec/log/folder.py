@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from rtec.errors import LogError
-from rtec.runtime.log_open import PACKED
+from rtec.log.log_open import PACKED
 
 WRITTEN: Final = ".arrows"
 _NAME: Final = re.compile(r"(?P<stem>.*?)(-(?P<run>\d{6,}))?-(?P<date>\d{8}T\d{6}Z)(-(?P<file>\d{1,7}))?", re.ASCII)

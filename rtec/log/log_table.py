@@ -6,9 +6,9 @@ from typing import Any, Final
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.format import columns_of, entry_names
+from rtec.log.log_open import Log
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.log_format import columns_of, entry_names
-from rtec.runtime.log_open import Log
 
 CHUNK_ROWS: Final = 131_072
 Block = tuple[Samples, Commands]

@@ -13,12 +13,12 @@ from typing import Self
 import numpy as np
 
 from rtec.errors import LogError
+from rtec.log.folder import log_files, place_of
+from rtec.log.log_open import open_log
+from rtec.log.log_segment import Segment, look_at
+from rtec.log.log_table import Block
+from rtec.log.log_time import utc_text
 from rtec.loop.records import Layout
-from rtec.runtime.log_names import log_files, place_of
-from rtec.runtime.log_open import open_log
-from rtec.runtime.log_segment import Segment, look_at
-from rtec.runtime.log_table import Block
-from rtec.runtime.log_time import utc_text
 
 Told = Callable[[int, int], None]
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Final, Literal
 
 from rtec.errors import LogError
+from rtec.log.log_open import PACKED, Log, open_log
+from rtec.log.reader import LogReader
 from rtec.loop.clock import Clock, wall_clock_ns
 from rtec.loop.state_files import boot_id
-from rtec.runtime.log import LogReader
-from rtec.runtime.log_open import PACKED, Log, open_log
 
 State = Literal["being written", "packed", "whole", "torn", "damaged"]
 _READ_AT_ONCE_NS: Final = 10_000_000

@@ -71,8 +71,8 @@ def open_log(path: Path) -> Log:
     Raises:
         LogError: it is missing, or no log.
     """
-    from rtec.runtime.log import LogReader
-    from rtec.runtime.log_packed import PackedReader
+    from rtec.log.log_packed import PackedReader
+    from rtec.log.reader import LogReader
 
     if path.is_dir():
         raise LogError(f"log {path}: is a folder; `rtec log list {path}` shows the logs in it")

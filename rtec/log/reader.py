@@ -20,9 +20,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.format import END_MARK, check_columns, read_layout, read_metadata
+from rtec.log.writer import LogWriter
 from rtec.loop.records import Commands, Field, Samples
-from rtec.runtime.log_format import END_MARK, check_columns, read_layout, read_metadata
-from rtec.runtime.log_writer import LogWriter
 
 __all__ = ["LogReader", "LogWriter"]
 

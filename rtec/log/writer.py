@@ -1,4 +1,4 @@
-"""Writes a log; see `rtec.runtime.log` for the file.
+"""Writes a log; see `rtec.log.reader` for the file.
 
 As long as it is written the file is locked (`flock`), so that nobody packs or removes it meanwhile; the lock goes with
 the process, however that ends.
@@ -16,8 +16,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.format import END_MARK, schema_of
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.log_format import END_MARK, schema_of
 
 
 class LogWriter:
