@@ -8,9 +8,9 @@ import threading
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
+from rtec.daemon.process import prepare_worker
 from rtec.errors import DriverError, DriverUnavailable, unforeseen
 from rtec.loop.clock import Clock
-from rtec.runtime.realtime import prepare_worker
 
 NS = 1_000_000_000
 STOP_TIMEOUT_S = 15.0

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Generic, TypeVar
 
+from rtec.daemon.process import prepare_worker
 from rtec.errors import DriverError, unforeseen
 from rtec.loop.clock import Clock
-from rtec.runtime.realtime import prepare_worker
 
 T = TypeVar("T")
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from rtec.daemon.supervisor import Report
     from rtec.loop.run_file import Setup
-    from rtec.runtime.supervisor import Report
 
 
 def run(
@@ -42,18 +42,18 @@ def run(
 
     Example of a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
     """
+    from rtec.daemon.sign_check import step_of, with_step
     from rtec.loop.run_file import load_setup
-    from rtec.runtime.sign_check import step_of, with_step
 
     setup = with_step(load_setup(config), step_of(step) if step else {})
     if dry_run:
         _dry_run(setup, as_json)
         return
     from rtec.cli.run_screen import Screen, show_report
+    from rtec.daemon.log_of_run import new_log_path
+    from rtec.daemon.supervisor import Supervisor
     from rtec.loop.clock import RealClock
     from rtec.runtime.control import Control
-    from rtec.runtime.log_of_run import new_log_path
-    from rtec.runtime.supervisor import Supervisor
 
     path = log or (None if step else new_log_path(setup))
     for axis, um in setup.step_um.items():
@@ -71,7 +71,7 @@ def run(
 
 
 def _dry_run(setup: "Setup", as_json: bool) -> None:
-    from rtec.runtime.checks import dry_run
+    from rtec.daemon.dry_run import dry_run
 
     found = dry_run(setup)
     if as_json:

@@ -11,10 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.flags import flag_lines
+from rtec.daemon.aloud import Aloud
+from rtec.daemon.supervisor import Report, Status
 from rtec.log.events import Event
 from rtec.loop.run_file import Setup
-from rtec.runtime.aloud import Aloud
-from rtec.runtime.supervisor import Report, Status
 
 REFRESH_S = 0.2
 

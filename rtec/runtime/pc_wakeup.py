@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from rtec.daemon.process import prepare_process
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.run_file import Realtime
 from rtec.runtime.pc_found import Finding, State
-from rtec.runtime.realtime import prepare_process
 
 NS_PER_S = 1_000_000_000
 DOTS_PER_S = 10

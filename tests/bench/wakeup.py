@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from rtec.runtime.supervisor import Supervisor
+from rtec.daemon.supervisor import Supervisor
 from tests import setups
 from tests.bench.table import Row
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.correction.sinks import Sink
+from rtec.daemon.recover import Found, recover
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec.loop.devices import Ports
 from rtec.loop.loop import Loop, Row, bind_rows
@@ -30,7 +31,6 @@ from rtec.loop.run_file import Setup
 from rtec.loop.state import StateWriter, newest
 from rtec.loop.state_files import state_memory
 from rtec.loop.step import Step
-from rtec.runtime.recover import Found, recover
 from rtec.sim.machine import SimulatedMachine
 from rtec.tomlfile import validated
 from rtec_drivers.sim import SimDriver, SimOptions

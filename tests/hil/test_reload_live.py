@@ -13,13 +13,13 @@ import pytest
 import tomli_w
 
 from rtec.correction.guard import Flag
+from rtec.daemon.status import Report, Status
+from rtec.daemon.supervisor import Supervisor
 from rtec.log.reader import LogReader
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup, load_setup
 from rtec.model import Model, save_model
 from rtec.runtime.replay import replay_log
-from rtec.runtime.status import Report, Status
-from rtec.runtime.supervisor import Supervisor
 from tests import setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtec.daemon.sign_check import with_step
+from rtec.daemon.status import Status
+from rtec.daemon.supervisor import Supervisor
 from rtec.log.reader import LogReader
 from rtec.loop.run_file import load_setup
-from rtec.runtime.sign_check import with_step
-from rtec.runtime.status import Status
-from rtec.runtime.supervisor import Supervisor
 from tests import setups
 from tests.hil import faulty
 

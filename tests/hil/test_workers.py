@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 
 from rtec.correction.guard import Flag
+from rtec.daemon.status import Report, Status
+from rtec.daemon.supervisor import Supervisor
 from rtec.errors import RtecError
 from rtec.log.events import Event
 from rtec.log.reader import LogReader
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state_files import read_memory, state_places
-from rtec.runtime.status import Report, Status
-from rtec.runtime.supervisor import Supervisor
 from tests import setups
 from tests.drivers.modbus_peer import FakeLine, FakeSlave, line, serial
 

@@ -15,6 +15,7 @@ import tomli_w
 
 from rtec import jit
 from rtec.correction.guard import Flag, Limits
+from rtec.daemon.dry_run import _inputs
 from rtec.effects.derived import motion_track
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, ModelError
@@ -25,7 +26,6 @@ from rtec.loop.run_file import load_setup
 from rtec.loop.step import Step, StepSettings
 from rtec.machine import load_machine
 from rtec.model import FittedEffect, Model, save_model
-from rtec.runtime.checks import _inputs
 from rtec.runtime.replay import replay_log
 from tests import setups
 from tests.unit.test_step import FAST, MACHINE, NS, PLAIN_NJIT, SLOW, same

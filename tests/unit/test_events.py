@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from rtec.daemon.disk import DiskThread
 from rtec.log.events import REMEMBERED, Event, Events
 from rtec.log.recording import Recording
 from rtec.loop.clock import VirtualClock
 from rtec.loop.state_files import DiskState
-from rtec.runtime.disk_thread import DiskThread
 
 
 def event(k: int) -> Event:

@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from rtec.daemon.run_log import TIDY_ANYWAY_NS, TIDY_NS, Keeper
 from rtec.errors import LogError
 from rtec.log.folder import first_name, log_files, newest_log, next_log, place_of
 from rtec.log.log_open import open_log
@@ -31,7 +32,6 @@ from rtec.log.tidy import tidy
 from rtec.loop.clock import Clock, VirtualClock
 from rtec.loop.log_settings import LogTable
 from rtec.loop.records import Layout
-from rtec.runtime.log_keeper import TIDY_ANYWAY_NS, TIDY_NS, Keeper
 from tests.unit.log_rig import LAYOUT, NOON_NS, read, rows, same, write
 
 PLENTY = 1 << 60
@@ -285,7 +285,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         def terminate(self) -> None:
             commands.append(["terminate"])
 
-    monkeypatch.setattr("rtec.runtime.log_keeper.Popen", Ended)
+    monkeypatch.setattr("rtec.daemon.run_log.Popen", Ended)
     return commands
 
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.daemon.note import NOTE_BYTES, Note
+from rtec.daemon.ring import Ring
 from rtec.loop.records import Layout
-from rtec.runtime.note import NOTE_BYTES, Note
-from rtec.runtime.ring import Ring
 
 LAYOUT = Layout(("X",), ())
 

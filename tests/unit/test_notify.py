@@ -17,9 +17,9 @@ from typing import Any
 import pytest
 
 from rtec.correction.guard import Flag
+from rtec.daemon.notify import STATUS_NS, Notifier
+from rtec.daemon.status import Status
 from rtec.loop.clock import VirtualClock
-from rtec.runtime.notify import STATUS_NS, Notifier
-from rtec.runtime.status import Status
 from tests import setups
 from tests.hil import faulty
 

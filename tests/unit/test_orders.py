@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtec.daemon.ring import Ring
+from rtec.daemon.status import Status
+from rtec.daemon.supervisor import Supervisor
 from rtec.log.events import Event
 from rtec.loop.orders import MODE_OF, Order, OrderRefused, OrderWords, order_named
 from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, MODES_BY_NAME, Layout
-from rtec.runtime.ring import Ring
-from rtec.runtime.status import Status
-from rtec.runtime.supervisor import Supervisor
 from tests import setups
 
 

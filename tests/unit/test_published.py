@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtec.daemon.published import FAILED, NEVER, OPEN, Published, Reader
+from rtec.daemon.worker_port import WorkerPort
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
-from rtec.runtime.published import FAILED, NEVER, OPEN, Published, Reader
-from rtec.runtime.worker_port import WorkerPort
 
 SENSORS, READINGS, MOST_LOOKS = 10_000, 100, 3_000_000
 GAPS = 1000

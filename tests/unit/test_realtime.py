@@ -8,7 +8,7 @@ import sys
 CODE = """
 import gc, json, os
 from rtec.loop.run_file import Realtime
-from rtec.runtime.realtime import prepare_process
+from rtec.daemon.process import prepare_process
 said = prepare_process(Realtime(priority=7))
 locked = next(line for line in open("/proc/self/status") if line.startswith("VmLck:")).split()[1]
 print(json.dumps([said, gc.isenabled(), os.sched_getscheduler(0) == os.SCHED_FIFO, os.sched_getparam(0).sched_priority,

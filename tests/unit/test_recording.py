@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtec.daemon.disk import DiskThread
 from rtec.errors import LogError
 from rtec.log.recording import RETRY_NS, Begin, Recording, free_path
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.disk_thread import DiskThread
 
 LAYOUT = Layout(("X",), ())
 

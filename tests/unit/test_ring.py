@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtec.daemon.ring import Ring
 from rtec.errors import RtecError
 from rtec.loop.records import Commands, Layout, Samples
-from rtec.runtime.ring import Ring
 
 LAYOUT = Layout(("X", "Z"), ("T_spindle", "T_bed", "T_air"))
 SHM = Path("/dev/shm")  # noqa: S108
@@ -227,7 +227,7 @@ def test_views_outlive_the_ring() -> None:
 _HOLD = """
 import signal, sys
 from rtec.loop.records import Layout
-from rtec.runtime.ring import Ring
+from rtec.daemon.ring import Ring
 ring = Ring.create(Layout(("X",), ()), 8, sys.argv[1])
 print("made", flush=True)
 signal.pause()
@@ -255,7 +255,7 @@ def test_killed_owner_leaks_nothing_for_long() -> None:
 _HOLD_ANY = """
 import signal
 from rtec.loop.records import Layout
-from rtec.runtime.ring import Ring
+from rtec.daemon.ring import Ring
 print(Ring.create(Layout(("X",), ()), 8).name, flush=True)
 signal.pause()
 """
@@ -277,7 +277,7 @@ def test_a_ring_of_a_killed_owner_goes_with_the_next_one_that_is_made() -> None:
 
 _QUIET = """
 import sys
-from rtec.runtime.ring import Ring
+from rtec.daemon.ring import Ring
 ring = Ring.attach(sys.argv[1])
 ring.slot(0)
 ring.publish()

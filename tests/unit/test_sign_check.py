@@ -12,6 +12,10 @@ import numpy as np
 import pytest
 
 from rtec.correction.guard import Limits
+from rtec.daemon.dry_run import dry_run
+from rtec.daemon.reload import read_again
+from rtec.daemon.sign_check import StepOrders, step_of, with_step
+from rtec.daemon.status import Status
 from rtec.errors import ConfigError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import OrderRefused, OrderWords
@@ -20,10 +24,6 @@ from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 from rtec.machine import Machine
 from rtec.model import Model
-from rtec.runtime.checks import dry_run
-from rtec.runtime.reload import read_again
-from rtec.runtime.sign_check import StepOrders, step_of, with_step
-from rtec.runtime.status import Status
 from tests import machines, setups
 
 LIMITS = Limits(warning_um=60, stop_um=100, slew_um_s=20, acceleration_um_s2=400)

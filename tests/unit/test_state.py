@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.daemon.recover import Found, recover
 from rtec.errors import RtecError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, Samples
@@ -23,7 +24,6 @@ from rtec.loop.state import (
 )
 from rtec.loop.state_files import DiskState, read_disk, read_memory, read_snapshot, state_memory, state_places
 from rtec.loop.step import Step
-from rtec.runtime.recover import Found, recover
 from tests import setups
 
 Ints = NDArray[np.int64]

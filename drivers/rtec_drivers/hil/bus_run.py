@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rtec.daemon.status import Report
 from rtec.loop.run_file import Setup
-from rtec.runtime.status import Report
 from rtec_drivers.hil.logbook import Logbook
 from rtec_drivers.hil.track import Track
 from rtec_drivers.hil.watch import Watch

@@ -16,11 +16,11 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from rtec.daemon.process import prepare_process
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Realtime
 from rtec.loop.state_files import state_places
 from rtec.machine import Machine, load_machine
-from rtec.runtime.realtime import prepare_process
 from rtec.tomlfile import validated
 from rtec_drivers.box_options import BoxOptions, axis_order
 from rtec_drivers.box_simulator import BoxSimulator

@@ -2,7 +2,7 @@
 
 One slot a cycle, one producer, one consumer, each in a process of its own. Memory, in this order, each part on
 64-byte lines: constants, words that the producer writes, words that the consumer writes, orders among them
-(`rtec.loop.orders`), a note in words (`rtec.runtime.note`), the names of axes and sensors (JSON), then each field
+(`rtec.loop.orders`), a note in words (`rtec.daemon.note`), the names of axes and sensors (JSON), then each field
 of `Samples` and `Commands` as one array of `capacity` slots.
 
 No row is ever torn. The producer owns the slot of row `head` until `publish` moves `head`; so with head at h the
@@ -34,10 +34,10 @@ from typing import Any, Final, Self, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.daemon.note import NOTE_BYTES, Note
 from rtec.errors import RtecError
 from rtec.loop.orders import OrderWords
 from rtec.loop.records import Commands, Field, Layout, Samples
-from rtec.runtime.note import NOTE_BYTES, Note
 
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
 _MAGIC: Final = int.from_bytes(b"rtecrng3", "little")

@@ -16,6 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.daemon.between import Between
+from rtec.daemon.process import prepare_process
+from rtec.daemon.published import Published
+from rtec.daemon.recover import Found, Start, allowed, recover
+from rtec.daemon.ring import Ring
+from rtec.daemon.sign_check import with_step
+from rtec.daemon.worker_port import worker_ports
 from rtec.errors import DriverError, RtecError, unforeseen
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
@@ -26,13 +33,6 @@ from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
 from rtec.loop.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
 from rtec.loop.step import Step
-from rtec.runtime.between import Between
-from rtec.runtime.published import Published
-from rtec.runtime.realtime import prepare_process
-from rtec.runtime.recover import Found, Start, allowed, recover
-from rtec.runtime.ring import Ring
-from rtec.runtime.sign_check import with_step
-from rtec.runtime.worker_port import worker_ports
 
 REHEARSAL_CYCLES = 100
 FIRST_TRIES = 5

@@ -3,9 +3,9 @@
 import numpy as np
 
 from rtec.correction.guard import Flag
+from rtec.daemon.ring import Ring
+from rtec.daemon.status import Status
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
-from rtec.runtime.ring import Ring
-from rtec.runtime.status import Status
 
 NS = 1e-9
 _NAMES = {number: name for name, number in MODES_BY_NAME.items()}

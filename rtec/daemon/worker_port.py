@@ -6,11 +6,11 @@ from typing import Final, Self
 
 import numpy as np
 
+from rtec.daemon.published import OPEN, STARTING, Published, Reader
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.loop.ports import FloatArray, IntArray
 from rtec.machine import Machine
-from rtec.runtime.published import OPEN, STARTING, Published, Reader
 
 LOOK_NS: Final = 10_000_000
 """While the worker opens its device, it is looked at so often."""

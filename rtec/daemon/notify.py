@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Final
 
 from rtec.correction.guard import Flag
+from rtec.daemon.status import Status
 from rtec.loop.clock import Clock
-from rtec.runtime.status import Status
 
 NOT_GOOD: Final = Flag.STALE_COUNTS | Flag.STALE_TEMPERATURE
 STATUS_NS: Final = 1_000_000_000

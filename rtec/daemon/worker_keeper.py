@@ -5,11 +5,11 @@ import signal
 from collections.abc import Callable
 from typing import Any, Final
 
+from rtec.daemon.published import FAILED, OPEN
+from rtec.daemon.signals import signals_wait
+from rtec.daemon.worker import Task, work
+from rtec.daemon.worker_port import OPENS_NS
 from rtec.loop.clock import Clock
-from rtec.runtime.published import FAILED, OPEN
-from rtec.runtime.signals import signals_wait
-from rtec.runtime.worker import Task, work
-from rtec.runtime.worker_port import OPENS_NS
 
 HANGS_NS: Final = OPENS_NS
 """A worker that shows no life for so long is killed and started again; opening may take that long too."""

@@ -18,8 +18,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.daemon.note import NOTE_BYTES, Note
 from rtec.errors import RtecError
-from rtec.runtime.note import NOTE_BYTES, Note
 
 NEVER: Final = -(2**63)
 """Instant of a sensor that was not read yet; another device may read it."""

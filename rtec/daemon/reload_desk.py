@@ -5,13 +5,13 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from rtec.daemon.disk import DiskThread
+from rtec.daemon.reload import STAYS, Reader, Reloaded
+from rtec.daemon.ring import Ring
 from rtec.log.recording import Begin
 from rtec.loop.orders import OrderRefused
 from rtec.loop.run_file import Setup
 from rtec.loop.state_files import read_snapshot
-from rtec.runtime.disk_thread import DiskThread
-from rtec.runtime.reload import STAYS, Reader, Reloaded
-from rtec.runtime.ring import Ring
 
 Note = Callable[[Ring, str, str, str], None]
 

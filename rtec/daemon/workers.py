@@ -1,9 +1,9 @@
 """Slow devices in processes of their own.
 
 A device that gives temperatures or the spindle speed and nothing else is opened, polled and closed by a worker
-(`rtec.runtime.worker`). It publishes what it reads (`rtec.runtime.published`); in the loop's process a small port
-object looks at that memory (`rtec.runtime.worker_port`). The supervisor starts the workers, starts those that died
-again, with growing waits, and ends those that hang (`rtec.runtime.worker_keeper`).
+(`rtec.daemon.worker`). It publishes what it reads (`rtec.daemon.published`); in the loop's process a small port
+object looks at that memory (`rtec.daemon.worker_port`). The supervisor starts the workers, starts those that died
+again, with growing waits, and ends those that hang (`rtec.daemon.worker_keeper`).
 
 Workers are spawned by the supervisor, never by the loop's process: that one has locked memory, threads and real-time
 priority, none of which a child should begin with.
@@ -13,13 +13,13 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
+from rtec.daemon.published import Published
+from rtec.daemon.worker import Task
+from rtec.daemon.worker_keeper import Kept
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.devices import driver_class
 from rtec.loop.run_file import Setup
-from rtec.runtime.published import Published
-from rtec.runtime.worker import Task
-from rtec.runtime.worker_keeper import Kept
 
 
 def names_for_workers(setup: Setup) -> list[str]:

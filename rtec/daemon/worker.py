@@ -11,13 +11,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtec.daemon.published import FAILED, NEVER, OPEN, Published
+from rtec.daemon.signals import SIGNALS, starter
 from rtec.errors import DriverError, RtecError, unforeseen
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import make_device
 from rtec.loop.ports import Resumable
 from rtec.machine import Machine
-from rtec.runtime.published import FAILED, NEVER, OPEN, Published
-from rtec.runtime.signals import SIGNALS, starter
 
 POLL_NS: Final = 10_000_000
 """A driver in a worker is asked so often; the instants of its readings are its own."""

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
 
+from rtec.daemon.run_log import Keeper
 from rtec.log.events import Event, Events
 from rtec.log.recording import Begin, Recording
 from rtec.loop.records import Commands, Samples
 from rtec.loop.state import Saved
 from rtec.loop.state_files import DiskState
-from rtec.runtime.log_keeper import Keeper
 
 MOST_SECONDS: Final = 60.0
 END_S: Final = 5.0

@@ -14,12 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.daemon.ring import Ring
+from rtec.daemon.signals import starter
 from rtec.errors import RtecError
 from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.state import StateWriter
 from rtec.loop.step import Step, StepSettings
-from rtec.runtime.ring import Ring
-from rtec.runtime.signals import starter
 
 PARENT_CHECK_CYCLES: Final = 256
 NOTES_PER_S: Final = 10

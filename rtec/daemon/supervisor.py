@@ -1,6 +1,6 @@
 """The supervisor: starts the fast path, drains its ring, hands orders on, shows what goes on, ends it in order.
 
-It is a process beside the loop's. What it writes to disk a thread of its own writes (`rtec.runtime.disk_thread`), so
+It is a process beside the loop's. What it writes to disk a thread of its own writes (`rtec.daemon.disk`), so
 that neither the loop nor an operator's order waits for a disk.
 """
 
@@ -16,6 +16,19 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
+from rtec.daemon.alarms import Alarms
+from rtec.daemon.disk import MOST_SECONDS, DiskThread
+from rtec.daemon.fastpath import Orders, fast_path
+from rtec.daemon.log_of_run import log_folder, new_log
+from rtec.daemon.notify import Notifier
+from rtec.daemon.reload_desk import ReloadDesk
+from rtec.daemon.ring import Ring
+from rtec.daemon.run_log import Keeper
+from rtec.daemon.sign_check import StepOrders
+from rtec.daemon.signals import signals, signals_wait
+from rtec.daemon.status import Report, Status
+from rtec.daemon.watch import Watch
+from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
 from rtec.log.events import Event, Events, events_path
 from rtec.log.reader import LogWriter
@@ -25,19 +38,6 @@ from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state_files import DiskState, read_memory, remove_memory, state_places
-from rtec.runtime.alarms import Alarms
-from rtec.runtime.disk_thread import MOST_SECONDS, DiskThread
-from rtec.runtime.fastpath import Orders, fast_path
-from rtec.runtime.log_keeper import Keeper
-from rtec.runtime.log_of_run import log_folder, new_log
-from rtec.runtime.notify import Notifier
-from rtec.runtime.reload_desk import ReloadDesk
-from rtec.runtime.ring import Ring
-from rtec.runtime.sign_check import StepOrders
-from rtec.runtime.signals import signals, signals_wait
-from rtec.runtime.status import Report, Status
-from rtec.runtime.watch import Watch
-from rtec.runtime.workers import Workers
 
 __all__ = ["Report", "Status", "Supervisor"]
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
+from rtec.daemon.status import Status
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
 from rtec.loop.clock import Clock
@@ -18,7 +19,6 @@ from rtec.loop.orders import OrderWords
 from rtec.loop.records import MODE_OFF, MODE_ON
 from rtec.loop.run_file import Setup
 from rtec.model import FittedEffect, Model
-from rtec.runtime.status import Status
 from rtec.tomlfile import nearest
 
 SPARE_NS: Final = 2_000_000_000
