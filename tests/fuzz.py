@@ -19,6 +19,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
+from rtec.control.desk import Desk, Peer
+from rtec.control.keys import add_client, make_server, read_clients
+from rtec.control.residual import Left
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.clock import RealClock, VirtualClock
@@ -26,9 +29,6 @@ from rtec.loop.orders import Order
 from rtec.loop.run_file import RunFile, Setup, load_setup
 from rtec.machine import Machine, load_machine
 from rtec.model import FittedEffect, Model, load_model, save_model
-from rtec.runtime.control_desk import Desk, Peer
-from rtec.runtime.control_left import Left
-from rtec.runtime.keys import add_client, make_server, read_clients
 from rtec.tomlfile import read_toml, validated
 from tests import setups
 from tests.unit.control_rig import FakeDaemon

@@ -81,10 +81,10 @@ def mark(
 
 
 def _give(name: str, text: str, config: Path | None, at: str | None, key: Path | None, as_json: bool) -> None:
+    from rtec.control.client import Client, find
+    from rtec.control.control_follow import carry_out
     from rtec.loop.clock import RealClock
     from rtec.loop.orders import order_named
-    from rtec.runtime.control_client import Client, find
-    from rtec.runtime.control_follow import carry_out
 
     order: Order = order_named(name)
     with Client(find(config, at, key)) as client:

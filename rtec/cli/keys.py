@@ -20,7 +20,7 @@ def server(folder: _Folder, as_json: Json = False) -> None:
 
     Example: rtec keys server keys
     """
-    from rtec.runtime.keys import make_server
+    from rtec.control.keys import make_server
 
     public = make_server(folder)
     if as_json:
@@ -50,7 +50,7 @@ def client(
 
     Example: rtec keys client keys office --role read
     """
-    from rtec.runtime.keys import add_client
+    from rtec.control.keys import add_client
 
     made = add_client(folder, name, role, key, out or Path(f"{name}.key"))
     if as_json:
@@ -67,7 +67,7 @@ def list_(folder: _Folder, as_json: Json = False) -> None:
 
     Example: rtec keys list keys
     """
-    from rtec.runtime.keys import CLIENTS, read_clients
+    from rtec.control.keys import CLIENTS, read_clients
 
     clients = read_clients(folder / CLIENTS)
     if as_json:
@@ -85,7 +85,7 @@ def remove(folder: _Folder, name: _Name, as_json: Json = False) -> None:
 
     Example: rtec keys remove keys office
     """
-    from rtec.runtime.keys import remove_client
+    from rtec.control.keys import remove_client
 
     remove_client(folder, name)
     if as_json:

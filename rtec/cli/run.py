@@ -50,10 +50,10 @@ def run(
         _dry_run(setup, as_json)
         return
     from rtec.cli.run_screen import Screen, show_report
+    from rtec.control.server import Control
     from rtec.daemon.log_of_run import new_log_path
     from rtec.daemon.supervisor import Supervisor
     from rtec.loop.clock import RealClock
-    from rtec.runtime.control import Control
 
     path = log or (None if step else new_log_path(setup))
     for axis, um in setup.step_um.items():

@@ -22,9 +22,9 @@ def status(
     Example: rtec status configs/turning-centre-sim.toml --watch
     """
     from rtec.cli.status_screen import show, watched
+    from rtec.control.client import Client, find
+    from rtec.control.facts import well
     from rtec.loop.clock import RealClock
-    from rtec.runtime.control_client import Client, find
-    from rtec.runtime.control_facts import well
 
     with Client(find(config, at, key)) as client:
         if watch:

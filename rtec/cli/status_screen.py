@@ -11,11 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.show import PIPED_WIDTH
-from rtec.runtime.control_facts import axis_rows, footer, headline, input_rows, troubles
+from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles
 
 if TYPE_CHECKING:
+    from rtec.control.client import Client
     from rtec.loop.clock import Clock
-    from rtec.runtime.control_client import Client
 
 PERIOD_NS: Final = 250_000_000
 PAGE_NS: Final = 1_000_000_000

@@ -15,11 +15,11 @@ from typing import Any
 
 import zmq
 
+from rtec.control.messages import TOPIC
+from rtec.control.places import STATUS, socket_path
 from rtec.daemon.supervisor import Supervisor
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup
-from rtec.runtime.control_message import TOPIC
-from rtec.runtime.control_places import STATUS, socket_path
 from tests import setups
 from tests.bench.table import Row
 

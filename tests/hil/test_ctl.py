@@ -18,13 +18,13 @@ import pytest
 import tomli_w
 import zmq
 
+from rtec.control.client import Client, find
+from rtec.control.keys import add_client, make_server, read_client
+from rtec.control.messages import TOPIC
+from rtec.control.places import ORDERS, STATUS, answers, socket_path
 from rtec.correction.guard import Flag
 from rtec.log.reader import LogReader
 from rtec.loop.clock import RealClock
-from rtec.runtime.control_client import Client, find
-from rtec.runtime.control_message import TOPIC
-from rtec.runtime.control_places import ORDERS, STATUS, answers, socket_path
-from rtec.runtime.keys import add_client, make_server, read_client
 from tests import setups
 from tests.hil.test_run import rtec
 from tests.unit.control_rig import free_place, lock

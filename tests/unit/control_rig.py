@@ -7,13 +7,13 @@ from typing import Any
 
 import zmq
 
+from rtec.control.keys import ClientKeys
+from rtec.control.messages import SCHEMA
 from rtec.correction.guard import Flag
 from rtec.daemon.status import Status
 from rtec.log.events import Event, Events
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup
-from rtec.runtime.control_message import SCHEMA
-from rtec.runtime.keys import ClientKeys
 
 LONG_MS = 20_000
 SHORT_MS = 500

@@ -16,15 +16,15 @@ from typing import Any
 import pytest
 import zmq
 
+from rtec.control.client import Client, Place, find
+from rtec.control.control_lines import QUEUED
+from rtec.control.messages import LARGEST_REQUEST, TOPIC
+from rtec.control.places import ORDERS, STATUS, answers, listen, socket_path
+from rtec.control.server import Control
 from rtec.errors import RtecError
 from rtec.loop.clock import RealClock
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup
-from rtec.runtime.control import Control
-from rtec.runtime.control_client import Client, Place, find
-from rtec.runtime.control_lines import QUEUED
-from rtec.runtime.control_message import LARGEST_REQUEST, TOPIC
-from rtec.runtime.control_places import ORDERS, STATUS, answers, listen, socket_path
 from tests import setups
 from tests.unit.control_rig import SHORT_MS, FakeDaemon, Line
 

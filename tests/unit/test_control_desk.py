@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtec.control.desk import SESSION_NS, SESSIONS, TELL_NS, Desk, Peer
+from rtec.control.messages import LARGEST_REQUEST, RequestError, read_request
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup
-from rtec.runtime.control_desk import SESSION_NS, SESSIONS, TELL_NS, Desk, Peer
-from rtec.runtime.control_message import LARGEST_REQUEST, RequestError, read_request
 from tests import setups
 from tests.unit.control_rig import FakeDaemon
 

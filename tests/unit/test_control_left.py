@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
+from rtec.control.control_follow import carry_out
+from rtec.control.desk import Desk
+from rtec.control.facts import axis_rows, footer, headline, held, troubles, well
+from rtec.control.residual import LARGEST_BYTES, Left
 from rtec.diagnosis.compare import compare
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
 from rtec.model import Model
-from rtec.runtime.control_desk import Desk
-from rtec.runtime.control_facts import axis_rows, footer, headline, held, troubles, well
-from rtec.runtime.control_follow import carry_out
-from rtec.runtime.control_left import LARGEST_BYTES, Left
 from tests import setups
 from tests.unit.control_rig import FakeDaemon
 from tests.unit.diagnosis_examples import effects, laser, small_machine

@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 import zmq
 
+from rtec.control.client import Client, Place
+from rtec.control.keys import ClientKeys, add_client, make_server, read_client, remove_client
+from rtec.control.messages import TOPIC
+from rtec.control.server import Control
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.clock import RealClock
 from rtec.loop.control_settings import ControlTable
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup
-from rtec.runtime.control import Control
-from rtec.runtime.control_client import Client, Place
-from rtec.runtime.control_message import TOPIC
-from rtec.runtime.keys import ClientKeys, add_client, make_server, read_client, remove_client
 from rtec.tomlfile import validated
 from tests import setups
 from tests.unit.control_rig import SHORT_MS, FakeDaemon, Line, free_place, lock

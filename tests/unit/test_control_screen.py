@@ -16,9 +16,9 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.cli.status_screen import show, watched
+from rtec.control.client import Client
+from rtec.control.desk import Desk
 from rtec.loop.clock import VirtualClock
-from rtec.runtime.control_client import Client
-from rtec.runtime.control_desk import Desk
 from tests import setups
 from tests.unit.control_rig import FakeDaemon
 

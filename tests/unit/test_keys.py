@@ -11,16 +11,8 @@ from pathlib import Path
 import pytest
 import zmq
 
+from rtec.control.keys import AllowList, add_client, make_server, read_client, read_clients, read_server, remove_client
 from rtec.errors import ConfigError
-from rtec.runtime.keys import (
-    AllowList,
-    add_client,
-    make_server,
-    read_client,
-    read_clients,
-    read_server,
-    remove_client,
-)
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+from rtec.control.desk import Desk
+from rtec.control.prometheus import Endpoint, metrics
 from rtec.errors import ConfigError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.control_settings import ControlTable
-from rtec.runtime.control_desk import Desk
-from rtec.runtime.prometheus import Endpoint, metrics
 from rtec.tomlfile import validated
 from tests import setups
 from tests.unit.control_rig import FakeDaemon, free_place

@@ -15,16 +15,16 @@ from typing import Any, Final, Self
 
 import zmq
 
+from rtec.control.control_lines import Incoming, drain, failed_handshakes, local_socket, network_socket, receive, send
+from rtec.control.control_zap import Door
+from rtec.control.desk import Daemon, Desk, Peer
+from rtec.control.keys import CLIENTS, AllowList, read_server
+from rtec.control.messages import TOPIC, answer
+from rtec.control.places import ORDERS, STATUS, LocalSocket, answers, listen, socket_path
+from rtec.control.prometheus import Endpoint
+from rtec.control.residual import Left
 from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.run_file import Setup
-from rtec.runtime.control_desk import Daemon, Desk, Peer
-from rtec.runtime.control_left import Left
-from rtec.runtime.control_lines import Incoming, drain, failed_handshakes, local_socket, network_socket, receive, send
-from rtec.runtime.control_message import TOPIC, answer
-from rtec.runtime.control_places import ORDERS, STATUS, LocalSocket, answers, listen, socket_path
-from rtec.runtime.control_zap import Door
-from rtec.runtime.keys import CLIENTS, AllowList, read_server
-from rtec.runtime.prometheus import Endpoint
 
 AT_ONCE: Final = 50
 BREATH_NS: Final = 10_000_000

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
+from rtec.control.client import Client
+from rtec.control.facts import held, um_text
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.orders import MODE_OF, Order
 from rtec.loop.records import MODES_BY_NAME
-from rtec.runtime.control_client import Client
-from rtec.runtime.control_facts import held, um_text
 
 LONGEST_NS: Final = 15_000_000_000
 PERIOD_NS: Final = 50_000_000

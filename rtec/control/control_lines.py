@@ -6,10 +6,10 @@ from typing import Any, Final
 
 import zmq
 
+from rtec.control.keys import Pair
+from rtec.control.messages import LARGEST_REQUEST
+from rtec.control.places import LocalSocket
 from rtec.errors import ConfigError
-from rtec.runtime.control_message import LARGEST_REQUEST
-from rtec.runtime.control_places import LocalSocket
-from rtec.runtime.keys import Pair
 
 QUEUED: Final = 64
 """Messages that wait at most, in either direction, for each client."""

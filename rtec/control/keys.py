@@ -15,8 +15,8 @@ from typing import Annotated, Any, Final, TypeVar
 import tomli_w
 from pydantic import Field
 
+from rtec.control.desk import Role
 from rtec.errors import ConfigError
-from rtec.runtime.control_desk import Role
 from rtec.tomlfile import Strict, nearest, read_toml, validated
 
 SERVER, CLIENTS = "server.key", "clients.toml"

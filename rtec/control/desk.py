@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, Protocol
 
+from rtec.control.messages import Request, RequestError, answer, numbers, read_request
+from rtec.control.residual import Left
 from rtec.daemon.status import Status
 from rtec.log.events import Event
 from rtec.loop.clock import Clock
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup
-from rtec.runtime.control_left import Left
-from rtec.runtime.control_message import Request, RequestError, answer, numbers, read_request
 
 Role = Literal["read", "operate"]
 SESSION_NS: Final = 10_000_000_000

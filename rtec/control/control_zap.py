@@ -5,7 +5,7 @@ from typing import Any, Final
 import zmq
 from zmq.utils import z85
 
-from rtec.runtime.keys import AllowList
+from rtec.control.keys import AllowList
 
 ADDRESS: Final = "inproc://zeromq.zap.01"
 _VERSION: Final = b"1.0"
