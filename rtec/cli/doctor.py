@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rtec.runtime.doctor_found import Examination
-    from rtec.runtime.pc_found import PcFound
+    from rtec.doctor.found import Examination
+    from rtec.doctor.pc_found import PcFound
 
 
 def doctor(
@@ -45,8 +45,8 @@ def doctor(
 def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
     from rtec.cli.doctor_screen import Screen
     from rtec.cli.show import show_page
+    from rtec.doctor.devices import examine
     from rtec.report.doctor_page import doctor_page
-    from rtec.runtime.doctor import examine
 
     with Screen(quiet) as screen:
         found = examine(config, seconds, screen.update)
@@ -58,8 +58,8 @@ def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
 def _computer(config: Path | None, seconds: float, quiet: bool) -> "PcFound":
     from rtec.cli.progress import bar
     from rtec.cli.show import show_page
+    from rtec.doctor.pc import look_at, wanted_of
     from rtec.report.pc_page import pc_page
-    from rtec.runtime.pc import look_at, wanted_of
 
     with bar("measuring wake-ups") as tell:
         found = look_at(*wanted_of(config), seconds, tell)

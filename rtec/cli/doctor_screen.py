@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.live import Live
 
 from rtec.cli.show import grid
+from rtec.doctor.found import DeviceFound
 from rtec.report.doctor_page import doctor_table
-from rtec.runtime.doctor_found import DeviceFound
 
 
 class Screen:

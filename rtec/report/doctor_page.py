@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from rtec.doctor.found import DeviceFound, Examination, Fault, Value
 from rtec.report.html import Page, Section, Table
-from rtec.runtime.doctor_found import DeviceFound, Examination, Fault, Value
 
 HEAD = ("device", "driver", "value", "now", "age", "rate", "")
 WORDS = (0, 1, 2, 6)

@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.doctor.devices import examine
+from rtec.doctor.found import DeviceFound, Examination
 from rtec.errors import DriverFault, DriverTimeout
 from rtec.loop import devices
 from rtec.loop.clock import Clock
-from rtec.runtime.doctor import examine
-from rtec.runtime.doctor_found import DeviceFound, Examination
 from rtec.tomlfile import Strict
 from tests import setups
 

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from rtec.cli.main import status
+from rtec.doctor.devices import examine
 from rtec.report.doctor_page import doctor_page
-from rtec.runtime.doctor import examine
 from tests import setups
 from tests.drivers.box_rig import box_on_pty
 from tests.drivers.conformance import open_files

@@ -18,7 +18,7 @@ def test_a_driver_that_hangs_holds_up_no_other(tmp_path: Path, monkeypatch: pyte
     free = threading.Event()
     with_fake(monkeypatch, opens=free)
     path = run_file(tmp_path, {**ALL_SIM, "temperatures": ["box"]}, {"box": sim(tmp_path), "stuck": {"driver": "fake"}})
-    monkeypatch.setattr("rtec.runtime.doctor.CLOSE_S", 0.2)
+    monkeypatch.setattr("rtec.doctor.devices.CLOSE_S", 0.2)
     found, by_name = seen(path, 0.5, open_s=1.5)
     free.set()
     assert texts(by_name["stuck"]) == ["hangs while it is opened: no end within 1.5 s"]

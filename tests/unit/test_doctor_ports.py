@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from rtec.doctor import advice as doctor_mend
+from rtec.doctor import ports as doctor_ports
+from rtec.doctor.advice import SerialPlace, serial_places, shared_ports, ways
+from rtec.doctor.ports import Holder, PortHere
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
-from rtec.runtime import doctor_mend, doctor_ports
-from rtec.runtime.doctor_mend import SerialPlace, serial_places, shared_ports, ways
-from rtec.runtime.doctor_ports import Holder, PortHere
 from rtec.tomlfile import validated
 from rtec_drivers.can_driver import CanTemperatureOptions
 from rtec_drivers.modbus_options import ModbusOptions

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from rtec.doctor.pc import look_at, wanted_of
+from rtec.doctor.pc_found import Finding, PcFound
+from rtec.doctor.pc_read import UNLIMITED, Pc, as_list, processor_list
+from rtec.doctor.wakeup import WakeUps
 from rtec.errors import DriverUnavailable
 from rtec.loop.run_file import Realtime
 from rtec.report.pc_page import pc_page
-from rtec.runtime.pc import look_at, wanted_of
-from rtec.runtime.pc_found import Finding, PcFound
-from rtec.runtime.pc_read import UNLIMITED, Pc, as_list, processor_list
-from rtec.runtime.pc_wakeup import WakeUps
 from tests import setups
 
 PROCESSOR = "sys/devices/system/cpu"
@@ -97,7 +97,7 @@ def test_a_computer_that_is_fit(tmp_path: Path) -> None:
 
 
 def test_a_computer_that_is_not_says_how_it_becomes_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtec.runtime.pc._user", lambda: "anna")
+    monkeypatch.setattr("rtec.doctor.pc._user", lambda: "anna")
     found = found_in(tree(tmp_path, POOR))
     states = {t: f.state for t, f in by_topic(found).items()}
     assert states == {

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import pytest
 
 from rtec.cli.main import status
+from rtec.doctor.wakeup import WakeUps, judged, measure, measured
 from rtec.loop.clock import VirtualClock
 from rtec.loop.run_file import Realtime
-from rtec.runtime.pc_wakeup import WakeUps, judged, measure, measured
 
 WELL = WakeUps(3000, 5.0, 9.0, 14.0, 31.0, 0, "")
 

@@ -5,14 +5,14 @@ import pwd
 from collections.abc import Callable
 from pathlib import Path
 
+from rtec.doctor.pc_found import Finding, PcFound
+from rtec.doctor.pc_kernel import clock_source, host, kernel, swap
+from rtec.doctor.pc_processor import firmware, governor, idle_states, isolation, loops_processor
+from rtec.doctor.pc_read import Pc
+from rtec.doctor.pc_rights import locked_memory, priority
+from rtec.doctor.wakeup import WakeUps, judged, measured
 from rtec.errors import DriverUnavailable
 from rtec.loop.run_file import Realtime, RunFile
-from rtec.runtime.pc_found import Finding, PcFound
-from rtec.runtime.pc_kernel import clock_source, host, kernel, swap
-from rtec.runtime.pc_processor import firmware, governor, idle_states, isolation, loops_processor
-from rtec.runtime.pc_read import Pc
-from rtec.runtime.pc_rights import locked_memory, priority
-from rtec.runtime.pc_wakeup import WakeUps, judged, measured
 from rtec.tomlfile import read_toml, validated
 
 DEFAULT_RATE_HZ = 1000.0

@@ -12,8 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from rtec.errors import DriverFault
-from rtec.runtime.doctor_ports import (
+from rtec.doctor.ports import (
     ROOT,
     can_interfaces,
     can_state,
@@ -23,6 +22,7 @@ from rtec.runtime.doctor_ports import (
     sees_all_processes,
     serial_ports,
 )
+from rtec.errors import DriverFault
 
 LINE_KEYS = ("baud", "bytesize", "parity", "stopbits")
 SILENT_WORDS = ("no answer", "not answer", "silent", "no connection", "no reading", "no such port", "no port")

@@ -1,4 +1,4 @@
-"""`python -m rtec.runtime.pc_wakeup`: how late this computer wakes a process that sleeps until absolute deadlines.
+"""`python -m rtec.doctor.wakeup`: how late this computer wakes a process that sleeps until absolute deadlines.
 
 In a process of its own, which asks for the same treatment as the loop's: what is measured is what the loop will get.
 Reads its orders as JSON from standard input; tells progress by a dot every tenth of a second, and the outcome as JSON.
@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from rtec.daemon.process import prepare_process
+from rtec.doctor.pc_found import Finding, State
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.run_file import Realtime
-from rtec.runtime.pc_found import Finding, State
 
 NS_PER_S = 1_000_000_000
 DOTS_PER_S = 10
@@ -79,7 +79,7 @@ def measured(wanted: Realtime, rate_hz: float, seconds: float, tell: Callable[[i
         DriverUnavailable: that process did not end well.
     """
     orders = json.dumps({"realtime": wanted.model_dump(), "rate_hz": rate_hz, "seconds": seconds})
-    command = [sys.executable, "-m", "rtec.runtime.pc_wakeup"]
+    command = [sys.executable, "-m", "rtec.doctor.wakeup"]
     with subprocess.Popen(  # noqa: S603 - our own interpreter and module
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as child:

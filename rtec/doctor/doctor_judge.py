@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 
 from rtec.correction.sinks import PulseSink
+from rtec.doctor.doctor_watch import Ability
+from rtec.doctor.found import DeviceFound, Fault, Patient
+from rtec.doctor.readings import Readings
 from rtec.errors import DriverError
 from rtec.loop.driver_facts import CAN_BE
-from rtec.runtime.doctor_found import DeviceFound, Fault, Patient
-from rtec.runtime.doctor_readings import Readings
-from rtec.runtime.doctor_watch import Ability
 
 FEW = 20
 """The first readings may be slow; fewer say nothing of the others."""

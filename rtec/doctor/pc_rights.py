@@ -1,8 +1,8 @@
 """What this user may ask of the kernel: a real-time priority, locked memory."""
 
+from rtec.doctor.pc_found import Finding
+from rtec.doctor.pc_read import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Pc
 from rtec.loop.run_file import Realtime
-from rtec.runtime.pc_found import Finding
-from rtec.runtime.pc_read import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Pc
 
 HIGHEST = 98
 ENOUGH_BYTES = 4 * 2**30

@@ -2,8 +2,8 @@
 
 import re
 
-from rtec.runtime.pc_found import Finding
-from rtec.runtime.pc_read import Pc
+from rtec.doctor.pc_found import Finding
+from rtec.doctor.pc_read import Pc
 
 GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page", "riscv_clocksource")
 """Read within some ten ns without leaving the program."""

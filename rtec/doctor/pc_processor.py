@@ -1,8 +1,8 @@
 """The processor that the loop runs on: is it its own, how deeply it sleeps, its speed, its firmware."""
 
+from rtec.doctor.pc_found import Finding
+from rtec.doctor.pc_read import Pc, as_list
 from rtec.loop.run_file import Realtime
-from rtec.runtime.pc_found import Finding
-from rtec.runtime.pc_read import Pc, as_list
 
 CPU = "sys/devices/system/cpu"
 SHALLOW_US = 20

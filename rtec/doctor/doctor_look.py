@@ -5,15 +5,15 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from rtec.doctor.advice import shared_ports, ways
+from rtec.doctor.doctor_judge import count_faults, reasons, temperature_faults, unfit
+from rtec.doctor.doctor_watch import NS, Ability
+from rtec.doctor.found import DeviceFound, Fault, Patient, Value
+from rtec.doctor.readings import Readings
 from rtec.errors import DriverError, DriverTimeout, RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.devices import device_options, make_device
 from rtec.loop.driver_facts import CAN_BE
-from rtec.runtime.doctor_found import DeviceFound, Fault, Patient, Value
-from rtec.runtime.doctor_judge import count_faults, reasons, temperature_faults, unfit
-from rtec.runtime.doctor_mend import shared_ports, ways
-from rtec.runtime.doctor_readings import Readings
-from rtec.runtime.doctor_watch import NS, Ability
 
 SLOW_NS = 50_000_000
 """Temperatures and the spindle are asked for this often; counts in every cycle, as the loop will."""

@@ -9,14 +9,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from rtec.doctor.advice import serial_places
+from rtec.doctor.doctor_look import Look
+from rtec.doctor.found import DeviceFound, Examination, Fault, Patient
+from rtec.doctor.ports import ROOT
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.run_file import RunFile, load_setup
 from rtec.machine import load_machine
-from rtec.runtime.doctor_found import DeviceFound, Examination, Fault, Patient
-from rtec.runtime.doctor_look import Look
-from rtec.runtime.doctor_mend import serial_places
-from rtec.runtime.doctor_ports import ROOT
 from rtec.tomlfile import read_toml, validated
 
 OPEN_S = 35.0

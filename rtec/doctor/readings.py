@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from rtec.correction.sinks import PulseSink
+from rtec.doctor.doctor_watch import NS, Rate
+from rtec.doctor.found import Patient, Value
 from rtec.loop.clock import Clock
-from rtec.runtime.doctor_found import Patient, Value
-from rtec.runtime.doctor_watch import NS, Rate
 
 
 class Readings:
