@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from rtec.hil import Bench, HilOrder, SoakOrder
     from rtec.report.html import Page
-    from rtec.runtime.hil import Bench, HilOrder, SoakOrder
 
 
 def hil(
@@ -58,7 +58,7 @@ def hil(
 
     Example: `rtec hil configs/hil.toml --fault modbus-silent@8s+8s --fault box-unplugged@24s+2s --report out/hil`
     """
-    from rtec.runtime.hil import HilOrder, SoakOrder, load_bench, parse_fault
+    from rtec.hil import HilOrder, SoakOrder, load_bench, parse_fault
 
     bench = load_bench()
     if "list" in (fault or ()):

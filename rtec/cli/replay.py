@@ -54,7 +54,7 @@ def replay(
 
 def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool) -> None:
     from rtec.cli.progress import bar
-    from rtec.runtime.log_replay import replay_logs
+    from rtec.replay.log_replay import replay_logs
 
     target = out or (None if check or log.is_dir() else log.with_name(f"{log.stem}.replay.arrows"))
     with bar(log.name) as progress:
@@ -88,7 +88,7 @@ def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool
 def _capture(setup: "Setup", capture: Path, out: Path | None, as_json: bool) -> None:
     from rtec.cli.flags import flag_lines
     from rtec.cli.progress import bar
-    from rtec.runtime.replay_capture import replay_capture
+    from rtec.replay.capture import replay_capture
 
     target = out or capture.with_name(f"{capture.stem}.replay.sr")
     with bar(capture.name) as progress:

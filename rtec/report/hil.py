@@ -7,10 +7,10 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
+from rtec.hil_result import Accuracy, FaultFound, HilResult
 from rtec.report.hil_figure import tip_errors
 from rtec.report.html import Figure, Page, Section, Table
 from rtec.report.procedures import number, plain
-from rtec.runtime.hil_result import Accuracy, FaultFound, HilResult
 
 NOT_YET = "never"
 

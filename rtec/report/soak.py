@@ -3,9 +3,9 @@
 import dataclasses
 from typing import Any
 
+from rtec.hil_result import SoakResult
 from rtec.report.html import Page, Section, Table
 from rtec.report.procedures import number, plain
-from rtec.runtime.hil_result import SoakResult
 
 
 def soak_facts(found: SoakResult) -> Any:

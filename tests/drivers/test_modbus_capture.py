@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.runtime.sigrok import read
+from rtec.replay.sigrok import read
 from rtec_drivers.modbus_frame import Request, find_rtu, frames_of_slaves, good_crc
 from rtec_drivers.modbus_map import Register
 from tests.drivers.modbus_peer import crc

@@ -16,12 +16,12 @@ import pytest
 from rtec.correction.guard import Flag
 from rtec.daemon.status import Status
 from rtec.errors import ConfigError
+from rtec.hil import FaultOrder, load_bench, parse_fault
+from rtec.hil_result import Accuracy, Comparison
 from rtec.log.reader import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
-from rtec.runtime.hil import FaultOrder, load_bench, parse_fault
-from rtec.runtime.hil_result import Accuracy, Comparison
 from rtec.tomlfile import validated
 from rtec_drivers.can_driver import CanTemperatureOptions
 from rtec_drivers.can_signals import Dbc

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtec.correction.insertion import Corrected, InsertionSettings, PulseInserter, correct_capture
 from rtec.correction.quadrature import encode
-from rtec.runtime.sigrok import read
+from rtec.replay.sigrok import read
 from tests.hil import linuxcnc
 from tests.real_data import real_file
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import counts_at, decode, decode_edges
-from rtec.runtime.sigrok import Capture, read, write
+from rtec.replay.sigrok import Capture, read, write
 from tests.real_data import real_file
 
 Bytes = NDArray[np.uint8]

@@ -15,9 +15,9 @@ from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.step import Step
-from rtec.runtime import sigrok
-from rtec.runtime.replay import replay_log
-from rtec.runtime.replay_capture import replay_capture
+from rtec.replay import sigrok
+from rtec.replay.capture import replay_capture
+from rtec.replay.replay import replay_log
 from tests import setups
 from tests.real_data import real_file
 from tests.unit.test_loop import run

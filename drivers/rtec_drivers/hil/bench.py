@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import ConfigError
+from rtec.hil import FaultOrder, HilOrder, SoakOrder, Tell
+from rtec.hil_result import Check, Comparison, Course, FaultFound, HilResult, SoakResult
 from rtec.loop.records import MODE_OFF, MODE_ON
-from rtec.runtime.hil import FaultOrder, HilOrder, SoakOrder, Tell
-from rtec.runtime.hil_result import Check, Comparison, Course, FaultFound, HilResult, SoakResult
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS, Bus
 from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses

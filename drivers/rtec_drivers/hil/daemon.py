@@ -9,10 +9,10 @@ from types import FrameType
 from rtec.daemon.status import Status
 from rtec.daemon.supervisor import Supervisor
 from rtec.errors import LogError
+from rtec.hil import FaultOrder, Tell
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import load_setup
 from rtec.loop.state_files import state_places
-from rtec.runtime.hil import FaultOrder, Tell
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.far_sides import FarSides
 from rtec_drivers.hil.logbook import read_logbook

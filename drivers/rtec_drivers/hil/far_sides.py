@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from rtec.errors import DriverUnavailable
-from rtec.runtime.hil import FaultOrder
+from rtec.hil import FaultOrder
 from rtec_drivers.hil.wiring import SENSED, TRACK
 
 PARTS = ("machine", "sensors")

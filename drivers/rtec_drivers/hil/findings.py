@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtec.runtime.hil import FaultOrder
-from rtec.runtime.hil_result import WITHIN, Check, Comparison, FaultFound
-from rtec.runtime.replay import replay_log
+from rtec.hil import FaultOrder
+from rtec.hil_result import WITHIN, Check, Comparison, FaultFound
+from rtec.replay.replay import replay_log
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS
 from rtec_drivers.hil.logbook import Logbook, held_spans

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from rtec.daemon.status import Status
+from rtec.hil_result import Check, Deadlines, Resource
 from rtec.loop.stats import Histogram
-from rtec.runtime.hil_result import Check, Deadlines, Resource
 
 LOOP = "rtec-loop"
 PERIOD_S = 1.0

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.hil_result import Accuracy
 from rtec.machine import Machine
-from rtec.runtime.hil_result import Accuracy
 
 Floats = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rtec.daemon.status import Status
+from rtec.hil import FaultOrder
 from rtec.loop.clock import Clock
-from rtec.runtime.hil import FaultOrder
 from rtec_drivers.hil.catalogue import FAULTS, Bus
 
 AFTER_S = 0.5

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rtec.errors import ConfigError, DriverUnavailable
-from rtec.runtime.hil_result import HilResult, SoakResult
+from rtec.hil_result import HilResult, SoakResult
 from rtec.tomlfile import nearest
 
 GROUP = "rtec.hil"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from rtec.runtime.hil import FaultOrder
+    from rtec.hil import FaultOrder
 
 WITHIN = 0.10
 """Real buses may cost this share of the improvement that the all-simulated run has."""

@@ -16,7 +16,7 @@ from rtec.loop.records import MODES_BY_NAME, Layout, Samples
 from rtec.loop.run_file import CaptureAxis, CaptureTable, Setup
 from rtec.loop.step import Step
 from rtec.machine import Axis
-from rtec.runtime import sigrok
+from rtec.replay import sigrok
 
 Ints = NDArray[np.int64]
 Column = NDArray[np.float64] | Ints

@@ -7,7 +7,7 @@ from pathlib import Path
 from rtec.errors import LogError
 from rtec.log.folder import log_files
 from rtec.loop.run_file import Setup
-from rtec.runtime.replay import MOST_DIFFERENCES, Difference, ReplayReport, replay_log
+from rtec.replay.replay import MOST_DIFFERENCES, Difference, ReplayReport, replay_log
 
 
 def replay_logs(
@@ -22,7 +22,7 @@ def replay_logs(
     Args:
         setup: whose model, limits and machine are used.
         path: log or folder.
-        out: as for `rtec.runtime.replay.replay_log`; not for a folder.
+        out: as for `rtec.replay.replay.replay_log`; not for a folder.
         check: compare with the commands in the log; for a folder always.
         progress: told rows (of a folder: files) done, and in all.
 
