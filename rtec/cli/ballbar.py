@@ -67,8 +67,8 @@ def ballbar(
     from rtec.cli.progress import bar
     from rtec.cli.show import show_page
     from rtec.machine import load_machine
-    from rtec.metrology.files import load_measurements
-    from rtec.metrology.procedures.ball_bar import diagnose
+    from rtec.metrology.ball_bar.diagnosis import diagnose
+    from rtec.metrology.files.load import load_measurements
     from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
     from rtec.report.procedures import plain, write_page
 

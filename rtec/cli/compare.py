@@ -25,7 +25,7 @@ def compare(
     from rtec.cli.show import show_page
     from rtec.diagnosis.compare import compare as against
     from rtec.diagnosis.machine_of import load_with_machine
-    from rtec.metrology.files import load_measurements
+    from rtec.metrology.files.load import load_measurements
     from rtec.report.compare import compare_page
     from rtec.report.procedures import plain, write_page
 

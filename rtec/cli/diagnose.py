@@ -205,7 +205,7 @@ def history(
 
 def _load(model: Path, files: list[Path], machine: Path | None) -> tuple[Any, Any]:
     from rtec.diagnosis.machine_of import load_with_machine
-    from rtec.metrology.files import load_measurements
+    from rtec.metrology.files.load import load_measurements
 
     known = load_with_machine(model, machine)
     return known, load_measurements(files, known.machine)

@@ -46,7 +46,7 @@ def fit(
     """
     from rtec.machine import load_machine
     from rtec.metrology.characterise import characterise, read_wanted
-    from rtec.metrology.files import load_measurements
+    from rtec.metrology.files.load import load_measurements
     from rtec.model import save_model
     from rtec.report.fit import fit_page
     from rtec.report.procedures import plain, write_page

@@ -36,7 +36,7 @@ def grid(
     """
     from rtec.cli.show import show_page
     from rtec.machine import load_machine
-    from rtec.metrology.files import load_measurements
+    from rtec.metrology.files.load import load_measurements
     from rtec.report.grid import grid_facts, grid_page, grid_report
     from rtec.report.procedures import plain, write_page
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rtec.metrology.measurement import Measurement
-    from rtec.metrology.procedures.iso230 import Visits
+    from rtec.metrology.procedures.iso230_2 import Visits
     from rtec.report.html import Page
 
 _Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -49,7 +49,7 @@ def iso230(
 
     `rtec iso230 laser-x.csv --machine configs/machines/turning-centre.toml --json`
     """
-    from rtec.metrology.procedures.iso230 import positioning
+    from rtec.metrology.procedures.iso230_2 import positioning
     from rtec.report.procedures_iso230 import iso230_page
 
     results, notes = [], _Notes()
@@ -155,7 +155,7 @@ def _measurement(file: Path, machine: Path | None, notes: _Notes) -> "Measuremen
     """Read one; what is said of it goes into the notes."""
     from rtec.errors import ConfigError
     from rtec.machine import load_machine
-    from rtec.metrology.files import load_measurement
+    from rtec.metrology.files.load import load_measurement
 
     if machine is None:
         raise ConfigError(f"{file}: is a measurement; name the machine that it was made on with --machine")

@@ -111,7 +111,7 @@ def simulate(
 def _make(
     true: "Model", made: "Instrument", chosen: "Settings", seed: int, path: Path, truth_out: Path | None, as_json: bool
 ) -> None:
-    from rtec.metrology.files import save_measurement
+    from rtec.metrology.files.load import save_measurement
     from rtec.model import save_model
     from rtec.sim.campaign import simulate_with_truth
 

@@ -15,10 +15,10 @@ from rtec.diagnosis.readings import Readings, read
 from rtec.diagnosis.refit import without_nuisance
 from rtec.effects import Effect
 from rtec.errors import ModelError
+from rtec.metrology.ball_bar.circle import Circle, circle_of
+from rtec.metrology.ball_bar.design import stacked_design
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.ball_bar_circle import Circle, circle_of
-from rtec.metrology.procedures.ball_bar_design import stacked_design
 
 Floats = NDArray[np.float64]
 USUAL_NOISE = 0.5

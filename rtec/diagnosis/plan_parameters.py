@@ -7,10 +7,10 @@ from typing import Any, Literal
 from rtec.effects import Effect, effect_class
 from rtec.errors import ModelError
 from rtec.machine import Machine
+from rtec.metrology.ball_bar.causes import Cause, causes
+from rtec.metrology.ball_bar.circle import Circle, circle_of
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.ball_bar_causes import Cause, causes
-from rtec.metrology.procedures.ball_bar_circle import Circle, circle_of
 
 Stays = Literal["shared", "each"]
 Place = tuple[str, ...]

@@ -11,7 +11,7 @@ from rtec.diagnosis.readings import read
 from rtec.effects import Effect, effect_class
 from rtec.errors import ConfigError
 from rtec.machine import Machine
-from rtec.metrology.files import load_measurements
+from rtec.metrology.files.load import load_measurements
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.metrology.measurement import Measurement

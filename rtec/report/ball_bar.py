@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec import __version__
-from rtec.metrology.procedures.ball_bar import LEFT, Diagnosis
-from rtec.metrology.procedures.ball_bar_design import SETTING_UP
-from rtec.metrology.procedures.ball_bar_effects import feeds_of
-from rtec.metrology.procedures.ball_bar_iso import Harmonic
-from rtec.metrology.procedures.ball_bar_values import Value
+from rtec.metrology.ball_bar.ball_bar_effects import feeds_of
+from rtec.metrology.ball_bar.design import SETTING_UP
+from rtec.metrology.ball_bar.diagnosis import LEFT, Diagnosis
+from rtec.metrology.ball_bar.iso230_4 import Harmonic
+from rtec.metrology.ball_bar.values import Value
 from rtec.report import ball_bar_figures as draw
 from rtec.report import ball_bar_figures_causes as draw_causes
 from rtec.report.ball_bar_beyond import UNITS, beyond_facts, beyond_section

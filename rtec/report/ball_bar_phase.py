@@ -1,6 +1,6 @@
 """What a ball-bar report says of the servo phase: one angle in all tests or one time, and what hangs on it."""
 
-from rtec.metrology.procedures.ball_bar import Diagnosis
+from rtec.metrology.ball_bar.diagnosis import Diagnosis
 from rtec.report.ball_bar_beyond import UNITS
 from rtec.report.procedures import number
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from rtec import __version__
 from rtec.errors import MeasurementError
+from rtec.metrology.grid.compare import certain, directions, feeds, not_compared, places
+from rtec.metrology.grid.grid_names import Item, same_feed, slowest
+from rtec.metrology.grid.paths import TRIM_MM, Edge
+from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.grid import GridSetup, analyse
-from rtec.metrology.procedures.grid_compare import certain, directions, feeds, not_compared, places
-from rtec.metrology.procedures.grid_edges import TRIM_MM, Edge
-from rtec.metrology.procedures.grid_names import Item, same_feed, slowest
 from rtec.report import grid_figures as draw
 from rtec.report.html import Figure, Page, Section, Table
 from rtec.report.procedures import number

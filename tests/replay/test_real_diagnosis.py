@@ -18,7 +18,7 @@ from rtec.machine import machine_from
 from rtec.metrology.characterise import Characterisation
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.cyclic import cyclic_error
-from rtec.metrology.procedures.iso230 import positioning
+from rtec.metrology.procedures.iso230_2 import positioning
 from rtec.metrology.procedures.iso230_dat import read_dat
 from rtec.metrology.procedures.lag import lag_model
 from rtec.metrology.readers.base import Source

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.ball_bar import Diagnosis, diagnose
 from tests.unit.ball_bar_dynamic import DEG, PITCH_MM, THREE, TWO_FEEDS, random_static, run_tests
 
 Floats = NDArray[np.float64]

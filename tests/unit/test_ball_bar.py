@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from rtec.errors import ConfigError, MeasurementError
 from rtec.machine.exact import exact_tip_error_um
-from rtec.metrology.files import load_measurement, save_measurement
+from rtec.metrology.ball_bar.causes import causes
+from rtec.metrology.ball_bar.circle import circle_of
+from rtec.metrology.ball_bar.design import stacked_design
+from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.metrology.instruments.ball_bar import circle_channels, travelled_deg
-from rtec.metrology.procedures.ball_bar_causes import causes
-from rtec.metrology.procedures.ball_bar_circle import circle_of
-from rtec.metrology.procedures.ball_bar_design import stacked_design
 from rtec.sim.campaign import simulate, simulate_with_truth
 from rtec.sim.campaign_settings import QUIET, Phase, Settings
 from rtec.sim.campaign_settings import Path as Way

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.metrology.procedures.ball_bar import Diagnosis, diagnose
+from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
 from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
 from rtec.report.html import render
 from tests.unit.ball_bar_dynamic import DEG, THREE, TWO_FEEDS, Test, run_tests

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
+from rtec.metrology.ball_bar.circle import Circle, circle_of, circles_of
+from rtec.metrology.ball_bar.design import design_of
+from rtec.metrology.ball_bar.diagnosis import diagnose
+from rtec.metrology.ball_bar.fit import fit
+from rtec.metrology.ball_bar.iso230_4 import both_ways, harmonics, roundness
+from rtec.metrology.ball_bar.rank import Rank, rank_of
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.ball_bar import diagnose
-from rtec.metrology.procedures.ball_bar_circle import Circle, circle_of, circles_of
-from rtec.metrology.procedures.ball_bar_design import design_of
-from rtec.metrology.procedures.ball_bar_fit import fit
-from rtec.metrology.procedures.ball_bar_iso import both_ways, harmonics, roundness
-from rtec.metrology.procedures.ball_bar_rank import Rank, rank_of
 from tests.machines import bridge, vertical_mill
 from tests.unit.ball_bar_examples import bar, bb_reading_um, gantry, recorded
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from rtec.machine import load_machine
-from rtec.metrology.procedures.ball_bar import Diagnosis, diagnose
-from rtec.metrology.procedures.ball_bar_beyond import candidates
-from rtec.metrology.procedures.ball_bar_circle import circles_of
-from rtec.metrology.procedures.ball_bar_columns import NotLookedFor
-from rtec.metrology.procedures.ball_bar_phase import Phase
-from rtec.metrology.procedures.ball_bar_wanted import wanted
+from rtec.metrology.ball_bar.ball_bar_columns import NotLookedFor
+from rtec.metrology.ball_bar.beyond import candidates
+from rtec.metrology.ball_bar.circle import circles_of
+from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
+from rtec.metrology.ball_bar.next_test import wanted
+from rtec.metrology.ball_bar.phase import Phase
 from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
 from tests.unit.ball_bar_dynamic import Test, run_tests
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rtec.machine import Machine, load_machine
+from rtec.metrology.ball_bar.diagnosis import diagnose
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.ball_bar import diagnose
 from tests.unit.ball_bar_examples import bar, recorded
 
 MILL = Path(__file__).parents[2] / "configs/machines/vertical-mill.toml"

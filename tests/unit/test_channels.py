@@ -28,7 +28,7 @@ from rtec.errors import ConfigError, ModelError
 from rtec.jit import as_written
 from rtec.machine import Machine, machine_from
 from rtec.metrology.characterise.walk import Walk
-from rtec.metrology.files import load_measurement, save_measurement
+from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.compiled import compile_model
 from rtec.model.fit import Margin, valid_range

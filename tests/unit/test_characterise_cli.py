@@ -8,7 +8,7 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.machine import load_machine
-from rtec.metrology.files import save_measurement
+from rtec.metrology.files.load import save_measurement
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.model import load_model
 from rtec.sim.campaign import simulate

@@ -117,7 +117,7 @@ def test_command_proposes_what_separates(tmp_path: Path, capsys: pytest.CaptureF
 
 def test_command_takes_measurements(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the same test as a file of readings and as a plan has the same rank."""
-    from rtec.metrology.files import save_measurement
+    from rtec.metrology.files.load import save_measurement
 
     machine, test = write_machine(tmp_path), write_test(tmp_path, "planned", "X", {})
     save_measurement(lasers({})[0], tmp_path / "measured.csv")

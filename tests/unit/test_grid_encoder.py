@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from rtec.errors import ConfigError, MeasurementError
 from rtec.machine import Machine
 from rtec.machine.exact import exact_tip_error_um
+from rtec.metrology.grid.compare import certain, directions, feeds, places
+from rtec.metrology.grid.paths import edges_of
+from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.grid import GridSetup, analyse
-from rtec.metrology.procedures.grid_compare import certain, directions, feeds, places
-from rtec.metrology.procedures.grid_edges import edges_of
 from rtec.sim.campaign import simulate
 from rtec.sim.campaign_settings import Noise, Phase, Settings
 from rtec.sim.campaign_settings import Path as Way
@@ -209,7 +209,7 @@ def test_table_9_pitch_takes_many_readings() -> None:
 def test_a_pitch_shows_twice_on_a_square() -> None:
     """Oracle: the truth, and half the variance of what the axis' own travel alone gives; a pitch that is there only
     while the axis moves makes the two disagree, and the uncertainty says so."""
-    from rtec.metrology.procedures.grid import angle_moving, angle_of
+    from rtec.metrology.grid.setup import angle_moving, angle_of
 
     m = bridge((0.0, -80.0, 0.0))
     still = analyse(measured(m, "YZ", [0.0, 0.0, 0.0], (own("EAY", "8 * (y + 80) / 160"),), kinds=("square",)))

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.metrology.grid.compare import moved_along, not_compared, places
+from rtec.metrology.grid.grid_path import straight_pieces
+from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.grid import GridSetup, analyse
-from rtec.metrology.procedures.grid_compare import moved_along, not_compared, places
-from rtec.metrology.procedures.grid_path import straight_pieces
 from rtec.report.grid import _pieces, _turn, grid_facts, grid_page, grid_report
 from tests.unit.test_grid_encoder import bridge, measured, own
 

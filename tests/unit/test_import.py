@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from rtec.cli.main import status
 from rtec.errors import MeasurementError
 from rtec.machine import load_machine
-from rtec.metrology.files import load_measurement
-from rtec.metrology.files_toml import MeasurementFile
+from rtec.metrology.files.load import load_measurement
+from rtec.metrology.files.toml import MeasurementFile
 from rtec.metrology.importing import Imported, import_table, import_to_files, load_map, starter_map
 from rtec.metrology.importing.map import ImportMap
 from rtec.metrology.readers import READERS, Source, read_tables

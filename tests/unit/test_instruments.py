@@ -12,7 +12,7 @@ from rtec.effects import State
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
-from rtec.metrology.files import load_measurement, save_measurement
+from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.metrology.instruments.ball_bar import BallBar, circle_channels
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument

@@ -14,9 +14,9 @@ from hypothesis.extra import numpy as arrays
 from pyarrow import parquet
 
 from rtec.errors import MeasurementError
-from rtec.metrology.files import Leniency, load_measurement, load_measurements, save_measurement
-from rtec.metrology.files_checks import READING_CODES
-from rtec.metrology.files_columns import channel_columns
+from rtec.metrology.files.checks import READING_CODES
+from rtec.metrology.files.columns import channel_columns
+from rtec.metrology.files.load import Leniency, load_measurement, load_measurements, save_measurement
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from tests.unit.measurement_examples import HEADER, TOML, machine, rows, spoilt, text, write

@@ -16,10 +16,10 @@ from rtec.diagnosis.plan_tests import dry
 from rtec.effects import Effect
 from rtec.errors import ConfigError
 from rtec.machine import Machine
+from rtec.metrology.ball_bar.circle import circles_of
+from rtec.metrology.ball_bar.design import design_of
+from rtec.metrology.ball_bar.rank import rank_of
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.ball_bar_circle import circles_of
-from rtec.metrology.procedures.ball_bar_design import design_of
-from rtec.metrology.procedures.ball_bar_rank import rank_of
 from rtec.sim.campaign_settings import Path as Way
 from rtec.sim.campaign_settings import Settings
 from rtec.sim.campaign_truth import effect_from_text

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.iso230 import Visits, hidden_period, positioning
+from rtec.metrology.procedures.iso230_2 import Visits, hidden_period, positioning
 from rtec.metrology.procedures.iso230_dat import read_dat
 from rtec.metrology.procedures.iso230_stops import stops
 

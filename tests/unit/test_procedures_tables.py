@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.iso230 import hidden_period
-from rtec.metrology.procedures.table import read_table
+from rtec.metrology.procedures.iso230_2 import hidden_period
+from rtec.metrology.procedures.tables import read_table
 from rtec.metrology.procedures.tables_in import drift_table
 
 HEAD = ["time_s", "spindle_rpm", "radial1_um", "axial_um"]

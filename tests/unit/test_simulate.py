@@ -17,7 +17,7 @@ from rtec.effects import State
 from rtec.errors import ConfigError, MeasurementError, RtecError
 from rtec.machine import Machine, load_machine
 from rtec.machine.exact import exact_tip_error_um
-from rtec.metrology.files import load_measurement
+from rtec.metrology.files.load import load_measurement
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.model import Model
@@ -134,7 +134,7 @@ def test_a_lag_knows_what_happened_between_the_cycles() -> None:
 @pytest.mark.parametrize("example", lathe_examples(), ids=str)
 def test_every_instrument_can_be_simulated_and_written(example: Example, tmp_path: Path) -> None:
     """Oracle: what is read back from the file. Every one of the registry is here (a law of test_instruments.py)."""
-    from rtec.metrology.files import save_measurement
+    from rtec.metrology.files.load import save_measurement
 
     made = simulate(truth(example.machine()), example.make(), seed=9)
     read = load_measurement(save_measurement(made, tmp_path / "m.csv"), example.machine())

@@ -10,7 +10,7 @@ from rtec.metrology.characterise.result import Warn
 from rtec.metrology.characterise.seen import moves, reads
 from rtec.metrology.characterise.source import Source
 from rtec.metrology.instruments.base import Instrument
-from rtec.metrology.procedures.iso230 import hidden_period
+from rtec.metrology.procedures.iso230_2 import hidden_period
 
 Floats = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
-from rtec.metrology.files_read import Floats
-from rtec.metrology.files_save import Column as Values
-from rtec.metrology.files_save import write_files
-from rtec.metrology.files_toml import TABLES
+from rtec.metrology.files.save import Column as Values
+from rtec.metrology.files.save import write_files
+from rtec.metrology.files.table import Floats
+from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.map import Column, ImportMap
 from rtec.metrology.measurement import Measurement
@@ -99,7 +99,7 @@ def import_to_files(
     Raises:
         MeasurementError: as `import_table` and, for the result, as `load_measurement`.
     """
-    from rtec.metrology.files import load_measurement
+    from rtec.metrology.files.load import load_measurement
 
     table = out if out.suffix in TABLES else out.with_name(out.name + ".csv")
     _may_write(table, force=force)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from rtec.errors import MeasurementError
-from rtec.metrology.files_toml import MeasurementTable
+from rtec.metrology.files.toml import MeasurementTable
 from rtec.metrology.readers.base import Source, Table
 from rtec.metrology.units import UNITS, canonical
 from rtec.tomlfile import Strict, read_toml, validated

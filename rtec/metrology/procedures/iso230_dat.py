@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.iso230 import Visits
+from rtec.metrology.procedures.iso230_2 import Visits
 from rtec.metrology.readers.base import Source
 from rtec.metrology.readers.ecmc_iso230 import read
 from rtec.metrology.units import UNITS

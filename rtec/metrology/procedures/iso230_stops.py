@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.iso230 import Visits
+from rtec.metrology.procedures.iso230_2 import Visits
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

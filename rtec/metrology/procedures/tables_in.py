@@ -10,7 +10,7 @@ from rtec.errors import MeasurementError
 from rtec.metrology.procedures.drift import Drift, spindle_drift
 from rtec.metrology.procedures.parallelism import Parallelism, parallelism
 from rtec.metrology.procedures.straightness import Straightness, face, pair, reversal
-from rtec.metrology.procedures.table import Table, in_um, need, position_of, read_table
+from rtec.metrology.procedures.tables import Table, in_um, need, position_of, read_table
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import MeasurementError
-from rtec.metrology.faults import Faults
+from rtec.metrology.files.faults import Faults
 from rtec.metrology.readers.base import WHERE, Floats, Ints, Source, Table, Texts, decoded
 from rtec.metrology.units import UNITS, canonical
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec.metrology.faults import Faults
+from rtec.metrology.files.faults import Faults
 from rtec.metrology.readers.base import Floats, Source, Table, Texts, decoded
 from rtec.metrology.units import canonical
 

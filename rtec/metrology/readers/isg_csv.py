@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from rtec.errors import MeasurementError
-from rtec.metrology.faults import Faults
+from rtec.metrology.files.faults import Faults
 from rtec.metrology.readers.base import Floats, Source, Table, decoded
 
 ARGUMENTS = {"X": "mm", "Y": "mm", "Z": "mm", "A": "deg", "B": "deg", "C": "deg"}

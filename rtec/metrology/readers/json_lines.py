@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import MeasurementError
-from rtec.metrology.faults import Faults
+from rtec.metrology.files.faults import Faults
 from rtec.metrology.readers.base import Floats, Source, Table, Texts, decoded
 
 DEPTH = 8

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from rtec.errors import MeasurementError
-from rtec.metrology.faults import Faults
+from rtec.metrology.files.faults import Faults
 from rtec.metrology.readers.base import WHERE, Floats, Ints, Source, Table, decoded
 from rtec.metrology.readers.times import filetime_text
 from rtec.metrology.units import canonical

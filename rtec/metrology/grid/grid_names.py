@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtec.machine import Machine
+from rtec.metrology.grid.paths import Edge
 from rtec.metrology.instruments.ball_bar import axis_along
 from rtec.metrology.instruments.grid_encoder import GridEncoderSetup
-from rtec.metrology.procedures.grid_edges import Edge
 
 COVERAGE = 2.0
 FEED = 0.02

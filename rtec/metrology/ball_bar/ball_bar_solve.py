@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_design import Design
-from rtec.metrology.procedures.ball_bar_noise import Noise
+from rtec.metrology.ball_bar.ball_bar_noise import Noise
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.design import Design
 from rtec.metrology.procedures.fitting import correlation_time, unit_errors
 
 Floats = NDArray[np.float64]

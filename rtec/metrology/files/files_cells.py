@@ -5,8 +5,8 @@ import re
 from array import array
 from collections.abc import Sequence
 
-from rtec.metrology.faults import Faults
-from rtec.metrology.files_toml import Leniency
+from rtec.metrology.files.faults import Faults
+from rtec.metrology.files.toml import Leniency
 
 NANS = ("nan", "NaN", "NAN", "-nan", "-NaN")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)

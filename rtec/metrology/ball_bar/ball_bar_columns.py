@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.procedures.ball_bar_beyond import Candidate, candidates
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_design import Centre, Design, design_of, stacked_design
-from rtec.metrology.procedures.ball_bar_rank import Rank, rank_of
+from rtec.metrology.ball_bar.beyond import Candidate, candidates
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.design import Centre, Design, design_of, stacked_design
+from rtec.metrology.ball_bar.rank import Rank, rank_of
 
 Floats = NDArray[np.float64]
 APART = 0.1

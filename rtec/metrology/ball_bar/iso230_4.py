@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.procedures.ball_bar_circle import Circle
+from rtec.metrology.ball_bar.circle import Circle
 
 Floats = NDArray[np.float64]
 SAME_MM = 1e-3

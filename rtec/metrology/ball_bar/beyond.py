@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect
 from rtec.effects.derived import FAR_MM
-from rtec.metrology.procedures.ball_bar_causes import At, Cause, Shape
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_effects import ALIKE_FEED, along, axis_of, feeds_of, shape_of
+from rtec.metrology.ball_bar.ball_bar_effects import ALIKE_FEED, along, axis_of, feeds_of, shape_of
+from rtec.metrology.ball_bar.causes import At, Cause, Shape
+from rtec.metrology.ball_bar.circle import Circle
 
 Floats = NDArray[np.float64]
 Kind = Literal["plain", "wave", "spike"]

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from rtec.machine import Machine
-from rtec.metrology.faults import Faults, places
-from rtec.metrology.files_read import Bools, Floats, Raw
-from rtec.metrology.files_toml import Leniency
+from rtec.metrology.files.faults import Faults, places
+from rtec.metrology.files.table import Bools, Floats, Raw
+from rtec.metrology.files.toml import Leniency
 
 # What loggers write where a sensor is broken. They matter only outside a sensor's own range.
 TEMPERATURE_CODES: Mapping[float, str] = {

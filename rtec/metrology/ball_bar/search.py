@@ -16,14 +16,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.procedures.ball_bar_beyond import Candidate
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_columns import NotLookedFor, Table, table_of
-from rtec.metrology.procedures.ball_bar_design import Centre, stacked_design
-from rtec.metrology.procedures.ball_bar_fit import Beyond, Fitted, Pick
-from rtec.metrology.procedures.ball_bar_noise import WHITE
-from rtec.metrology.procedures.ball_bar_solve import in_a_row, solve
-from rtec.metrology.procedures.ball_bar_work import Least, Work, best_ways, gain, judged, least, work_of
+from rtec.metrology.ball_bar.ball_bar_columns import NotLookedFor, Table, table_of
+from rtec.metrology.ball_bar.ball_bar_noise import WHITE
+from rtec.metrology.ball_bar.ball_bar_solve import in_a_row, solve
+from rtec.metrology.ball_bar.ball_bar_work import Least, Work, best_ways, gain, judged, least, work_of
+from rtec.metrology.ball_bar.beyond import Candidate
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.design import Centre, stacked_design
+from rtec.metrology.ball_bar.fit import Beyond, Fitted, Pick
 
 Floats = NDArray[np.float64]
 FAMILY = 0.01

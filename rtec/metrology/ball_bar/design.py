@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.procedures.ball_bar_causes import Cause, causes, tip_um
-from rtec.metrology.procedures.ball_bar_circle import Circle
+from rtec.metrology.ball_bar.causes import Cause, causes, tip_um
+from rtec.metrology.ball_bar.circle import Circle
 
 Floats = NDArray[np.float64]
 Centre = Literal["shared", "each"]

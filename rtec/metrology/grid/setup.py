@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
+from rtec.metrology.grid.grid_names import COVERAGE, Item, Lean, lean_of, same_feed, slowest
+from rtec.metrology.grid.paths import SAME_MM, TRIM_MM, Curve, Edge, edges_of, mean_curve
 from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.grid_edges import SAME_MM, TRIM_MM, Curve, Edge, edges_of, mean_curve
-from rtec.metrology.procedures.grid_names import COVERAGE, Item, Lean, lean_of, same_feed, slowest
 
 Floats = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.faults import Faults, places
-from rtec.metrology.files_cells import NANS, Cells
-from rtec.metrology.files_text import Text
-from rtec.metrology.files_toml import Leniency
+from rtec.metrology.files.faults import Faults, places
+from rtec.metrology.files.files_cells import NANS, Cells
+from rtec.metrology.files.files_text import Text
+from rtec.metrology.files.toml import Leniency
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

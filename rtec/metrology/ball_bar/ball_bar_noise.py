@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.jit import njit
-from rtec.metrology.procedures.ball_bar_circle import Circle
+from rtec.metrology.ball_bar.circle import Circle
 
 Floats = NDArray[np.float64]
 SHARES = (0.1, 1.0, 10.0)

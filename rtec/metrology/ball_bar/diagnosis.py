@@ -7,13 +7,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.characterise.threads import one_blas_thread
-from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.ball_bar_choice import Choice, chosen
-from rtec.metrology.procedures.ball_bar_circle import Circle, circles_of
-from rtec.metrology.procedures.ball_bar_design import SETTING_UP, Centre
-from rtec.metrology.procedures.ball_bar_fit import Beyond, Fitted, fit
-from rtec.metrology.procedures.ball_bar_iso import (
+from rtec.metrology.ball_bar.ball_bar_choice import Choice, chosen
+from rtec.metrology.ball_bar.circle import Circle, circles_of
+from rtec.metrology.ball_bar.design import SETTING_UP, Centre
+from rtec.metrology.ball_bar.fit import Beyond, Fitted, fit
+from rtec.metrology.ball_bar.iso230_4 import (
     BothWays,
     Harmonic,
     Roundness,
@@ -22,9 +20,11 @@ from rtec.metrology.procedures.ball_bar_iso import (
     least_squares_circle,
     roundness,
 )
-from rtec.metrology.procedures.ball_bar_phase import Phase, ServoPhase, Shift, if_time, servo_phase
-from rtec.metrology.procedures.ball_bar_search import Found, search
-from rtec.metrology.procedures.ball_bar_wanted import Wanted, wanted
+from rtec.metrology.ball_bar.next_test import Wanted, wanted
+from rtec.metrology.ball_bar.phase import Phase, ServoPhase, Shift, if_time, servo_phase
+from rtec.metrology.ball_bar.search import Found, search
+from rtec.metrology.characterise.threads import one_blas_thread
+from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
-from rtec.metrology.faults import Faults
+from rtec.metrology.files.faults import Faults
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.units import SUFFIXES
 from rtec.tomlfile import nearest

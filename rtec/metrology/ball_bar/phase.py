@@ -12,14 +12,14 @@ from typing import Literal
 
 import numpy as np
 
-from rtec.metrology.procedures.ball_bar_beyond import candidates
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_columns import APART, share_left
-from rtec.metrology.procedures.ball_bar_design import Centre, design_of, stacked_design
-from rtec.metrology.procedures.ball_bar_fit import Fitted, fit
-from rtec.metrology.procedures.ball_bar_rank import rank_of
-from rtec.metrology.procedures.ball_bar_values import Value
-from rtec.metrology.procedures.ball_bar_work import NOISE_UM
+from rtec.metrology.ball_bar.ball_bar_columns import APART, share_left
+from rtec.metrology.ball_bar.ball_bar_work import NOISE_UM
+from rtec.metrology.ball_bar.beyond import candidates
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.design import Centre, design_of, stacked_design
+from rtec.metrology.ball_bar.fit import Fitted, fit
+from rtec.metrology.ball_bar.rank import rank_of
+from rtec.metrology.ball_bar.values import Value
 
 Phase = Literal["auto", "angle", "time"]
 SAME_SPEED = 1e-3

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.procedures.ball_bar_columns import Table
-from rtec.metrology.procedures.ball_bar_noise import Noise, find_noise
+from rtec.metrology.ball_bar.ball_bar_columns import Table
+from rtec.metrology.ball_bar.ball_bar_noise import Noise, find_noise
 
 Floats = NDArray[np.float64]
 NOISE_UM = 0.02

@@ -11,8 +11,8 @@ import tomli_w
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.files_columns import channel_columns
-from rtec.metrology.files_toml import TABLES
+from rtec.metrology.files.columns import channel_columns
+from rtec.metrology.files.toml import TABLES
 from rtec.metrology.measurement import Measurement
 from rtec.tomlfile import nearest
 

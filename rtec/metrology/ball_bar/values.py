@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtec.metrology.procedures.ball_bar_beyond import HALF_WAYS, WIDTH, Candidate
-from rtec.metrology.procedures.ball_bar_causes import Cause
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_effects import ALIKE_FEED, same_feed
-from rtec.metrology.procedures.ball_bar_rank import Rank
+from rtec.metrology.ball_bar.ball_bar_effects import ALIKE_FEED, same_feed
+from rtec.metrology.ball_bar.beyond import HALF_WAYS, WIDTH, Candidate
+from rtec.metrology.ball_bar.causes import Cause
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.rank import Rank
 
 Number = tuple[float, float]
 """A value and its standard error."""

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
+from rtec.metrology.grid.grid_path import EXACT_MM, straight_pieces
 from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.fitting import correlation_time
-from rtec.metrology.procedures.grid_path import EXACT_MM, straight_pieces
 
 Floats = NDArray[np.float64]
 DEGREE = 5

@@ -7,23 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.ball_bar_beyond import Candidate
-from rtec.metrology.procedures.ball_bar_causes import At, Cause
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_design import SETTING_UP, Centre, Design, design_of
-from rtec.metrology.procedures.ball_bar_noise import WHITE, Noise
-from rtec.metrology.procedures.ball_bar_rank import Rank, rank_of
-from rtec.metrology.procedures.ball_bar_solve import solve
-from rtec.metrology.procedures.ball_bar_values import (
-    UNKNOWN,
-    Number,
-    Value,
-    note_of,
-    of_cause,
-    of_wave,
-    of_width,
-    quantile,
-)
+from rtec.metrology.ball_bar.ball_bar_noise import WHITE, Noise
+from rtec.metrology.ball_bar.ball_bar_solve import solve
+from rtec.metrology.ball_bar.beyond import Candidate
+from rtec.metrology.ball_bar.causes import At, Cause
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.design import SETTING_UP, Centre, Design, design_of
+from rtec.metrology.ball_bar.rank import Rank, rank_of
+from rtec.metrology.ball_bar.values import UNKNOWN, Number, Value, note_of, of_cause, of_wave, of_width, quantile
 
 Floats = NDArray[np.float64]
 STEP = 1e-3

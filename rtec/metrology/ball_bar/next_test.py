@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_columns import NotLookedFor, table_of, with_setup
-from rtec.metrology.procedures.ball_bar_design import Centre
-from rtec.metrology.procedures.ball_bar_effects import same_feed
-from rtec.metrology.procedures.ball_bar_phase import by_time
+from rtec.metrology.ball_bar.ball_bar_columns import NotLookedFor, table_of, with_setup
+from rtec.metrology.ball_bar.ball_bar_effects import same_feed
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.design import Centre
+from rtec.metrology.ball_bar.phase import by_time
 
 SAME_MM = 1.0
 FASTER = 3.0

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, State, effect_class
 from rtec.errors import MeasurementError
 from rtec.machine import Axis
+from rtec.metrology.ball_bar.causes import At, Shape
+from rtec.metrology.ball_bar.circle import Circle
 from rtec.metrology.instruments.ball_bar import axis_along
-from rtec.metrology.procedures.ball_bar_causes import At, Shape
-from rtec.metrology.procedures.ball_bar_circle import Circle
 
 Floats = NDArray[np.float64]
 SAME_FEED = 1e-3

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtec.metrology.instruments.ball_bar import axis_along
-from rtec.metrology.procedures.grid import (
+from rtec.metrology.grid.grid_names import COVERAGE, Item, same_feed
+from rtec.metrology.grid.paths import SAME_MM, Edge
+from rtec.metrology.grid.setup import (
     GridSetup,
     angle_moving,
     arm_on,
@@ -21,8 +22,7 @@ from rtec.metrology.procedures.grid import (
     range_of,
     squareness_of,
 )
-from rtec.metrology.procedures.grid_edges import SAME_MM, Edge
-from rtec.metrology.procedures.grid_names import COVERAGE, Item, same_feed
+from rtec.metrology.instruments.ball_bar import axis_along
 
 SURE = 0.02
 BESIDE = 0.05

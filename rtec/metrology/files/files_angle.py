@@ -6,7 +6,7 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
-from rtec.metrology.files_read import Floats
+from rtec.metrology.files.table import Floats
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup, axis_along, circle_channels, travelled_deg
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.measurement import Ints

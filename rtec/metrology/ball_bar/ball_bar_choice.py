@@ -5,9 +5,9 @@ from typing import Literal
 
 import numpy as np
 
-from rtec.metrology.procedures.ball_bar_circle import Circle
-from rtec.metrology.procedures.ball_bar_design import Centre
-from rtec.metrology.procedures.ball_bar_fit import Beyond, Fitted, fit
+from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.design import Centre
+from rtec.metrology.ball_bar.fit import Beyond, Fitted, fit
 
 Choice = Literal["auto", "linear", "non-linear"]
 SURE = 1e-3

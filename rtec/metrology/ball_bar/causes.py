@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.metrology.ball_bar.circle import Circle
 from rtec.metrology.instruments.ball_bar import axis_along
-from rtec.metrology.procedures.ball_bar_circle import Circle
 
 Floats = NDArray[np.float64]
 
