@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rtec.metrology.characterise.run import Stage
+    from rtec.characterise.run import Stage
 
 
 def fit(
@@ -44,8 +44,8 @@ def fit(
 
     `rtec fit machine.toml drift.csv -o model.toml --effects mount_expansion:EX0spindle:sensor=*`
     """
+    from rtec.characterise import characterise, read_wanted
     from rtec.machine import load_machine
-    from rtec.metrology.characterise import characterise, read_wanted
     from rtec.metrology.files.load import load_measurements
     from rtec.model import save_model
     from rtec.report.fit import fit_page

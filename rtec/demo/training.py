@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.characterise.effect_list import Wanted
+from rtec.characterise.run import characterise
 from rtec.demo.hidden import Fault, with_fault
 from rtec.effects import Effect, State, effect_class
 from rtec.machine import Machine
-from rtec.metrology.characterise.run import characterise
-from rtec.metrology.characterise.wanted import Wanted
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model

@@ -7,9 +7,9 @@ import numpy as np
 
 from rtec.diagnosis import words
 from rtec.diagnosis.candidates import Untried
-from rtec.diagnosis.floor import unit_of
 from rtec.diagnosis.result import Absent, Finding, NotTestable
 from rtec.diagnosis.screen import Screen
+from rtec.estimation.floor import unit_of
 
 SURE = math.log(20.0)
 """Odds, as a logarithm, beyond those of finding any effect at all."""

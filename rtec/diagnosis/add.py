@@ -7,25 +7,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import floor
-from rtec.diagnosis.base import spikes
 from rtec.diagnosis.entry import Errors, entry_of, notes_of, ranges_of
-from rtec.diagnosis.floor import Unit
 from rtec.diagnosis.joint import LOOSE, Joint, joint_fit
-from rtec.diagnosis.noise import least_noise
 from rtec.diagnosis.ranged import ranged
-from rtec.diagnosis.readings import Readings, read
-from rtec.diagnosis.refit import held_out
 from rtec.diagnosis.rivals import Rival
 from rtec.diagnosis.scaled import check_scales
 from rtec.diagnosis.usable import apart, check_enough, check_finite, unsure
 from rtec.effects import Effect
 from rtec.errors import ModelError
-from rtec.metrology.characterise.threads import one_blas_thread
+from rtec.estimation import floor
+from rtec.estimation.columns import spikes
+from rtec.estimation.floor import Unit
+from rtec.estimation.gls import held_out
+from rtec.estimation.noise import least_noise
+from rtec.estimation.readings import Readings, read
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin
 from rtec.model.model import names_of
+from rtec.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]

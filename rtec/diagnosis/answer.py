@@ -8,16 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import floor, picture, words
+from rtec.diagnosis import picture, words
 from rtec.diagnosis.absent import SURE, absent_ones, speaking_up, untestable
 from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine
-from rtec.diagnosis.base import slope
 from rtec.diagnosis.candidates import Candidate, Untried
 from rtec.diagnosis.drifts import run_drifts
 from rtec.diagnosis.folded import fold
 from rtec.diagnosis.gains import with_gains
-from rtec.diagnosis.noise import Whitener
-from rtec.diagnosis.refit import Fit, inverse, resolved, solve
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown, label_of
 from rtec.diagnosis.scaled import odd_scales
 from rtec.diagnosis.screen import Projected, Screen
@@ -27,6 +24,10 @@ from rtec.diagnosis.typed import Typed, propose
 from rtec.diagnosis.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.errors import RtecError
+from rtec.estimation import floor
+from rtec.estimation.columns import slope
+from rtec.estimation.gls import Fit, inverse, resolved, solve
+from rtec.estimation.noise import Whitener
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]

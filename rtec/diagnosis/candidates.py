@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings
+from rtec.characterise.seen import Seen, seen_components
+from rtec.characterise.source import Source
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
 from rtec.effects.registry import all_effects
 from rtec.errors import ModelError
+from rtec.estimation.readings import Readings
 from rtec.machine import Machine
-from rtec.metrology.characterise.seen import Seen, seen_components
-from rtec.metrology.characterise.source import Source
 
 Floats = NDArray[np.float64]
 

@@ -11,23 +11,23 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.base import base_of, effect_columns, ordered
-from rtec.diagnosis.compare_floor import flattened, repeats_floor, tails_of
-from rtec.diagnosis.compare_noise import flexible_columns
 from rtec.diagnosis.compare_result import Compared, Comparison, FloorFrom, Outside, Part, Region, Size, Traces
-from rtec.diagnosis.compare_spikes import less, wrong_readings
-from rtec.diagnosis.floor import floors
 from rtec.diagnosis.locate import locate
 from rtec.diagnosis.locate_bins import MOVES, unit_of
-from rtec.diagnosis.noise import Whitener, find_noise
-from rtec.diagnosis.readings import Readings, Series, read
 from rtec.diagnosis.scaled import odd_scales
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import MeasurementError
+from rtec.estimation.columns import base_of, effect_columns, ordered
+from rtec.estimation.compare_floor import flattened, repeats_floor, tails_of
+from rtec.estimation.compare_noise import flexible_columns
+from rtec.estimation.floor import floors
+from rtec.estimation.noise import Whitener, find_noise
+from rtec.estimation.outliers import less, wrong_readings
+from rtec.estimation.readings import Readings, Series, read
 from rtec.machine import Machine
-from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]

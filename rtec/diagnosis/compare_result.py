@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings
+from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
 FloorFrom = Literal["repeats", "fitted noise model"]

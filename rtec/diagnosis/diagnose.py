@@ -12,22 +12,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.at_once import each
 from rtec.diagnosis import words
 from rtec.diagnosis.absent import SURE
 from rtec.diagnosis.alias import WITHIN
 from rtec.diagnosis.answer import Searched, answer
-from rtec.diagnosis.at_once import each
 from rtec.diagnosis.candidates import library
-from rtec.diagnosis.noise import without_drift
 from rtec.diagnosis.refits import BESIDE, Refits
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
 from rtec.diagnosis.screen import Projected, Screen, screen
 from rtec.diagnosis.tried import Tried, prepare
 from rtec.diagnosis.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
-from rtec.metrology.characterise.threads import one_blas_thread
+from rtec.estimation.noise import without_drift
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]

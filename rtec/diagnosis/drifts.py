@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings, Series
+from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
 

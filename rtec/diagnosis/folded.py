@@ -4,9 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rtec.diagnosis.readings import Readings
 from rtec.diagnosis.result import Alike
 from rtec.effects import Effect
+from rtec.estimation.readings import Readings
 
 PERIODS = ("pitch", "period")
 EVEN = 1e-3

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.base import slope
-from rtec.diagnosis.noise import Whitener, find_noise, refine
-from rtec.diagnosis.readings import Readings
-from rtec.diagnosis.refit import inverse, solve
 from rtec.effects import Effect, Parameter
 from rtec.errors import MeasurementError, ModelError
+from rtec.estimation.columns import slope
+from rtec.estimation.gls import inverse, solve
+from rtec.estimation.noise import Whitener, find_noise, refine
+from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect
 from rtec.model.fit import SearchScale
 from rtec.model.model import names_of

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare_result import Bound, Region
 from rtec.diagnosis.locate_bins import Variable
-from rtec.diagnosis.readings import Readings, Series
 from rtec.diagnosis.words import UNITS
+from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.compare_result import Bound
-from rtec.diagnosis.readings import Readings, Series
 from rtec.diagnosis.units import spoken
 from rtec.diagnosis.words import unit_of_channel
+from rtec.estimation.readings import Readings, Series
 from rtec.machine import Machine
 
 Floats = NDArray[np.float64]

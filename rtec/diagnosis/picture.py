@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import floor, units, words
+from rtec.diagnosis import units, words
 from rtec.diagnosis.folded import period_mm
-from rtec.diagnosis.noise import Whitener
-from rtec.diagnosis.readings import Readings, Series
-from rtec.diagnosis.refit import solve
 from rtec.diagnosis.result import Picture
 from rtec.effects import Effect
+from rtec.estimation import floor
+from rtec.estimation.gls import solve
+from rtec.estimation.noise import Whitener
+from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
 PANELS = 3

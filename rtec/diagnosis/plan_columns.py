@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.plan_parameters import Ball, Place, Planned, Stays, ball_place
-from rtec.diagnosis.readings import Readings, read
-from rtec.diagnosis.refit import without_nuisance
 from rtec.effects import Effect
 from rtec.errors import ModelError
+from rtec.estimation.gls import without_nuisance
+from rtec.estimation.readings import Readings, read
 from rtec.metrology.ball_bar.circle import Circle, circle_of
 from rtec.metrology.ball_bar.design import stacked_design
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from rtec.diagnosis.candidates import surroundings, visible
-from rtec.diagnosis.readings import read
 from rtec.effects import Effect, effect_class
 from rtec.errors import ConfigError
+from rtec.estimation.readings import read
 from rtec.machine import Machine
 from rtec.metrology.files.load import load_measurements
 from rtec.metrology.instruments.base import Instrument
@@ -110,7 +110,7 @@ def wanted_effects(
         ConfigError: nothing is left to ask about.
         ModelError: an unknown effect, component or argument.
     """
-    from rtec.metrology.characterise.wanted import read_wanted
+    from rtec.characterise.effect_list import read_wanted
     from rtec.model import load_model
 
     out: list[Effect] = []

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings
-from rtec.diagnosis.refit import solve
 from rtec.diagnosis.screen import UNMOVED, Projected
 from rtec.effects import Effect, Parameter
+from rtec.estimation.gls import solve
+from rtec.estimation.readings import Readings
 from rtec.model.fit import SearchScale
 
 Floats = NDArray[np.float64]

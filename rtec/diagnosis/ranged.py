@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.joint import Joint
-from rtec.diagnosis.noise import Whitener, without_drift
-from rtec.diagnosis.readings import Readings
-from rtec.diagnosis.refit import solve
 from rtec.diagnosis.screen import orthonormal
-from rtec.diagnosis.thin import looked_at
 from rtec.effects import Parameter
+from rtec.estimation.gls import solve
+from rtec.estimation.noise import Whitener, without_drift
+from rtec.estimation.readings import Readings
+from rtec.estimation.thin import looked_at
 from rtec.model import FittedEffect
 
 Floats = NDArray[np.float64]

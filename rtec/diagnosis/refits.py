@@ -9,16 +9,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.at_once import MANY, each
 from rtec.diagnosis.alias import WITHIN, cosine, directness, diverse, plausibility
-from rtec.diagnosis.at_once import MANY, each
 from rtec.diagnosis.candidates import Candidate
-from rtec.diagnosis.noise import Whitener, without_drift
 from rtec.diagnosis.polish import live_columns, polished
-from rtec.diagnosis.readings import Readings
-from rtec.diagnosis.refit import ROUNDS, Fit, fit_columns, held_out
 from rtec.diagnosis.screen import Memory, Projected, Screen, screen
-from rtec.diagnosis.thin import looked_at
 from rtec.diagnosis.tried import Prepared, Tried
+from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out
+from rtec.estimation.noise import Whitener, without_drift
+from rtec.estimation.readings import Readings
+from rtec.estimation.thin import looked_at
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]

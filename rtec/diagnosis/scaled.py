@@ -7,9 +7,9 @@ loop would then double the error instead of taking it away.
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import floor
-from rtec.diagnosis.readings import Readings
 from rtec.errors import MeasurementError
+from rtec.estimation import floor
+from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.at_once import MANY
+from rtec.at_once import MANY
 from rtec.diagnosis.candidates import Candidate
-from rtec.diagnosis.noise import Whitener
-from rtec.diagnosis.readings import Readings
 from rtec.errors import ModelError
+from rtec.estimation.noise import Whitener
+from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
 Single = NDArray[np.float32]

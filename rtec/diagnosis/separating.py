@@ -14,15 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.base import slope
-from rtec.diagnosis.noise import Whitener
 from rtec.diagnosis.plan import Extra
 from rtec.diagnosis.plan_columns import USUAL_NOISE, clean, effect_columns
 from rtec.diagnosis.plan_ideas import extra_tests
 from rtec.diagnosis.plan_parameters import label
-from rtec.diagnosis.readings import Readings, read
-from rtec.diagnosis.refit import solve
 from rtec.effects import Effect
+from rtec.estimation.columns import slope
+from rtec.estimation.gls import solve
+from rtec.estimation.noise import Whitener
+from rtec.estimation.readings import Readings, read
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.candidates import real
-from rtec.diagnosis.readings import Readings
+from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import floor
-from rtec.diagnosis.base import base_of, spikes
-from rtec.diagnosis.noise import Whitener, find_noise, least_noise
-from rtec.diagnosis.readings import Readings, read
-from rtec.diagnosis.refit import Fit, solve
+from rtec.estimation import floor
+from rtec.estimation.columns import base_of, spikes
+from rtec.estimation.gls import Fit, solve
+from rtec.estimation.noise import Whitener, find_noise, least_noise
+from rtec.estimation.readings import Readings, read
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 

@@ -14,13 +14,9 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.alias import STEPS
 from rtec.diagnosis.candidates import visible
-from rtec.diagnosis.noise import Whitener
-from rtec.diagnosis.readings import Readings
-from rtec.diagnosis.refit import solve
 from rtec.diagnosis.screen import Projected
 from rtec.diagnosis.shapes import Ground
 from rtec.diagnosis.shapes_search import weigh
-from rtec.diagnosis.thin import looked_at
 from rtec.diagnosis.typed_forms import Form, Span, forms_of
 from rtec.diagnosis.units import named, spoken
 from rtec.diagnosis.unnamed import Shaped
@@ -29,6 +25,10 @@ from rtec.effects import Effect
 from rtec.effects.base import component_kind
 from rtec.effects.from_text import expression_from_text
 from rtec.errors import ModelError
+from rtec.estimation.gls import solve
+from rtec.estimation.noise import Whitener
+from rtec.estimation.readings import Readings
+from rtec.estimation.thin import looked_at
 
 Floats = NDArray[np.float64]
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.at_once import each
-from rtec.diagnosis.noise import Whitener
-from rtec.diagnosis.readings import Readings
-from rtec.diagnosis.refit import Fit
+from rtec.at_once import each
 from rtec.diagnosis.screen import Projected
 from rtec.diagnosis.shapes import Ground, Shape
 from rtec.diagnosis.shapes_search import Weighed, all_shapes, weigh
-from rtec.diagnosis.thin import looked_at
+from rtec.estimation.gls import Fit
+from rtec.estimation.noise import Whitener
+from rtec.estimation.readings import Readings
+from rtec.estimation.thin import looked_at
 
 Floats = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings
 from rtec.errors import MeasurementError, ModelError
+from rtec.estimation.readings import Readings
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect
 

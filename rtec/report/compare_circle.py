@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.readings import Readings, Series
+from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.report.ball_bar_figures import MIDDLE, ROOM, Trace, around, arrow, frame
 from rtec.report.figures import GREY, OFF, ON, WIDTH_IN, _png, _styled

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare_result import Compared, Comparison
 from rtec.diagnosis.locate_bins import MOVES, REAL_DEGC, cut_into, time_unit
-from rtec.diagnosis.readings import Readings, Series
 from rtec.diagnosis.words import UNITS
+from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures, compare_lines
 from rtec.report.compare_circle import angle_of, circle_picture
 from rtec.report.compare_stack import Stack, stack_along

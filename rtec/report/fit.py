@@ -5,9 +5,9 @@ from collections.abc import Sized
 import numpy as np
 
 from rtec import __version__
+from rtec.characterise import Characterisation
+from rtec.characterise.result import Coefficient
 from rtec.diagnosis.units import spoken
-from rtec.metrology.characterise import Characterisation
-from rtec.metrology.characterise.result import Coefficient
 from rtec.report.html import Figure, Page, Section, Table
 from rtec.report.procedures import note_words, number
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rtec.diagnosis.candidates import library
 from rtec.diagnosis.diagnose import diagnose
-from rtec.diagnosis.readings import read
+from rtec.estimation.readings import read
 from rtec.machine import Machine, load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement

@@ -8,13 +8,13 @@ from timeit import default_timer
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.characterise.estimate import estimate
+from rtec.characterise.source import Source
+from rtec.characterise.stream import Term
 from rtec.effects import Effect, effect_class
-from rtec.metrology.characterise.estimate import estimate
-from rtec.metrology.characterise.source import Source
-from rtec.metrology.characterise.stream import Term
-from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
+from rtec.parallel import one_blas_thread
 from tests.bench import models
 from tests.bench.table import Row
 

@@ -89,9 +89,9 @@ def naive(model: Model, measurements: Sequence[Measurement]) -> Answer:
 
     Candidates come from the program's catalogue; the non-linear numbers stand at the values that it tries.
     """
-    from rtec.diagnosis.base import base_of
     from rtec.diagnosis.candidates import library
-    from rtec.diagnosis.readings import read
+    from rtec.estimation.columns import base_of
+    from rtec.estimation.readings import read
 
     readings = read(measurements, model.reference_degc)
     base = np.concatenate([base_of(model, readings).columns, _zeros(readings.run)], axis=1)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from itertools import islice
 from multiprocessing import get_context
 
-from rtec.metrology.characterise.threads import one_blas_thread
+from rtec.parallel import one_blas_thread
 from tests.discovery import methods
 from tests.discovery.generator.cases import Case
 from tests.discovery.score import Outcome, judge

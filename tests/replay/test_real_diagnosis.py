@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import Characterisation
 from rtec.diagnosis.diagnose import diagnose
 from rtec.diagnosis.improve import Improved, improve
 from rtec.diagnosis.result import Diagnosis
 from rtec.machine import machine_from
-from rtec.metrology.characterise import Characterisation
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.cyclic import cyclic_error
 from rtec.metrology.procedures.iso230_2 import positioning

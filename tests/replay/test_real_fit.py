@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.machine import Machine, machine_from
-from rtec.metrology.characterise import Characterisation, characterise, read_wanted
 from rtec.metrology.measurement import Measurement
 from tests.real_data import real_file
 from tests.unit.characterise_examples import Probe, ProbeSetup

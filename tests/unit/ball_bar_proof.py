@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from rtec.cli.progress import bar
-from rtec.metrology.characterise.threads import one_blas_thread
+from rtec.parallel import one_blas_thread
 from tests.unit.ball_bar_machines import KINDS, Judged, judge
 
 FIRST = 1000

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtec.characterise import Characterisation, characterise
 from rtec.machine import Machine, load_machine
-from rtec.metrology.characterise import Characterisation, characterise
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -144,7 +144,7 @@ def test_what_each_brings_is_there() -> None:
 
 def test_a_file_without_a_channel_does_not_stop_the_others() -> None:
     """Oracle: a laser along Y reads nothing of EZY, so that it knows no speed of Y is no reason to refuse a lift."""
-    from rtec.metrology.characterise import read_wanted
+    from rtec.characterise import read_wanted
 
     lift = "guide_lift,component=EZY,axis=Y,A=4,q=0.7"
     plate = taken("grid_encoder", "plate", 3, {"plane": "YZ", "origin_mm": MIDDLE}, effects=(*TRUE, lift),

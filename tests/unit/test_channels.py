@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from rtec.characterise.walk import Walk
 from rtec.effects import State
 from rtec.effects.derived import (
     FAR_MM,
@@ -27,7 +28,6 @@ from rtec.effects.state import Channels, Value
 from rtec.errors import ConfigError, ModelError
 from rtec.jit import as_written
 from rtec.machine import Machine, machine_from
-from rtec.metrology.characterise.walk import Walk
 from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.compiled import compile_model

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import Characterisation, characterise, read_wanted
+from rtec.characterise.choose import one_standard_error
+from rtec.characterise.grouping import tidied
+from rtec.characterise.stream import Term
 from rtec.errors import MeasurementError, ModelError
-from rtec.metrology.characterise import Characterisation, characterise, read_wanted
-from rtec.metrology.characterise.choose import one_standard_error
-from rtec.metrology.characterise.stream import Term
-from rtec.metrology.characterise.tidy import tidied
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model.file import tables

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import noise
+from rtec.characterise.estimate import Estimate, estimate
+from rtec.characterise.projection import starting_terms
+from rtec.characterise.source import Source
+from rtec.characterise.stream import Term
+from rtec.characterise.thin import thinned
 from rtec.errors import ModelError
-from rtec.metrology.characterise import noise
-from rtec.metrology.characterise.estimate import Estimate, estimate
-from rtec.metrology.characterise.search import starting_terms
-from rtec.metrology.characterise.source import Source
-from rtec.metrology.characterise.stream import Term
-from rtec.metrology.characterise.thin import thinned
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect
 from tests.unit.characterise_examples import MACHINE, Probe, ProbeSetup, Tip, effect, measurement, runs

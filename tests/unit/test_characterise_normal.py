@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from rtec.characterise import stream
+from rtec.characterise.normal import Normal, solve
+from rtec.characterise.source import Source
+from rtec.characterise.stream import Term, gather, predict
+from rtec.characterise.walk import Walk
 from rtec.effects.state import State
-from rtec.metrology.characterise import stream
-from rtec.metrology.characterise.normal import Normal, solve
-from rtec.metrology.characterise.source import Source
-from rtec.metrology.characterise.stream import Term, gather, predict
-from rtec.metrology.characterise.walk import Walk
 from rtec.metrology.measurement import Measurement
 from tests.unit.characterise_examples import MACHINE, Probe, ProbeSetup, Tip, effect, measurement, runs
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import characterise
+from rtec.characterise.estimate import estimate
+from rtec.characterise.source import Source
+from rtec.characterise.stream import Term
 from rtec.machine import Machine
-from rtec.metrology.characterise import characterise
-from rtec.metrology.characterise.estimate import estimate
-from rtec.metrology.characterise.source import Source
-from rtec.metrology.characterise.stream import Term
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement

@@ -11,11 +11,11 @@ import tomli_w
 
 from rtec.cli.main import status
 from rtec.diagnosis.compare import compare, explained
-from rtec.diagnosis.compare_floor import flattened
-from rtec.diagnosis.compare_spikes import wrong_readings
-from rtec.diagnosis.floor import floors
-from rtec.diagnosis.readings import read
 from rtec.errors import MeasurementError
+from rtec.estimation.compare_floor import flattened
+from rtec.estimation.floor import floors
+from rtec.estimation.outliers import wrong_readings
+from rtec.estimation.readings import read
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from rtec.diagnosis import words
-from rtec.diagnosis.base import spikes
 from rtec.diagnosis.diagnose import diagnose
 from rtec.diagnosis.folded import aliases_mm, fold, step_mm
-from rtec.diagnosis.readings import read
+from rtec.estimation.columns import spikes
+from rtec.estimation.readings import read
 from rtec.model import Model
 from tests.unit.diagnosis_examples import effects, laser, small_machine
 

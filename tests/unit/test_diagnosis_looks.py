@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.diagnosis.at_once import MANY, each
+from rtec.at_once import MANY, each
 from rtec.diagnosis.diagnose import diagnose
 from rtec.diagnosis.drifts import run_drifts
-from rtec.diagnosis.noise import INEXACT, Noise, find_noise, least_noise
-from rtec.diagnosis.readings import read
 from rtec.diagnosis.screen import SKETCH, _sketch
-from rtec.diagnosis.thin import looked_at
+from rtec.estimation.noise import INEXACT, Noise, find_noise, least_noise
+from rtec.estimation.readings import read
+from rtec.estimation.thin import looked_at
 from rtec.machine import Machine, machine_from
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model

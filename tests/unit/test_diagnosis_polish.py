@@ -14,12 +14,12 @@ from rtec.cli.main import status
 from rtec.diagnosis.diagnose import diagnose
 from rtec.diagnosis.improve import improve
 from rtec.diagnosis.polish import live_columns, polished
-from rtec.diagnosis.readings import read
-from rtec.diagnosis.refit import resolved
 from rtec.diagnosis.rivals import rivals_of
 from rtec.diagnosis.screen import Projected
 from rtec.diagnosis.tried import prepare
 from rtec.errors import MeasurementError
+from rtec.estimation.gls import resolved
+from rtec.estimation.readings import read
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.diagnosis import _panels, diagnosis_page

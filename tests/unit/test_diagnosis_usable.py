@@ -8,7 +8,6 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.cli.stopping import kept, told_when_stopped
-from rtec.diagnosis import floor
 from rtec.diagnosis.add import add, clean_readings, new_effect, refused
 from rtec.diagnosis.compare import compare
 from rtec.diagnosis.improve import improve
@@ -17,6 +16,7 @@ from rtec.diagnosis.ranged import ranged
 from rtec.diagnosis.usable import apart, share
 from rtec.effects.from_text import expression_from_text
 from rtec.errors import MeasurementError, ModelError
+from rtec.estimation import floor
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
 from rtec.report.additions import improved_page

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import Characterisation, characterise, read_wanted
+from rtec.characterise.candidates import extended
+from rtec.characterise.seen import seen_components
+from rtec.characterise.source import Source
 from rtec.machine import Machine
 from rtec.machine.exact import exact_tip_error_um
-from rtec.metrology.characterise import Characterisation, characterise, read_wanted
-from rtec.metrology.characterise.candidates import extended
-from rtec.metrology.characterise.seen import seen_components
-from rtec.metrology.characterise.source import Source
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
 from rtec.model.compiled import compile_model

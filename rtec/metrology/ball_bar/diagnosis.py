@@ -23,8 +23,8 @@ from rtec.metrology.ball_bar.iso230_4 import (
 from rtec.metrology.ball_bar.next_test import Wanted, wanted
 from rtec.metrology.ball_bar.phase import Phase, ServoPhase, Shift, if_time, servo_phase
 from rtec.metrology.ball_bar.search import Found, search
-from rtec.metrology.characterise.threads import one_blas_thread
 from rtec.metrology.measurement import Measurement
+from rtec.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0

@@ -1,0 +1,159 @@
+"""What may be the matter with each component error: the candidate terms among which held-out runs choose."""
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtec.characterise.coverage import followed, several_speeds
+from rtec.characterise.seen import Seen, both_ways, gone_along, lags_s, reads, speed_varies, visited
+from rtec.characterise.source import Source
+from rtec.characterise.stream import Term
+from rtec.effects import effect_class
+from rtec.effects.base import component_kind
+from rtec.machine.chain import component_unit
+
+DEGREES = (0, 1, 2, 3, 4, 5, 6)
+"""Quadratics are typically enough [G 3.6]; higher degrees where they pay on held-out runs."""
+REGIONS = (5, 9)
+"""Knots of the split of an axis into regions."""
+LIFTS = (0.5, 0.75, 1.0)
+"""An oil film lifts with the speed to such a power."""
+EXPONENTS = (1.0, 1.5, 2.0)
+"""Heat of a spindle grows with its speed to such a power."""
+
+
+@dataclass(frozen=True, eq=True)
+class Candidate:
+    """A term that may be chosen.
+
+    Attributes:
+        term: effect with fixed non-linear parameters, and the columns that it stands for.
+        kind: "position", "direction", "velocity", "region", "cross", "cyclic", "temperature", "difference", "speed".
+        feature: what drives it: sensors or speed, and how they are lagged; empty for geometry.
+        channels: sensors, or the speed, or the axis, that drive it.
+    """
+
+    term: Term
+    kind: str
+    feature: str = ""
+    channels: tuple[str, ...] = ()
+
+    @property
+    def component(self) -> str:
+        """The component error that it feeds."""
+        return self.term.effect.component
+
+    @property
+    def label(self) -> str:
+        """Short name: effect, component, columns, feature."""
+        which = "" if self.term.only is None else " " + "+".join(self.column_names)
+        drive = f" of {self.feature}" if self.feature else ""
+        degrees = getattr(self.term.effect, "degrees", None)
+        which += f" degree {degrees[0]}" if degrees else ""
+        return f"{self.term.effect.effect}({self.component}){which}{drive}"
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Numbers of the effect's coefficients that it has, as text."""
+        return tuple(str(i) for i in self.term.only or ())
+
+
+def geometry(seen: Seen, sources: Sequence[Source]) -> list[Candidate]:
+    """Position, direction, region and cyclic candidates of a component."""
+    axis, name = seen.axis, seen.name
+    if axis is None or not seen.moves:
+        return []
+    if name[2] == "0":
+        return [_candidate("position", "squareness", name)]
+    along: dict[str, Any] = {"axis": axis.name}
+    linear = name[1] == axis.direction
+    out = [_candidate("position", "scale", name, **along)] if linear else []
+    out += [_candidate("position", "polynomial_position", name, degrees=(k,), **along) for k in DEGREES]
+    if both_ways(axis, sources):
+        out.append(_candidate("direction", "backlash", name, **along))
+        out += [_candidate("direction", "backlash_position", name, only=(k,), degree=k, **along) for k in (1, 2)]
+    for knots in REGIONS if gone_along(axis, [s for s in sources if reads(s, name)]) else ():
+        at = tuple(float(v) for v in np.linspace(*visited(axis, sources), knots))
+        inner = tuple(range(1, knots - 1))  # with constant and slope these span the same as all of them
+        out.append(_candidate("region", "piecewise_position", name, only=inner, knots_mm=at, **along))
+    if linear and axis.pitch_mm is not None:
+        theta = {"pitch": axis.pitch_mm}
+        out.append(_candidate("cyclic", "cyclic_screw", name, theta, harmonics=1, **along))
+        out.append(_candidate("cyclic", "cyclic_screw", name, theta, only=(2, 3), harmonics=2, **along))
+    return out
+
+
+def extended(seen: Seen, sources: Sequence[Source]) -> Iterator[Candidate]:
+    """What no rigid body does [XT 2]: a component that goes with the speed, or that changes with another axis.
+
+    Only where the measurements that read it cover it: several speeds, all thirds of both axes.
+    """
+    axis, name = seen.axis, seen.name
+    if axis is None or not seen.moves or name[2] == "0":
+        return
+    machine = sources[0].measurement.machine
+    kind = component_kind(name, machine)
+    if several_speeds(sources, name, axis):
+        if kind == "positioning":
+            yield _candidate("velocity", "servo_lag", name, axis=axis.name)
+        if kind in ("straightness", "tilt"):
+            for q in LIFTS:
+                yield _candidate("velocity", "guide_lift", name, {"q": q}, axis=axis.name)
+    for other in (a for a in machine.axes if a.name != axis.name and followed(sources, name, axis, a)):
+        whole = _candidate("cross", "cross_talk", name, axis=axis.name, other=other.name)
+        for k in range(len(whole.term.effect.coefficients(machine))):
+            yield _candidate("cross", "cross_talk", name, only=(k,), axis=axis.name, other=other.name)
+
+
+def thermal(seen: Seen, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[Candidate]:
+    """Temperature, difference and speed candidates of a component: alone, times position, times its square."""
+    axis, taus = seen.axis, lags_s(sources)
+    for sensor in varying:
+        for tau in (None, *taus):
+            lag: dict[str, Any] = {} if tau is None else {"lag": True}
+            theta = {} if tau is None else {"tau": tau}
+            said = sensor if tau is None else f"{sensor} lagged {tau:g} s"
+            more: dict[str, Any] = {"feature": said, "channels": (sensor,), "sensor": sensor, **lag}
+            if seen.axis is None:
+                yield _candidate("temperature", _growth(seen.name), seen.name, theta, **more)
+                continue
+            yield _candidate("temperature", "mount_expansion", seen.name, theta, **more)
+            if axis is not None and seen.moves and seen.name[2] != "0":
+                more["axis"] = axis.name
+                yield _candidate("temperature", "axis_expansion", seen.name, theta, **more)
+                yield _candidate("temperature", "axis_expansion_nonuniform", seen.name, theta, **more)
+    for front, back in itertools.combinations(varying, 2):
+        more = {"feature": f"{front} - {back}", "channels": (front, back), "front": front, "back": back}
+        yield _candidate("difference", "column_tilt", seen.name, **more)
+    if axis is None and speed_varies(sources):
+        for p, tau in itertools.product(EXPONENTS, taus):
+            said = f"spindle_rpm to the {p:g} lagged {tau:g} s"
+            theta = {"tau": tau, "p": p}
+            yield _candidate("speed", _growth(seen.name), seen.name, theta, feature=said, channels=("spindle_rpm",))
+
+
+def _growth(component: str) -> str:
+    return "spindle_tilt" if component_unit(component) == "urad" else "spindle_growth"
+
+
+def _candidate(
+    kind: str,
+    effect: str,
+    component: str,
+    theta: Mapping[str, float] | None = None,
+    *,
+    only: tuple[int, ...] | None = None,
+    feature: str = "",
+    channels: tuple[str, ...] = (),
+    **arguments: Any,
+) -> Candidate:
+    made = effect_class(effect, "fit").model_validate({"effect": effect, "component": component, **arguments})
+    return Candidate(
+        Term(made, dict(theta or {}), only),
+        kind,
+        feature,
+        channels or ((arguments["axis"],) if "axis" in arguments else ()),
+    )

@@ -1,0 +1,185 @@
+"""Chooses terms on readings that were left out of the fit, and says where that does not decide.
+
+Forward, one term at a time, by the error on left-out blocks; then the smallest choice within one standard error of
+the best; then terms that do not pay are dropped, and each is tried against its rivals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.characterise.candidates import Candidate
+from rtec.characterise.equivalents import Rival, find_rivals
+from rtec.characterise.normal import Normal
+from rtec.characterise.screen import VISIBLE, residual_parts
+from rtec.characterise.stream import Progress
+from rtec.characterise.table import Table
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MOST_TERMS = 40
+PAYS = 0.002
+"""The left-out error falls by at least this share, or the step was in vain."""
+PATIENCE = 2
+"""So many steps in vain end the search."""
+SIMPLER = 0.005
+"""Of candidates whose left-out errors differ by less than this share, the simplest is taken."""
+SWAPS = 3
+KINDS = ("position", "direction", "velocity", "temperature", "speed", "difference", "cross", "region", "cyclic")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the search: what was added, and the error, in units of the rough noise, inside and left out."""
+
+    label: str
+    inside: float
+    held_out: float
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen.
+
+    Attributes:
+        chosen: candidates, as numbers of the list that was given.
+        steps: the way there.
+        held_out: root mean square on left-out blocks, in units of the rough noise.
+        rivals: other choices that are as good.
+    """
+
+    chosen: tuple[int, ...]
+    steps: tuple[Step, ...]
+    held_out: float
+    rivals: tuple[Rival, ...]
+
+
+def choose(
+    normal: Normal,
+    candidates: Sequence[Candidate],
+    forced: Sequence[int] = (),
+    progress: Progress | None = None,
+) -> Choice:
+    """Choose among candidates by their left-out errors; those that are forced stay."""
+    table = Table(normal, candidates)
+    forced = independent(normal, [table.columns[i] for i in forced], forced)
+    path, steps = _forward(table, forced, progress)
+    chosen = _smallest_good(table, path)
+    chosen = _drop(table, chosen, forced, table.errors(_best(table, path))[0])
+    for _ in range(SWAPS):
+        better = _swapped(table, chosen, forced)
+        if better is None:
+            break
+        best = min((table.errors(c)[0] for c in (better, _best(table, path))), key=np.sum)
+        chosen = _joined(table, _drop(table, better, forced, best), forced)
+    held_out = float(np.sqrt(table.held_out(chosen)))
+    return Choice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(find_rivals(table, chosen)))
+
+
+def one_standard_error(worse: Floats, better: Floats) -> bool:
+    """Whether left-out errors fold by fold do not speak for the better choice: gain within one standard error."""
+    gain = worse - better
+    spread = np.std(gain, ddof=1) * np.sqrt(len(gain)) if len(gain) > 1 else 0.0
+    return bool(gain.sum() <= spread)
+
+
+def independent(normal: Normal, columns: Sequence[Ints], items: Sequence[int]) -> list[int]:
+    """Those of some items, in order, whose columns the readings can tell from the ones before."""
+    kept: list[int] = []
+    index = np.zeros(0, dtype=np.int64)
+    for item, own in zip(items, columns, strict=True):
+        d, _, _ = residual_parts(normal, index)
+        if np.all(d[own] > VISIBLE * normal.raw[own]):
+            kept.append(item)
+            index = np.concatenate([index, own])
+    return kept
+
+
+def _forward(table: Table, forced: list[int], progress: Progress | None) -> tuple[list[list[int]], list[Step]]:
+    path: list[list[int]] = [forced]
+    steps = [_step(table, forced, "what was asked for" if forced else "nothing")]
+    best, vain = table.held_out(forced), 0
+    while len(path) <= MOST_TERMS and vain < PATIENCE:
+        tried = table.shortlist(path[-1])
+        if not tried:
+            break
+        errors = np.array([table.held_out([*path[-1], i]) for i in tried])
+        near = np.flatnonzero(errors <= errors.min() * (1 + SIMPLER))
+        # The first of equals: rounding decides nothing, so the order of the candidates does.
+        ranks = [(*_complexity(table, tried[k]), round(errors[k] / errors.min(), 6), tried[k]) for k in near]
+        pick = min(ranks)[-1]
+        path.append([*path[-1], pick])
+        steps.append(_step(table, path[-1], table.candidates[pick].label))
+        now = table.held_out(path[-1])
+        vain = 0 if now < best * (1 - PAYS) else vain + 1
+        best = min(best, now)
+        if progress:
+            progress(len(path) - 1, MOST_TERMS)
+    return path, steps
+
+
+def _complexity(table: Table, i: int) -> tuple[int, int, int]:
+    candidate = table.candidates[i]
+    return len(table.columns[i]), KINDS.index(candidate.kind), len(candidate.term.theta)
+
+
+def _step(table: Table, chosen: Sequence[int], label: str) -> Step:
+    out, inside = table.errors(chosen)
+    return Step(label, float(np.sqrt(inside.sum())), float(np.sqrt(out.sum())))
+
+
+def _best(table: Table, path: Sequence[list[int]]) -> list[int]:
+    return min(path, key=table.held_out)
+
+
+def _smallest_good(table: Table, path: Sequence[list[int]]) -> list[int]:
+    """The first choice of the path that is within one standard error of the path's best."""
+    best = table.errors(_best(table, path))[0]
+    return next(c for c in path if one_standard_error(table.errors(c)[0], best))
+
+
+def _drop(table: Table, chosen: list[int], forced: list[int], best: Floats) -> list[int]:
+    """Drop terms, the least missed first, while what is left stays within one standard error of the best."""
+    while len(chosen) > len(forced):
+        fewer = min(([j for j in chosen if j != i] for i in chosen if i not in forced), key=table.held_out)
+        if not one_standard_error(table.errors(fewer)[0], best):
+            break
+        chosen = fewer
+    return chosen
+
+
+def _swapped(table: Table, chosen: list[int], forced: list[int]) -> list[int] | None:
+    """The choice with terms exchanged one by one, where that lowers the left-out error for good."""
+    now, changed = list(chosen), False
+    for i in chosen:
+        if i in forced:
+            continue
+        rest, here = [j for j in now if j != i], table.held_out(now)
+        tried = table.shortlist(rest)
+        errors = [table.held_out([*rest, other]) for other in tried]
+        if errors and min(errors) < here * (1 - PAYS):
+            now, changed = [*rest, tried[int(np.argmin(errors))]], True
+    return now if changed else None
+
+
+def _joined(table: Table, chosen: list[int], forced: list[int]) -> list[int]:
+    """The choice with several terms of one component and form replaced by one, where that is as good.
+
+    Forward search often takes two near-enough temperatures before it has seen the right one.
+    """
+    forms: dict[tuple[str, str], list[int]] = {}
+    for i in chosen:
+        candidate = table.candidates[i]
+        if candidate.feature and i not in forced:
+            forms.setdefault((candidate.component, candidate.term.effect.effect), []).append(i)
+    for together in (f for f in forms.values() if len(f) > 1):
+        rest = [j for j in chosen if j not in together]
+        tried = [[*rest, i] for i in table.shortlist(rest)]
+        if tried:
+            fewer = min(tried, key=table.held_out)
+            if one_standard_error(table.errors(fewer)[0], table.errors(chosen)[0]):
+                chosen = fewer
+    return chosen

@@ -1,0 +1,91 @@
+"""Where two axes stood together: whether what one does to the other can be followed over the workspace [XT 2].
+
+The travels of an axis and of another are cut into thirds. A component of the one that changes with the other is
+looked for where every one of the nine cells was visited while the first axis moved; else the cells that are missing
+are said, because beyond them a product of polynomials is a guess.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.characterise.result import Warn
+from rtec.characterise.seen import moves, reads
+from rtec.characterise.source import Source
+from rtec.machine import Axis
+from rtec.metrology.instruments.grid_encoder import GridEncoder
+
+Bools = NDArray[np.bool_]
+
+PARTS = 3
+LEAST = 5
+"""Readings in a cell that make it visited."""
+SPEEDS = 1.5
+"""Largest over smallest speed from which on an error may be said to go with the speed."""
+
+
+def visited_cells(sources: Sequence[Source], axis: Axis, other: Axis) -> Bools:
+    """Which thirds of an axis' travel were visited with the other in which of its own, (3 of the axis, 3 of other)."""
+    count = np.zeros((PARTS, PARTS), dtype=np.int64)
+    for source in sources:
+        if moves(source, axis):
+            poses = source.state.positions_mm()
+            machine = source.measurement.machine
+            part = [_part(poses[:, machine.axes.index(a)], a) for a in (axis, other)]
+            np.add.at(count, (part[0], part[1]), 1)
+    return np.asarray(count >= LEAST)
+
+
+def followed(sources: Sequence[Source], component: str, axis: Axis, other: Axis) -> bool:
+    """Whether the measurements that read a component of an axis cover it together with another axis."""
+    return bool(visited_cells([s for s in sources if reads(s, component)], axis, other).all())
+
+
+def several_speeds(sources: Sequence[Source], component: str, axis: Axis) -> bool:
+    """Whether an axis moved at several speeds, and all measurements that read its component say how fast it was."""
+    mine = [s for s in sources if reads(s, component)]
+    known = [s.speeds(axis) for s in mine]
+    if any(v is None for v in known):
+        return False
+    whole = np.abs(np.concatenate([v for v in known if v is not None])) if known else np.zeros(0)
+    going = whole[whole > 0.0]
+    return bool(len(going)) and float(np.quantile(going, 0.98)) > SPEEDS * float(np.quantile(going, 0.02))
+
+
+def cover_warnings(sources: Sequence[Source]) -> list[Warn]:
+    """Where grid plates were laid too few to follow one axis over another, and where to lay them."""
+    plates = [s for s in sources if isinstance(s.measurement.instrument, GridEncoder)]
+    if not plates:
+        return []
+    machine, out = plates[0].measurement.machine, []
+    for axis, other in itertools.permutations(machine.axes, 2):
+        mine = [s for s in plates if moves(s, axis)]
+        cells = visited_cells(mine, axis, other)
+        if mine and not cells.all():
+            said = f"{int(cells.sum())} of the {PARTS * PARTS} thirds of {axis.name} and {other.name}"
+            text = (
+                f"the errors of {axis.name} were not followed over {other.name}: grid set-ups were in {said}; whether "
+                f"they change with {other.name} was not asked of them"
+            )
+            out.append(Warn("not_covered", text, _places(cells, axis, other)))
+    return out
+
+
+def _places(cells: Bools, axis: Axis, other: Axis) -> str:
+    """Middles of plates that would visit the cells that are missing."""
+    missing = [(float(_middle(axis, i)), float(_middle(other, j))) for i, j in np.argwhere(~cells)]
+    a, b = axis.channel, other.channel
+    said = "; ".join(f"{a} {p:g}, {b} {q:g}" for p, q in missing)
+    return f"lay the plate in a plane of {axis.name} with its middle at ({said}) mm, or near"
+
+
+def _middle(axis: Axis, part: int) -> float:
+    low, high = axis.travel_mm
+    return round(low + (part + 0.5) * (high - low) / PARTS, 1)
+
+
+def _part(position_mm: NDArray[np.float64], axis: Axis) -> NDArray[np.int64]:
+    low, high = axis.travel_mm
+    return np.clip(((position_mm - low) / (high - low) * PARTS).astype(np.int64), 0, PARTS - 1)

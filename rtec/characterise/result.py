@@ -1,0 +1,144 @@
+"""What a characterisation gives: the model, how good it is, how it was chosen, and what to beware of."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.characterise.equivalents import Rival
+from rtec.characterise.noise import Outlier
+from rtec.model import Model
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Warn:
+    """Something to beware of.
+
+    Attributes:
+        code: short name, the same in `docs/fit.md`.
+        text: what was found, with numbers.
+        remedy: what to do about it.
+    """
+
+    code: str
+    text: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class MeasurementFit:
+    """How well one measurement is met.
+
+    Attributes:
+        name, instrument: of it.
+        unit: "um" or "urad" of its readings.
+        readings: how many were fitted.
+        measured: root mean square of the readings less nuisances, before any machine error is taken out.
+        inside: standard deviation of what the fit leaves, in sample.
+        held_out: the same on blocks that were left out.
+        blocks: how it was cut, in words.
+    """
+
+    name: str
+    instrument: str
+    unit: str
+    readings: int
+    measured: float
+    inside: float
+    held_out: float
+    blocks: str
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One fitted number; `t` is the number over its standard error, None where that is not known."""
+
+    effect: str
+    component: str
+    name: str
+    value: float
+    se: float | None
+    t: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Correlated:
+    """How one temperature, difference or speed goes with a component error."""
+
+    component: str
+    feature: str
+    effect: str
+    r: float
+    left: float
+    kept: bool
+
+
+@dataclass(frozen=True)
+class SearchStep:
+    """One step of the search: what was added, and the error in sample and held out, relative to that of nothing."""
+
+    added: str
+    inside: float
+    held_out: float
+
+
+@dataclass(frozen=True)
+class Characterisation:
+    """A machine characterised.
+
+    Attributes:
+        model: to be saved.
+        measurements: how well each is met.
+        coefficients: every number with its standard error.
+        condition: condition number of the scaled design.
+        inside_rms, held_out_rms: of all readings, in the unit of `unit`.
+        unit: "um"; "urad" where there are angles only; "noise" (multiples of it) where there are both.
+        steps: the search; empty where nothing was chosen.
+        undecided: choices that are as good as the one that was made.
+        correlations: the best of each component error.
+        outliers: readings that are off, with their rows.
+        warnings: in words.
+        notes: what was said of each measurement as it was read (missing readings, what was accepted), by its name.
+        residuals: for figures: measurement name to hours, (n,), and readings minus prediction, (readings, n).
+    """
+
+    model: Model
+    measurements: tuple[MeasurementFit, ...]
+    coefficients: tuple[Coefficient, ...]
+    condition: float
+    inside_rms: float
+    held_out_rms: float
+    unit: str
+    steps: tuple[SearchStep, ...] = ()
+    undecided: tuple[Rival, ...] = ()
+    correlations: tuple[Correlated, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
+    warnings: tuple[Warn, ...] = ()
+    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    residuals: dict[str, tuple[Floats, Floats]] = field(default_factory=dict, repr=False)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data, for JSON."""
+        plain = {
+            name: [asdict(item) for item in getattr(self, name)]
+            for name in ("measurements", "coefficients", "steps", "undecided", "correlations", "outliers", "warnings")
+        }
+        return {
+            "model": {
+                "name": self.model.name,
+                "sha256": self.model.hash,
+                "effects": len(self.model.effects),
+                "numbers": len(self.coefficients),
+                "noise_um": self.model.noise_um,
+            },
+            "rms_inside": self.inside_rms,
+            "rms_held_out": self.held_out_rms,
+            "unit": self.unit,
+            "condition_number": self.condition,
+            **plain,
+            "notes": {name: list(said) for name, said in self.notes.items()},
+        }

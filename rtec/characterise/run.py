@@ -1,0 +1,234 @@
+"""Characterises a machine: measurements in, geometric-thermal model out."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.characterise import noise
+from rtec.characterise.assemble import assemble
+from rtec.characterise.choose import Choice, choose
+from rtec.characterise.effect_list import Wanted
+from rtec.characterise.estimate import Estimate, estimate
+from rtec.characterise.grouping import tidied
+from rtec.characterise.identifiable import check_seen, tellable
+from rtec.characterise.noise import Outlier
+from rtec.characterise.projection import starting_terms
+from rtec.characterise.result import Characterisation
+from rtec.characterise.screen import Screened, screen
+from rtec.characterise.seen import reads
+from rtec.characterise.significance import spared, surety
+from rtec.characterise.source import Source
+from rtec.characterise.stream import Term, gather
+from rtec.characterise.thin import thinned
+from rtec.effects import Effect
+from rtec.errors import MeasurementError as Fault
+from rtec.errors import ModelError
+from rtec.metrology.measurement import Measurement
+from rtec.model.fit import Margin
+from rtec.parallel import one_blas_thread
+
+Floats = NDArray[np.float64]
+Stage = Callable[[str, int, int], None]
+"""Told what is going on, how much of it is done, of how much."""
+
+SEARCHED = 20_000
+"""Starting values of non-linear parameters come from so many instants of each measurement."""
+WORSE = 1.01
+"""Parameters from the search that raise the held-out error by more than this go back to those of the choice."""
+QUADRATIC = 2
+MANY_BLOCKS = 400
+"""More blocks than this, of all measurements together, tell no more than those that are left out together."""
+
+
+def characterise(
+    measurements: Sequence[Measurement],
+    *,
+    wanted: Wanted | None = None,
+    leave_out_h: float | None = None,
+    name: str = "model",
+    margin: Margin | None = None,
+    stage: Stage | None = None,
+) -> Characterisation:
+    """Choose the effects that the measurements show, fit them, and say how far they can be trusted.
+
+    The same measurements give the same model to the last bit.
+
+    Args:
+        measurements: of one machine, by any instruments.
+        wanted: effects to fit, and no others; None for a free choice.
+        leave_out_h: hours that are left out together; by default whole runs, or 4 h where there are few runs.
+        name: of the model.
+        margin: how far the valid ranges reach beyond the readings.
+        stage: told how far it is.
+
+    Raises:
+        MeasurementError: no measurement, measurements of different machines, or a channel with missing values.
+        ModelError: nothing can be fitted, or what was asked for is not shown by the readings.
+    """
+    with one_blas_thread():
+        return _characterise(measurements, wanted, leave_out_h, name, margin or Margin(), stage)
+
+
+def _characterise(
+    measurements: Sequence[Measurement],
+    wanted: Wanted | None,
+    leave_out_h: float | None,
+    name: str,
+    margin: Margin,
+    stage: Stage | None,
+) -> Characterisation:
+    tell = stage or (lambda _what, _done, _total: None)
+    sources = [Source.of(m, leave_out_h) for m in _checked(measurements)]
+    if sum(len(s.blocks.fold) for s in sources) > MANY_BLOCKS:
+        sources = [replace(s, blocks=s.blocks.by_fold) for s in sources]
+    sources, spiky = _despiked(sources)
+    scaled = [s.weighted(_rough_weights(s)) for s in sources]
+    exact = wanted.exact if wanted else ()
+    _check_channels(sources, exact)
+    chosen: list[Term] = []
+    screened: Screened | None = None
+    choice: Choice | None = None
+    if wanted is None or wanted.names:
+        tell("looking for what goes with what", 0, 1)
+        names = wanted.names if wanted else None
+        screened = screen(scaled, names)
+        choice = _choose(screened, wanted, tell)
+        # Once more, with what was found taken out: what stood behind something larger shows now.
+        screened = screen(scaled, names, [screened.candidates[i] for i in choice.chosen])
+        choice = _choose(screened, wanted, tell)
+        chosen = tidied([screened.candidates[i].term for i in choice.chosen])
+        chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
+    fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
+    tried = len(screened.candidates) if screened else 0
+    fit = _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell)
+    return assemble(fit, screened, choice, spiky, measurements, name, margin)
+
+
+def _choose(screened: Screened, wanted: Wanted | None, tell: Stage) -> Choice:
+    candidates = screened.candidates
+    if not candidates:
+        raise ModelError("fit: the measurements see no component error that any effect could explain")
+    normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t))
+    forced = [i for i, c in enumerate(candidates) if wanted is not None and _asked(c.term.effect, c.kind)]
+    return choose(normal, candidates, forced, lambda d, t: tell("choosing on left-out runs", d, t))
+
+
+def _asked(effect: Effect, kind: str) -> bool:
+    """Whether an effect that was named is fitted in any case: geometry is, up to quadratic; temperatures are chosen."""
+    return kind in ("position", "direction", "cyclic") and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
+
+
+def _asked_terms(wanted: Wanted | None) -> Callable[[Term], bool]:
+    names = wanted.names if wanted else ()
+    return lambda term: term.effect.effect in names
+
+
+def _sure(
+    sources: Sequence[Source],
+    fixed: list[Term],
+    chosen: list[Term],
+    asked: Callable[[Term], bool],
+    candidates: int,
+    tell: Stage,
+) -> Estimate:
+    """Fit, and drop chosen terms that are neither sure nor spared, the least sure first."""
+    while chosen or fixed:
+        fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
+        unsure = [(s, i) for i, s in enumerate(surety(fit, candidates)[kept:]) if s < 1.0 and not asked(chosen[i])]
+        idle = [(s, i) for s, i in unsure if not spared(fit, kept + i)]
+        if not idle:
+            return fit
+        chosen = [t for i, t in enumerate(chosen) if i != min(idle)[1]]
+    raise ModelError(
+        "fit: no effect lowers the error on left-out runs for sure: the readings are noise, or show what no effect "
+        "describes; name effects with --effects to fit them nonetheless"
+    )
+
+
+def _fitted(sources: Sequence[Source], terms: Sequence[Term], tell: Stage) -> Estimate:
+    def progress(done: int, total: int) -> None:
+        tell("fitting", done, total)
+
+    fit = estimate(sources, terms, progress=progress)
+    if fit.found.slopes or fit.found.on_bound:
+        try:
+            check_seen(fit.found.normal, [*fit.terms, *[s.term for s in fit.found.slopes]])
+            good = True
+        except ModelError:
+            good = False
+        still = estimate(sources, terms, search=False, progress=progress)
+        if not good or fit.held_out * _scale(fit) > WORSE * still.held_out * _scale(still):
+            return still
+    return fit
+
+
+def _scale(fit: Estimate) -> float:
+    """Noise that the weights suppose, so that errors of two fits compare."""
+    return float(np.sqrt(np.mean([np.mean(1.0 / np.maximum(s.weight[s.weight > 0], 1e-12) ** 2) for s in fit.sources])))
+
+
+def _rough_weights(source: Source) -> Floats:
+    return (source.weight.reshape(-1, source.count) / noise.rough_noise(source)).ravel()
+
+
+def _despiked(sources: Sequence[Source]) -> tuple[list[Source], list[Outlier]]:
+    """Leave out readings that their neighbours in the run show to be wrong, and list them."""
+    out, told = [], []
+    for source in sources:
+        spike = noise.spikes(source)
+        off = source.measurement.matrix() - noise.around(source)
+        told += noise.describe(source, off, spike, np.ones(spike.shape))
+        out.append(source.weighted(np.where(spike.T.ravel(), 0.0, source.weight)))
+    return out, told
+
+
+def _checked(measurements: Sequence[Measurement]) -> Sequence[Measurement]:
+    if not measurements:
+        raise Fault("fit: no measurement was given")
+    machine = measurements[0].machine
+    faults = [
+        f"{m.name}: measured on machine {m.machine.name!r}, which is not that of {measurements[0].name}"
+        for m in measurements
+        if m.machine.hash != machine.hash
+    ]
+    faults += [f"{m.name}: has no reading" for m in measurements if not np.isfinite(m.matrix()).any()]
+    names = [m.name for m in measurements]
+    faults += [f"{n}: given twice" for n in sorted({n for n in names if names.count(n) > 1})]
+    faults += [_missing(m, a.channel) for m in measurements for a in m.machine.axes if _gaps(m, a.channel)]
+    if faults:
+        raise Fault("\n".join(faults))
+    return measurements
+
+
+def _check_channels(sources: Sequence[Source], effects: Sequence[Effect]) -> None:
+    faults = []
+    for effect in effects:
+        for source in sources:
+            m = source.measurement
+            if not reads(source, effect.component):
+                continue
+            moving = {c for a in m.machine.axes for c in (a.channel, a.direction_channel)}
+            moving |= {a.velocity_channel for a in m.machine.axes if source.speeds(a) is not None}
+            for channel in effect.channels(m.machine):
+                if channel not in m.channels and channel not in moving:
+                    faults.append(
+                        f"{m.name}: has no column for {channel}, which {effect.effect}({effect.component}) needs"
+                    )
+                elif _gaps(m, channel):
+                    faults.append(_missing(m, channel))
+    if faults:
+        raise Fault("\n".join(dict.fromkeys(faults)))
+
+
+def _gaps(measurement: Measurement, channel: str) -> bool:
+    return channel in measurement.channels and not np.isfinite(measurement.channels[channel]).all()
+
+
+def _missing(measurement: Measurement, channel: str) -> str:
+    rows = np.flatnonzero(~np.isfinite(measurement.channels[channel]))
+    return (
+        f"{measurement.name}: row {int(rows[0]) + 1}: {channel} is missing ({len(rows)} rows in all); "
+        "fill them, or leave the rows out"
+    )

@@ -1,0 +1,248 @@
+"""Warnings in words: what to beware of in a fit, with numbers and a way on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.characterise.coverage import cover_warnings
+from rtec.characterise.equivalents import Rival
+from rtec.characterise.estimate import Estimate
+from rtec.characterise.identifiable import label
+from rtec.characterise.noise import Outlier, rough_noise
+from rtec.characterise.result import Warn
+from rtec.characterise.setups import setup_warnings
+from rtec.characterise.source import Source
+
+Floats = NDArray[np.float64]
+
+OVER_FITTED = 1.5
+"""Held-out error over in-sample error."""
+LEFT_OVER = 2.0
+"""What is left over the noise between neighbouring readings."""
+ILL = 30.0
+"""Condition number of scaled columns from which coefficients are told apart badly (Belsley, Kuh and Welsch)."""
+COLLINEAR = 0.98
+VISITED = 0.9
+NARROW_K = 3.0
+FEW_BLOCKS = 8
+LITTLE_INFORMATION = 0.05
+OPPOSITE = 0.5
+
+
+def all_warnings(fit: Estimate, undecided: Sequence[Rival], unused: Sequence[str]) -> list[Warn]:
+    """Everything to beware of, what matters most first."""
+    found = [
+        *_over_fitted(fit),
+        *_left_over(fit),
+        *_undecided(fit, undecided),
+        *_ill_conditioned(fit),
+        *_collinear(fit),
+        *_sign_changes(fit),
+        *setup_warnings(fit.sources),
+        *_not_visited(fit),
+        *cover_warnings(fit.sources),
+        *_on_bound(fit),
+        *_few_blocks(fit),
+        *outlier_warnings(fit.outliers),
+    ]
+    keep = "let it warm up more, or leave the sensor out of the machine file"
+    return found + [Warn("sensor_unused", text, keep) for text in unused]
+
+
+def _over_fitted(fit: Estimate) -> list[Warn]:
+    ratio = fit.held_out / max(fit.inside, 1e-12)
+    if ratio <= OVER_FITTED:
+        return []
+    return [
+        Warn(
+            "over_fitted",
+            f"over-fitted: the error on blocks left out of the fit is {ratio:.1f} times that in sample; the "
+            f"{fit.linear.width} coefficients follow these readings more than the machine",
+            "fit fewer effects, or measure over more thermal cycles",
+        )
+    ]
+
+
+def _left_over(fit: Estimate) -> list[Warn]:
+    out = []
+    for source, left in zip(fit.sources, fit.noise, strict=True):
+        ratio = float(np.max(left / rough_noise(source)))
+        if ratio > LEFT_OVER:
+            text = (
+                f"{source.measurement.name}: what is left is {ratio:.1f} times the noise between neighbouring readings"
+            )
+            out.append(
+                Warn(
+                    "left_over",
+                    text,
+                    "something is missing from the model: look where and when it is left (`--report`)",
+                )
+            )
+    return out
+
+
+def _undecided(fit: Estimate, rivals: Sequence[Rival]) -> list[Warn]:
+    del fit
+    out = []
+    for component in dict.fromkeys(r.component for r in rivals):
+        mine = [r for r in rivals if r.component == component]
+        said = "; ".join(
+            f"{r.candidate} in place of {r.instead_of} ({100 * (r.held_out / r.chosen_held_out - 1):+.1f} % held out)"
+            for r in mine[:4]
+        )
+        more = f"; and {len(mine) - 4} more" if len(mine) > 4 else ""
+        out.append(
+            Warn(
+                "undecided",
+                f"undecided for {component}: these readings do not decide between near-equal choices: {said}{more}",
+                "measure through another cycle in which these temperatures part (another speed, a rest, a warm start)",
+            )
+        )
+    return out
+
+
+def _ill_conditioned(fit: Estimate) -> list[Warn]:
+    condition = fit.linear.condition()
+    if condition <= ILL:
+        return []
+    scaled, _ = fit.linear.scaled()
+    weak = np.abs(np.linalg.eigh(scaled)[1][:, 0])
+    index = [int(fit.linear.owner[i]) for i in np.flatnonzero(weak[: fit.linear.width] > 0.2 * weak.max())]
+    said = ", ".join(dict.fromkeys(label(fit.terms[i]) for i in index)) or "the nuisances"
+    return [
+        Warn(
+            "ill_conditioned",
+            f"condition number {condition:.0f}: hardly told apart: {said}; their sum is known, each alone is not",
+            "leave one out, or measure where they differ",
+        )
+    ]
+
+
+def _collinear(fit: Estimate) -> list[Warn]:
+    machine = fit.sources[0].measurement.machine
+    used = sorted({c for t in fit.terms for c in t.effect.channels(machine)} & set(machine.sensor_names))
+    names = [n for n in machine.sensor_names if all(n in s.measurement.channels for s in fit.sources)]
+    if len(names) < 2:
+        return []
+    series = np.stack([np.concatenate([s.measurement.channels[n] for s in fit.sources]) for n in names])
+    ok = np.isfinite(series).all(axis=1) & (np.ptp(np.nan_to_num(series), axis=1) > 0)
+    good = [n for n, fine in zip(names, ok, strict=True) if fine]
+    table = np.corrcoef(series[ok]) if len(good) > 1 else np.eye(len(good))
+    pairs = [
+        f"{a} and {b} ({table[i, j]:.3f})"
+        for i, a in enumerate(good)
+        for j, b in enumerate(good)
+        if (i < j and a in used and b in used) and abs(table[i, j]) > COLLINEAR
+    ]
+    if not pairs:
+        return []
+    more = f" and {len(pairs) - 6} pairs more" if len(pairs) > 6 else ""
+    return [
+        Warn(
+            "collinear",
+            f"sensors that the model uses are collinear: {', '.join(pairs[:6])}{more}; either may stand for the other",
+            "warm one part without the other (spindle off and axis moving, or the reverse), or use one of them",
+        )
+    ]
+
+
+def _sign_changes(fit: Estimate) -> list[Warn]:
+    """Each coefficient by each fold alone, the others as in the whole fit."""
+    normal, values = fit.linear, fit.values
+    machine = fit.sources[0].measurement.machine
+    named = [(label(t), n) for t in fit.terms for n in t.names(machine)]
+    out = []
+    diagonal = np.diagonal(normal.by_fold, axis1=1, axis2=2)[:, : normal.width]
+    score = normal.by_fold[:, : normal.width, -1] - normal.by_fold[:, : normal.width, :-1] @ values
+    noise = max(fit.inside, 1e-12)
+    for k, (term, name) in enumerate(named):
+        told = diagonal[:, k] > LITTLE_INFORMATION * diagonal[:, k].sum() / len(diagonal)
+        alone = values[k] + score[told, k] / diagonal[told, k]
+        sure = np.abs(alone) > 4.0 * noise / np.sqrt(diagonal[told, k])
+        against = (np.sign(alone) == -np.sign(values[k])) & (np.abs(alone) > OPPOSITE * abs(values[k])) & sure
+        if against.any():
+            out.append(
+                Warn(
+                    "sign_change",
+                    f"{term} {name} changes sign between cycles: {values[k]:.3g} over all, but of the other sign in "
+                    f"{int(against.sum())} of {int(told.sum())} left-out parts (as far as {alone[against][0]:.3g})",
+                    "it stands in for something else; look for another cause, or leave it out",
+                )
+            )
+    return out
+
+
+def _not_visited(fit: Estimate) -> list[Warn]:
+    machine = fit.sources[0].measurement.machine
+    used = {c for t in fit.terms for c in t.effect.channels(machine)}
+    out = []
+    for axis in machine.axes:
+        if axis.channel in used:
+            low, high = _range(fit.sources, axis.channel)
+            travel = axis.travel_mm
+            if high - low < VISITED * (travel[1] - travel[0]):
+                out.append(
+                    Warn(
+                        "not_visited",
+                        f"axis {axis.name} was measured from {low:g} to {high:g} mm only; its travel is {travel[0]:g} "
+                        f"to {travel[1]:g} mm; the correction holds outside",
+                        "measure over the whole travel",
+                    )
+                )
+    for sensor in (s for s in machine.sensor_names if s in used):
+        low, high = _range(fit.sources, sensor)
+        if high - low < NARROW_K:
+            out.append(
+                Warn(
+                    "narrow_temperature",
+                    f"{sensor} varied from {low:.1f} to {high:.1f} °C only; its coefficient is for that range",
+                    "measure through a full warm-up",
+                )
+            )
+    return out
+
+
+def _range(sources: Sequence[Source], channel: str) -> tuple[float, float]:
+    there = [s.measurement.channels[channel] for s in sources if channel in s.measurement.channels]
+    if not there:
+        return 0.0, 0.0
+    return float(min(np.nanmin(v) for v in there)), float(max(np.nanmax(v) for v in there))
+
+
+def _on_bound(fit: Estimate) -> list[Warn]:
+    return [
+        Warn(
+            "on_bound",
+            f"{label(fit.terms[i])}: {name} = {fit.terms[i].theta[name]:.4g} stands on the bound of the search",
+            "the effect is not what its equation says; try it without lag, or another effect",
+        )
+        for i, name in fit.found.on_bound
+    ]
+
+
+def _few_blocks(fit: Estimate) -> list[Warn]:
+    blocks = len(fit.linear.gram)
+    if blocks >= FEW_BLOCKS:
+        return []
+    return [
+        Warn(
+            "few_blocks",
+            f"only {blocks} blocks of readings: standard errors and held-out errors are rough",
+            f"measure at least {FEW_BLOCKS} runs, over more than one thermal cycle",
+        )
+    ]
+
+
+def outlier_warnings(outliers: Sequence[Outlier], why: str = "are off") -> list[Warn]:
+    """Readings that were left out or count less, by measurement, with their rows."""
+    out = []
+    for name in dict.fromkeys(o.measurement for o in outliers):
+        for gone, did in ((True, "left out"), (False, "counted less")):
+            rows = [o for o in outliers if o.measurement == name and o.left_out is gone]
+            if rows:
+                said = ", ".join(f"row {o.row + 1} of run {o.run} ({o.off:+.3g})" for o in rows[:5])
+                more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
+                text = f"{name}: {len(rows)} readings {why} and were {did}: {said}{more}"
+                out.append(Warn("outliers", text, "look at these rows; if they are real, the model lacks their cause"))
+    return out

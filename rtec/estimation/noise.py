@@ -1,0 +1,351 @@
+"""The noise of each series: white, drifting, and an offset for each run; found by restricted maximum likelihood.
+
+Without a drift model every method cries wolf: neighbouring readings share the drift of the hour, and what is shared
+looks like an effect of anything that also changes slowly.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.estimation.readings import Readings, Series
+from rtec.estimation.whitening import gains, innovations
+
+Floats = NDArray[np.float64]
+
+WIDE = 1e5
+"""Variance of a run's unknowns over that of the readings: large, so that only the readings decide."""
+USUAL_DRIFT, SPREAD = math.log(1.0), 2.5
+"""Weak prior on the drift's variance over the white noise's: log-normal, centre and spread of the logarithm."""
+USUAL_OFFSET = math.log(0.3)
+START = ((0.2, 0.01), (0.2, 0.05), (2.0, 0.05), (2.0, 0.25), (20.0, 0.25))
+"""Where the search looks first: drift's variance, and time constant as a share of the record."""
+STEPS = 60
+MANY, STRETCH = 8000, 400
+"""A longer series is searched through stretches of so many readings, so many in all."""
+DRIFT_BOUNDS = (1e-4, 1e5)
+INEXACT = 0.05
+"""No law of a machine is truer than so: this share of what it is to explain counts as white noise at the least.
+
+Else the likelihood of very quiet readings is ruled by quick changes far below what anybody wants explained.
+"""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one series.
+
+    Attributes:
+        sigma: standard deviation of the white part, in the unit of the readings.
+        drift: variance of the drift over σ².
+        tau_s: its time constant.
+        offset: variance of the runs' offsets over σ²; zero where each run's zero is unknown anyway.
+    """
+
+    sigma: float
+    drift: float
+    tau_s: float
+    offset: float
+
+    @property
+    def floor(self) -> float:
+        """What noise alone leaves, root mean square."""
+        return self.sigma * math.sqrt(1.0 + self.drift + self.offset)
+
+    def words(self, name: str, unit: str) -> str:
+        """In words."""
+        u = "µm" if unit == "um" else "µrad"
+        drift, offset = self.sigma * math.sqrt(self.drift), self.sigma * math.sqrt(self.offset)
+        said = f"{name}: white noise {self.sigma:.2g} {u}"
+        if drift > 0.2 * self.sigma:
+            said += f", drift {drift:.2g} {u} with a memory of {minutes(self.tau_s)}"
+        if offset > 0.2 * self.sigma:
+            said += f", offset from run to run {offset:.2g} {u}"
+        return said
+
+
+def minutes(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
+@dataclass(frozen=True)
+class Filter:
+    """The whitening filter of one series."""
+
+    series: Series
+    sigma: float
+    decay: Floats
+    gain: Floats
+    scale: Floats
+    log_det: float
+
+    def whiten(self, columns: Floats) -> Floats:
+        """Whitened copy of columns, (n, p)."""
+        out = np.array(columns, dtype=np.float64, order="C", copy=True)
+        innovations(self.series.run, self.series.nuisance, self.decay, self.gain, self.scale, out)
+        if self.sigma != 1.0:
+            out /= self.sigma
+        return out
+
+
+def make_filter(series: Series, wide: Floats, noise: Noise) -> Filter:
+    """Work out the filter of a series under a noise."""
+    n, k = series.nuisance.shape
+    decay, gain, scale = np.empty(n), np.empty((n, 2 + k)), np.empty(n)
+    log_det = gains(
+        series.time_s, series.run, series.nuisance, noise.drift, noise.tau_s, noise.offset, wide, decay, gain, scale
+    )
+    return Filter(series, noise.sigma, decay, gain, scale, log_det)
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Whitens columns of all readings, series by series.
+
+    Attributes:
+        readings: the readings.
+        noises: of each series.
+        wides: variances of the unknowns of each run over that of the white noise, for each series.
+        least: smallest white noise of each series, in its unit; empty for none.
+    """
+
+    readings: Readings
+    noises: tuple[Noise, ...]
+    wides: tuple[Floats, ...]
+    least: tuple[float, ...] = ()
+
+    @cached_property
+    def filters(self) -> tuple[Filter, ...]:
+        """One for each series."""
+        return tuple(
+            make_filter(s, w, n) for s, w, n in zip(self.readings.series, self.wides, self.noises, strict=True)
+        )
+
+    @cached_property
+    def log_det(self) -> float:
+        """Log det Σ of all readings."""
+        return sum(f.log_det + 2.0 * len(f.series) * math.log(f.sigma) for f in self.filters)
+
+    def __call__(self, columns: Floats) -> Floats:
+        """Whiten columns, (m,) or (m, p)."""
+        flat = columns.ndim == 1
+        whole = columns[:, None] if flat else columns
+        out = np.concatenate([f.whiten(whole[f.series.part]) for f in self.filters])
+        return out[:, 0] if flat else out
+
+    def with_noises(self, noises: Sequence[Noise]) -> "Whitener":
+        """The same readings under other noises."""
+        least = self.least or (0.0,) * len(self.wides)
+        return Whitener(self.readings, tuple(map(_at_least, noises, least)), self.wides, self.least)
+
+    @property
+    def floor(self) -> Floats:
+        """What noise alone leaves of each series, (series,)."""
+        return np.fromiter((n.floor for n in self.noises), dtype=np.float64)
+
+
+def least_noise(readings: Readings, left: Floats) -> tuple[float, ...]:
+    """The least white noise of each series where so much, (m,), is left to be explained."""
+    return tuple(INEXACT * math.sqrt(float(np.mean(left[s.part] ** 2))) for s in readings.series)
+
+
+def _at_least(noise: Noise, sigma: float) -> Noise:
+    """A noise whose white part is no smaller than given; drift and offset stay what they are."""
+    if noise.sigma >= sigma:
+        return noise
+    less = (noise.sigma / sigma) ** 2
+    return replace(noise, sigma=sigma, drift=max(noise.drift * less, DRIFT_BOUNDS[0]), offset=noise.offset * less)
+
+
+def find_noise(readings: Readings, base: Floats, steps: int = STEPS, least: tuple[float, ...] = ()) -> Whitener:
+    """Find the noise of every series with the current model's columns as its mean.
+
+    Args:
+        readings: the readings.
+        base: columns of the model's numbers and of unknown set-up terms, (m, p).
+        steps: evaluations of the search, for each series.
+        least: smallest white noise of each series; empty for none.
+    """
+    noises, wides = [], []
+    for s in readings.series:
+        y = readings.values[s.part]
+        wide = _wide(s, y)
+        wides.append(wide)
+        noises.append(_reml(s, wide, _orthonormal(base[s.part]), y, steps))
+    return Whitener(readings, (), tuple(wides), least).with_noises(noises)
+
+
+CALM = 0.1
+"""Variance of the drift, and of the runs' offsets, over the white noise's where hardly any is supposed."""
+
+
+def without_drift(whitener: Whitener) -> Whitener:
+    """Hardly any drift: white noise as rough as neighbouring readings differ."""
+    noises = []
+    for s, now in zip(whitener.readings.series, whitener.noises, strict=True):
+        span = max(float(s.time_s[-1] - s.time_s[0]), 1.0)
+        sigma = min(_roughness(s, whitener.readings.values[s.part]), now.sigma)
+        noises.append(Noise(sigma, CALM, 0.1 * span, CALM if now.offset > 0.0 else 0.0))
+    return whitener.with_noises(noises)
+
+
+def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
+    """Find the noises anew from what a fit leaves, starting where they are, (m,)."""
+    noises = []
+    for s, wide, now in zip(whitener.readings.series, whitener.wides, whitener.noises, strict=True):
+        noises.append(_of_residual(s, wide, left[s.part], now, steps))
+    return whitener.with_noises(noises)
+
+
+def log_likelihood(whitener: Whitener, left: Floats) -> float:
+    """Log likelihood of what a fit leaves, (m,), up to a constant, with the weak priors."""
+    white = whitener(left)
+    priors = sum(_prior(n) for n in whitener.noises)
+    return -0.5 * (whitener.log_det + float(white @ white)) + priors
+
+
+def _wide(series: Series, y: Floats) -> Floats:
+    """Variances of the unknowns of each run, over that of the white noise."""
+    size = np.sqrt(np.mean(series.nuisance**2, axis=0)) if series.nuisance.shape[1] else np.zeros(0)
+    spread = max(float(np.std(y)) / _roughness(series, y), 10.0)
+    return np.asarray(WIDE * spread**2 / np.maximum(size, 1e-12) ** 2, dtype=np.float64)
+
+
+def _roughness(series: Series, y: Floats) -> float:
+    """White noise from how neighbouring readings of a run differ."""
+    step = np.diff(y)[np.diff(series.run) == 0]
+    robust = 1.4826 * float(np.median(np.abs(step - np.median(step)))) / math.sqrt(2.0) if len(step) else 0.0
+    return max(robust, 0.01 * float(np.std(y)), 1e-9)
+
+
+def _orthonormal(columns: Floats) -> Floats:
+    """An orthonormal basis of columns, (n, rank)."""
+    size = np.linalg.norm(columns, axis=0)
+    kept = columns[:, size > 0] / size[size > 0]
+    if not kept.shape[1]:
+        return np.asarray(kept)
+    u, s, _ = np.linalg.svd(kept, full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s[0]], dtype=np.float64)
+
+
+def _has_zero(series: Series) -> bool:
+    """Whether each run's zero is unknown anyway."""
+    return bool((np.ptp(series.nuisance, axis=0) == 0.0).any()) if series.nuisance.shape[1] else False
+
+
+class _Mean:
+    """−2 log restricted likelihood of a series whose mean lies in the base, white variance profiled."""
+
+    def __init__(self, series: Series, wide: Floats, base: Floats, y: Floats) -> None:
+        self.series, self.wide = series, wide
+        self.columns = np.concatenate([base, y[:, None]], axis=1)
+        self.freedom = max(len(y) - base.shape[1] - series.nuisance.shape[1] * int(series.run[-1] + 1), 3)
+
+    def __call__(self, noise: Noise) -> tuple[float, float]:
+        """The value, and the white variance."""
+        f = make_filter(self.series, self.wide, noise)
+        white = f.whiten(self.columns)
+        gram = white.T @ white
+        p = len(gram) - 1
+        log_det, left = 0.0, float(gram[-1, -1])
+        if p:
+            factor = np.linalg.cholesky(gram[:p, :p] + 1e-10 * np.trace(gram[:p, :p]) / p * np.eye(p))
+            log_det = 2.0 * float(np.log(np.diag(factor)).sum())
+            along = np.linalg.solve(factor, gram[:p, -1])
+            left -= float(along @ along)
+        variance = max(left, 1e-12) / self.freedom
+        return f.log_det + log_det + self.freedom * math.log(variance), variance
+
+
+def _bounds(series: Series) -> Floats:
+    """Lowest, highest, centre and spread of the prior of the logarithms of drift, memory and offset, (3, 4)."""
+    times = series.time_s
+    span, apart = max(float(times[-1] - times[0]), 1.0), np.diff(times)
+    shortest = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
+    return np.array(
+        [
+            [math.log(DRIFT_BOUNDS[0]), math.log(DRIFT_BOUNDS[1]), USUAL_DRIFT, SPREAD],
+            [math.log(min(3.0 * shortest, 0.02 * span)), math.log(3.0 * span), 0.0, 0.0],
+            [-9.0, 9.0, USUAL_OFFSET, SPREAD],
+        ]
+    )
+
+
+def _stretches(n: int) -> NDArray[np.int64]:
+    """Stretches of neighbouring readings, evenly over a long series: short and long memory both show; else all."""
+    if n <= MANY:
+        return np.arange(n)
+    first = np.linspace(0, n - STRETCH, MANY // STRETCH).astype(np.int64)
+    return np.unique((first[:, None] + np.arange(STRETCH)).ravel())
+
+
+def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: int) -> Noise:
+    """Noise of a series that has no mean left, searched for from a noise that is about right."""
+    from rtec.estimation.kalman_search import likelihood, walk
+
+    start = [math.log(now.drift), math.log(now.tau_s)] + ([math.log(now.offset)] if now.offset > 0.0 else [])
+    freedom = float(max(len(left) - series.nuisance.shape[1] * int(series.run[-1] + 1), 3))
+    data = (series.time_s, series.run, series.nuisance, wide, np.ascontiguousarray(left))
+    few = _stretches(len(left))
+    part, share = data, len(few) / len(left)
+    if share < 1.0:
+        part = (series.time_s[few], series.run[few], np.ascontiguousarray(series.nuisance[few]), wide, data[4][few])
+    found = np.exp(walk(*part, freedom * share, np.array(start), _bounds(series), steps))
+    offset = float(found[2]) if len(found) > 2 else 0.0
+    _, square = likelihood(*data, float(found[0]), float(found[1]), offset)
+    return Noise(math.sqrt(max(square, 1e-12) / freedom), float(found[0]), float(found[1]), offset)
+
+
+Cost = Callable[[Noise], tuple[float, float]]
+
+
+def _prior(noise: Noise) -> float:
+    """Log of the weak priors; they keep a parameter that the readings do not decide from running away."""
+    value = -0.5 * ((math.log(noise.drift) - USUAL_DRIFT) / SPREAD) ** 2
+    if noise.offset > 0.0:
+        value -= 0.5 * ((math.log(noise.offset) - USUAL_OFFSET) / SPREAD) ** 2
+    return value
+
+
+def _reml(series: Series, wide: Floats, base: Floats, y: Floats, steps: int) -> Noise:
+    cost = _Mean(series, wide, base, y)
+    span = max(float(series.time_s[-1] - series.time_s[0]), 1.0)
+    offset = 0.0 if _has_zero(series) or series.run[-1] == 0 else 0.1
+    tried = [Noise(1.0, d, max(share * span, 1.0), offset) for d, share in START]
+    best = min(tried, key=lambda n: cost(n)[0] - 2.0 * _prior(n))
+    return _search(cost, best, steps)
+
+
+def _search(cost: Any, start: Noise, steps: int) -> Noise:
+    """Nelder-Mead in the logarithms of drift, time constant and offset."""
+    from scipy.optimize import minimize
+
+    (low_d, high_d, *_), (low, high, *_), _ = _bounds(cost.series).tolist()
+
+    def noise(x: Floats) -> Noise:
+        drift, tau = min(max(float(x[0]), low_d), high_d), min(max(float(x[1]), low), high)
+        offset = math.exp(min(max(float(x[2]), -9.0), 9.0)) if len(x) > 2 else 0.0
+        return Noise(1.0, math.exp(drift), math.exp(tau), offset)
+
+    def value(x: Floats) -> float:
+        n = noise(x)
+        return float(cost(n)[0]) - 2.0 * _prior(n)
+
+    x0 = [math.log(start.drift), math.log(start.tau_s)]
+    if start.offset > 0.0:
+        x0.append(math.log(start.offset))
+    simplex = np.array([x0, *(np.array(x0) + 0.7 * np.eye(len(x0)))])
+    found = minimize(
+        value, x0, method="Nelder-Mead",
+        options={"maxfev": steps, "initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02},
+    )  # fmt: skip
+    best = noise(found.x)
+    return Noise(math.sqrt(cost(best)[1]), best.drift, best.tau_s, best.offset)

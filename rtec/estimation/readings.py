@@ -1,0 +1,281 @@
+"""All readings of several measurements in one row of numbers, and the columns that effects make of them.
+
+A *series* is one reading column of one measurement: its readings in order of time, with noise of its own. The
+readings of all series stand one after the other; NaN readings and spikes are left out.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.at_once import each
+from rtec.effects import Effect, State
+from rtec.errors import MeasurementError, ModelError
+from rtec.estimation.held_out import cut
+from rtec.estimation.smoothing import Windows, smoothed
+from rtec.machine import Machine
+from rtec.metrology.instruments.base import Nuisance
+from rtec.metrology.measurement import Measurement
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """One reading column of one measurement.
+
+    Attributes:
+        source: number of the measurement.
+        lane: number of the column in it.
+        column: its name.
+        unit: "um" or "urad".
+        row: instants that have a reading, (n,).
+        time_s: of them.
+        run: their runs, counted from 0 in order, (n,).
+        fold: which are left out together, (n,).
+        nuisance: values of what each run has anew (zero, slope …), (n, k).
+        start: place of the first reading among all.
+    """
+
+    source: int
+    lane: int
+    column: str
+    unit: str
+    row: Ints
+    time_s: Floats
+    run: Ints
+    fold: Ints
+    nuisance: Floats
+    start: int
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @property
+    def part(self) -> slice:
+        """Its place among all readings."""
+        return slice(self.start, self.start + len(self.row))
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Every reading of several measurements.
+
+    Attributes:
+        measurements: as given.
+        states: their channels; temperatures smoothed.
+        series: the reading columns, one after the other.
+        values: all readings, µm or µrad, (m,).
+        setup: values of what a whole set-up shares and cannot know (misalignment …), (m, s).
+        setup_names: what those are.
+    """
+
+    measurements: tuple[Measurement, ...]
+    states: tuple[State, ...]
+    series: tuple[Series, ...]
+    values: Floats
+    setup: Floats
+    setup_names: tuple[str, ...]
+    _arms: dict[str, Floats] = field(default_factory=dict, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def machine(self) -> Machine:
+        """The machine of all measurements."""
+        return self.measurements[0].machine
+
+    @cached_property
+    def fold(self) -> Ints:
+        """Which readings are left out together, (m,); measurements that share no run share folds by number."""
+        return np.concatenate([s.fold for s in self.series])
+
+    @cached_property
+    def run(self) -> Ints:
+        """Run of each reading, another number for each run of each series, (m,)."""
+        ends = np.cumsum([0, *(int(s.run[-1]) + 1 for s in self.series)])
+        return np.concatenate([s.run + int(first) for s, first in zip(self.series, ends[:-1], strict=True)])
+
+    @cached_property
+    def time_s(self) -> Floats:
+        """Time of each reading since its measurement began, s, (m,)."""
+        return np.concatenate([s.time_s for s in self.series])
+
+    @cached_property
+    def poses_mm(self) -> tuple[Floats, ...]:
+        """Axis positions of each measurement, (n, axes)."""
+        return tuple(s.positions_mm() for s in self.states)
+
+    def arms(self, component: str) -> Floats:
+        """How much a component error moves each reading, (m,)."""
+        if component not in self._arms:
+            whole = [
+                m.instrument.arms_of(m.machine, pose, component)
+                for m, pose in zip(self.measurements, self.poses_mm, strict=True)
+            ]
+            self._arms[component] = np.concatenate([whole[s.source][s.lane, s.row] for s in self.series])
+        return self._arms[component]
+
+    def columns(self, effect: Effect, theta: Mapping[str, float]) -> Floats:
+        """What one unit of each coefficient of an effect adds to each reading, (m, coefficients).
+
+        Raises:
+            ModelError: a measurement that sees the component lacks a channel of the effect.
+        """
+        arms = self.arms(effect.component)
+        width = len(effect.coefficients(self.machine))
+        out = np.zeros((len(self.values), width))
+        basis: dict[int, list[Floats]] = {}
+        for s in self.series:
+            arm = arms[s.part]
+            if not arm.any():
+                continue
+            if s.source not in basis:
+                basis[s.source] = self._basis(effect, theta, s.source)
+            for k, value in enumerate(basis[s.source]):
+                out[s.part, k] = arm * value[s.row]
+        return out
+
+    def channel(self, name: str) -> Floats:
+        """A channel at each reading, (m,); NaN where a measurement has not recorded it."""
+        whole: list[Floats] = []
+        for state in self.states:
+            try:
+                whole.append(np.asarray(state.value(name), dtype=np.float64))
+            except ModelError:
+                whole.append(np.full(len(state), np.nan))
+        return np.concatenate([whole[s.source][s.row] for s in self.series])
+
+    def without(self, spike: NDArray[np.bool_]) -> "Readings":
+        """The same without some readings, (m,)."""
+        series, kept, start = [], ~spike, 0
+        for s in self.series:
+            keep = kept[s.part]
+            if not keep.any():
+                continue
+            run = np.unique(s.run[keep], return_inverse=True)[1]
+            one = replace(
+                s, row=s.row[keep], time_s=s.time_s[keep], run=run, fold=s.fold[keep],
+                nuisance=s.nuisance[keep], start=start,
+            )  # fmt: skip
+            series.append(one)
+            start += len(one)
+        return Readings(
+            self.measurements, self.states, tuple(series), self.values[kept], self.setup[kept], self.setup_names
+        )
+
+    def causal(self) -> "Readings":
+        """The same with the temperatures as they were read: what the loop will see."""
+        states = tuple(
+            _state(m, s.reference_degc, smooth=False) for m, s in zip(self.measurements, self.states, strict=True)
+        )
+        return replace(self, states=states, _arms={})
+
+    def _basis(self, effect: Effect, theta: Mapping[str, float], source: int) -> list[Floats]:
+        state = self.states[source]
+        values = effect.basis(self.machine, state, theta)
+        return [np.broadcast_to(np.asarray(v, dtype=np.float64), (len(state),)) for v in values]
+
+
+def read(
+    measurements: Sequence[Measurement], reference_degc: float = 20.0, *, smooth: bool = True, folds: int = 8
+) -> Readings:
+    """Put the readings of measurements together.
+
+    Args:
+        measurements: of one machine.
+        reference_degc: temperature at which a temperature effect is nothing.
+        smooth: smooth the temperatures, as a search for what is missing should.
+        folds: into how many parts the runs are dealt for leaving out.
+
+    Raises:
+        MeasurementError: none given, of different machines, one given twice, or without any reading.
+    """
+    _check(measurements)
+    states = tuple(_state(m, reference_degc, smooth=smooth) for m in measurements)
+    series: list[Series] = []
+    values: list[Floats] = []
+    shared: list[list[tuple[str, Floats]]] = []
+    start = 0
+    for source, (m, state) in enumerate(zip(measurements, states, strict=True)):
+        nuisances = m.instrument.nuisance(state, m.run)
+        fold, run = _folds(m, folds), _runs(m)
+        for lane, column in enumerate(m.instrument.columns()):
+            row = np.flatnonzero(np.isfinite(m.readings[column]))
+            if not len(row):
+                continue
+            own = [n.values[lane, row] for n in nuisances if n.per == "run" and n.values[lane, row].any()]
+            series.append(
+                Series(
+                    source, lane, column, "urad" if column.endswith("urad") else "um", row, m.time_s[row],
+                    np.unique(run[row], return_inverse=True)[1], fold[row],
+                    np.stack(own, axis=1) if own else np.zeros((len(row), 0)), start,
+                )
+            )  # fmt: skip
+            values.append(m.readings[column][row])
+            shared.append(_shared(nuisances, m, lane, row))
+            start += len(row)
+    setup, names = _setup(shared, [len(v) for v in values])
+    return Readings(tuple(measurements), states, tuple(series), np.concatenate(values), setup, names)
+
+
+def _state(m: Measurement, reference_degc: float, *, smooth: bool) -> State:
+    channels = dict(m.channels)
+    for axis in m.machine.axes:
+        # An axis that was not recorded stands still, at zero, as everywhere.
+        if axis.channel not in channels:
+            channels |= {axis.channel: np.zeros(len(m)), axis.direction_channel: np.zeros(len(m))}
+    if smooth:
+        sensors = [s for s in m.machine.sensor_names if s in channels]
+        windows = Windows(m.time_s)
+        curves = each(lambda s: smoothed(windows, channels[s]), sensors, len(m))
+        channels |= dict(zip(sensors, curves, strict=True))
+    return State(m.machine, m.time_s, channels, reference_degc)
+
+
+def _shared(nuisances: Sequence[Nuisance], m: Measurement, lane: int, row: Ints) -> list[tuple[str, Floats]]:
+    return [(f"{n.name} of {m.name}", n.values[lane, row]) for n in nuisances if n.per == "setup"]
+
+
+def _setup(shared: Sequence[list[tuple[str, Floats]]], sizes: Sequence[int]) -> tuple[Floats, tuple[str, ...]]:
+    names = tuple(dict.fromkeys(name for part in shared for name, _ in part))
+    out, start = np.zeros((sum(sizes), len(names))), 0
+    for part, size in zip(shared, sizes, strict=True):
+        for name, value in part:
+            out[start : start + size, names.index(name)] = value
+        start += size
+    kept = np.abs(out).max(axis=0, initial=0.0) > 0
+    return out[:, kept], tuple(n for n, k in zip(names, kept, strict=True) if k)
+
+
+def _runs(m: Measurement) -> Ints:
+    """Runs counted in order; a number that comes back later is another run."""
+    return np.concatenate([[0], np.cumsum(np.diff(m.run) != 0)]).astype(np.int64)
+
+
+def _folds(m: Measurement, folds: int) -> Ints:
+    """Whole runs, or stretches of time where there are few: dealt out in turn, so that each fold spans the day."""
+    blocks = cut(m)
+    label = np.repeat(np.arange(len(blocks.edges) - 1), np.diff(blocks.edges))
+    return np.asarray(label % folds, dtype=np.int64)
+
+
+def _check(measurements: Sequence[Measurement]) -> None:
+    if not measurements:
+        raise MeasurementError("no measurement was given")
+    first = measurements[0]
+    faults = [
+        f"{m.name}: measured on machine {m.machine.name!r}, which is not that of {first.name}"
+        for m in measurements
+        if m.machine.hash != first.machine.hash
+    ]
+    names = [m.name for m in measurements]
+    faults += [f"{n}: given twice" for n in sorted({n for n in names if names.count(n) > 1})]
+    faults += [f"{m.name}: has no reading" for m in measurements if not np.isfinite(m.matrix()).any()]
+    if faults:
+        raise MeasurementError("\n".join(faults))
