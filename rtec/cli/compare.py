@@ -23,8 +23,8 @@ def compare(
     """
     from rtec.cli.progress import stages
     from rtec.cli.show import show_page
-    from rtec.diagnosis.compare import compare as against
-    from rtec.diagnosis.machine_of import load_with_machine
+    from rtec.diagnosis.compare.compare import compare as against
+    from rtec.diagnosis.machine_file import load_with_machine
     from rtec.metrology.files.load import load_measurements
     from rtec.report.compare import compare_page
     from rtec.report.procedures import plain, write_page

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rtec.diagnosis.add import Added
-    from rtec.diagnosis.improve import Choice
+    from rtec.diagnosis.extend.add import Added
+    from rtec.diagnosis.extend.improve import Choice
     from rtec.diagnosis.result import Finding
     from rtec.report.html import Page
 
@@ -45,7 +45,7 @@ def diagnose(
     Example: `rtec diagnose model.toml laser-x.csv drift.csv --report out/diagnosis`
     """
     from rtec.cli.progress import stages
-    from rtec.diagnosis.diagnose import diagnose as find
+    from rtec.diagnosis.search.diagnose import diagnose as find
     from rtec.report.diagnosis import diagnosis_page
 
     known, measurements = _load(model, files, machine)
@@ -99,9 +99,9 @@ def add(
     """
     from rtec.cli.progress import stages
     from rtec.cli.stopping import told_when_stopped
-    from rtec.diagnosis.add import add as add_effects
-    from rtec.diagnosis.add import refused
-    from rtec.diagnosis.asked import check_one
+    from rtec.diagnosis.extend.add import add as add_effects
+    from rtec.diagnosis.extend.add import refused
+    from rtec.diagnosis.extend.asked import check_one
     from rtec.model import save_model
     from rtec.report.additions import added_page
 
@@ -152,7 +152,7 @@ def improve(
     """
     from rtec.cli.progress import stages
     from rtec.cli.stopping import kept, told_when_stopped
-    from rtec.diagnosis.improve import improve as go_on
+    from rtec.diagnosis.extend.improve import improve as go_on
     from rtec.model import save_model
     from rtec.report.additions import improved_page
 
@@ -195,7 +195,7 @@ def history(
 
     Example: `rtec history better.toml --report out/history`
     """
-    from rtec.diagnosis.machine_of import load_with_machine
+    from rtec.diagnosis.machine_file import load_with_machine
     from rtec.report.model_history import history_page, steps_of
 
     known = load_with_machine(model, machine)
@@ -204,7 +204,7 @@ def history(
 
 
 def _load(model: Path, files: list[Path], machine: Path | None) -> tuple[Any, Any]:
-    from rtec.diagnosis.machine_of import load_with_machine
+    from rtec.diagnosis.machine_file import load_with_machine
     from rtec.metrology.files.load import load_measurements
 
     known = load_with_machine(model, machine)
@@ -227,8 +227,8 @@ def _names(only: str | None) -> list[str] | None:
 def _asked(
     known: Any, effect: str | None, expr: str | None, param: list[str], component: str | None, settings: list[str]
 ) -> Any:
-    from rtec.diagnosis.add import new_effect
-    from rtec.diagnosis.asked import asked_effect
+    from rtec.diagnosis.extend.add import new_effect
+    from rtec.diagnosis.extend.asked import asked_effect
 
     if expr is not None:
         from rtec.effects.from_text import expression_from_text

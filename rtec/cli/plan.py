@@ -47,8 +47,8 @@ def plan(
     """
     from rtec.cli.progress import stages
     from rtec.cli.show import show_page
-    from rtec.diagnosis.plan_answer import Question, answer
-    from rtec.diagnosis.plan_tests import load_test, thinned
+    from rtec.diagnosis.plan.answer import Question, answer
+    from rtec.diagnosis.plan.tests import load_test, thinned
     from rtec.machine import load_machine
     from rtec.report.plan import plan_page
     from rtec.report.procedures import plain, write_page

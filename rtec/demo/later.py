@@ -18,9 +18,9 @@ from rtec.demo import training
 from rtec.demo.day import CYLINDER, FACE, SHOULDER, Floats, Ints, Plan, Track
 from rtec.demo.hidden import Fault, draw, with_play
 from rtec.demo.live import corrected
-from rtec.diagnosis.add import Added, add, new_effect
-from rtec.diagnosis.diagnose import diagnose
+from rtec.diagnosis.extend.add import Added, add, new_effect
 from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.truth import Truth, load_truth

@@ -2,8 +2,8 @@
 
 import math
 
-from rtec.diagnosis.add import Added
-from rtec.diagnosis.improve import Improved
+from rtec.diagnosis.extend.add import Added
+from rtec.diagnosis.extend.improve import Improved
 from rtec.diagnosis.usable import apart, share
 from rtec.diagnosis.words import UNITS, sentence
 from rtec.report.html import Page, Section, Table

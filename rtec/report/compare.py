@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from rtec import __version__
-from rtec.diagnosis.compare_result import Compared, Comparison, Outside
+from rtec.diagnosis.compare.result import Compared, Comparison, Outside
 from rtec.diagnosis.units import named, spoken
 from rtec.diagnosis.words import UNITS
 from rtec.report.compare_pictures import pictures

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare_result import Compared, Comparison
-from rtec.diagnosis.locate_bins import MOVES, REAL_DEGC, cut_into, time_unit
+from rtec.diagnosis.compare.bins import MOVES, REAL_DEGC, cut_into, time_unit
+from rtec.diagnosis.compare.result import Compared, Comparison
 from rtec.diagnosis.words import UNITS
 from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures, compare_lines

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.locate_bins import cut_into
+from rtec.diagnosis.compare.bins import cut_into
 from rtec.report.figures import LINES
 
 if TYPE_CHECKING:

@@ -4,10 +4,10 @@ import math
 from collections.abc import Sequence
 
 from rtec import __version__
-from rtec.diagnosis.plan import WEAK, Proposal, Separation
-from rtec.diagnosis.plan_answer import Answer
-from rtec.diagnosis.plan_parameters import hours_in_words
-from rtec.diagnosis.separating import Pair, Separator
+from rtec.diagnosis.plan.answer import Answer
+from rtec.diagnosis.plan.parameters import hours_in_words
+from rtec.diagnosis.plan.plan import WEAK, Proposal, Separation
+from rtec.diagnosis.plan.separating import Pair, Separator
 from rtec.diagnosis.units import spoken
 from rtec.report.html import Page, Section, Table
 

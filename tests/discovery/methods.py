@@ -61,7 +61,7 @@ Improver = Callable[[Model, Sequence[Measurement]], tuple[Model, list[Name], str
 
 def evidence(model: Model, measurements: Sequence[Measurement]) -> Answer:
     """The program's own diagnosis."""
-    from rtec.diagnosis.diagnose import diagnose
+    from rtec.diagnosis.search.diagnose import diagnose
 
     found = diagnose(model, measurements)
     findings = found.findings
@@ -77,7 +77,7 @@ def evidence(model: Model, measurements: Sequence[Measurement]) -> Answer:
 
 def improving(model: Model, measurements: Sequence[Measurement]) -> tuple[Model, list[Name], str]:
     """The program's own improvement."""
-    from rtec.diagnosis.improve import improve
+    from rtec.diagnosis.extend.improve import improve
 
     done = improve(model, measurements)
     added = [Name.of(f.effect) for f in done.model.effects[len(model.effects) :]]
@@ -89,7 +89,7 @@ def naive(model: Model, measurements: Sequence[Measurement]) -> Answer:
 
     Candidates come from the program's catalogue; the non-linear numbers stand at the values that it tries.
     """
-    from rtec.diagnosis.candidates import library
+    from rtec.diagnosis.search.candidates import library
     from rtec.estimation.columns import base_of
     from rtec.estimation.readings import read
 

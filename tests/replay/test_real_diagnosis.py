@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation
-from rtec.diagnosis.diagnose import diagnose
-from rtec.diagnosis.improve import Improved, improve
+from rtec.diagnosis.extend.improve import Improved, improve
 from rtec.diagnosis.result import Diagnosis
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import machine_from
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.cyclic import cyclic_error

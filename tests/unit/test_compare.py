@@ -10,7 +10,7 @@ import pytest
 import tomli_w
 
 from rtec.cli.main import status
-from rtec.diagnosis.compare import compare, explained
+from rtec.diagnosis.compare.compare import compare, explained
 from rtec.errors import MeasurementError
 from rtec.estimation.compare_floor import flattened
 from rtec.estimation.floor import floors
@@ -102,7 +102,7 @@ def test_floor_without_repeats_comes_from_the_noise_model() -> None:
 
 def test_a_fitted_noise_is_never_more_than_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: noise cannot be more than the whole; where repeats decide, the page says that it took all."""
-    monkeypatch.setattr("rtec.diagnosis.compare.floors", lambda *given: 30.0 * floors(*given))
+    monkeypatch.setattr("rtec.diagnosis.compare.compare.floors", lambda *given: 30.0 * floors(*given))
     slow = compare(model(), [drift(3, white_um=0.3)]).items[0]
     assert slow.floor == slow.floor_fitted == slow.left.rms
     repeated = compare(model(SCALE), [laser([SCALE, BACKLASH], 6)])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rtec.diagnosis.compare import compare
-from rtec.diagnosis.compare_result import Comparison
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.compare.result import Comparison
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.report.compare import compare_page
 from rtec.report.compare_circle import angle_of, circle_picture

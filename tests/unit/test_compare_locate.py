@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare import compare
-from rtec.diagnosis.compare_result import Region
-from rtec.diagnosis.locate_bins import cut_into, round_edges, words_of
-from rtec.diagnosis.locate_scan import scan
+from rtec.diagnosis.compare.bins import cut_into, round_edges, words_of
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.compare.locate_scan import scan
+from rtec.diagnosis.compare.result import Region
 from rtec.metrology.measurement import Measurement
 from tests.unit.diagnosis_examples import laser, small_machine
 from tests.unit.test_compare import SCALE, drift, model

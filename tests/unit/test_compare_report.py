@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtec.diagnosis.compare import compare
+from rtec.diagnosis.compare.compare import compare
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.report.compare import compare_page

@@ -15,7 +15,7 @@ from rtec.control.control_follow import carry_out
 from rtec.control.desk import Desk
 from rtec.control.facts import axis_rows, footer, headline, held, troubles, well
 from rtec.control.residual import LARGEST_BYTES, Left
-from rtec.diagnosis.compare import compare
+from rtec.diagnosis.compare.compare import compare
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
 from rtec.model import Model

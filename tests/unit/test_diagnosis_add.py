@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.diagnosis.add import add, new_effect
+from rtec.diagnosis.extend.add import add, new_effect
 from rtec.errors import ModelError
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model

@@ -9,7 +9,7 @@ import pytest
 
 from rtec.cli import diagnose as commands
 from rtec.cli.main import status
-from rtec.diagnosis import improve as improving
+from rtec.diagnosis.extend import improve as improving
 from rtec.machine import load_machine
 from rtec.model import Model, load_model, save_model
 from tests.unit.diagnosis_examples import effects, small_machine, write_laser, write_machine

@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.at_once import MANY, each
-from rtec.diagnosis.diagnose import diagnose
-from rtec.diagnosis.drifts import run_drifts
-from rtec.diagnosis.screen import SKETCH, _sketch
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.search.run_drift import run_drifts
+from rtec.diagnosis.search.screen import SKETCH, _sketch
 from rtec.estimation.noise import INEXACT, Noise, find_noise, least_noise
 from rtec.estimation.readings import read
 from rtec.estimation.thin import looked_at

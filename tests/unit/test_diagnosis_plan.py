@@ -10,8 +10,8 @@ import pytest
 import tomli_w
 
 from rtec.cli.main import status
-from rtec.diagnosis.plan import SURE, separation
-from rtec.diagnosis.plan_ideas import extra_tests
+from rtec.diagnosis.plan.ideas import extra_tests
+from rtec.diagnosis.plan.plan import SURE, separation
 from rtec.effects import Effect
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtec.diagnosis.add import add
-from rtec.diagnosis.compare import compare
-from rtec.diagnosis.diagnose import diagnose
-from rtec.diagnosis.improve import improve
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.extend.add import add
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.errors import MeasurementError
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model

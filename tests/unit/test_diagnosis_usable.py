@@ -8,11 +8,11 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.cli.stopping import kept, told_when_stopped
-from rtec.diagnosis.add import add, clean_readings, new_effect, refused
-from rtec.diagnosis.compare import compare
-from rtec.diagnosis.improve import improve
-from rtec.diagnosis.joint import joint_fit
-from rtec.diagnosis.ranged import ranged
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.extend.add import add, clean_readings, new_effect, refused
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.extend.joint import joint_fit
+from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.usable import apart, share
 from rtec.effects.from_text import expression_from_text
 from rtec.errors import MeasurementError, ModelError
@@ -184,7 +184,7 @@ def test_what_was_passed_over_is_told() -> None:
 
 def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: no fall of the error is worth an effect here, so that what is named is not what ought to be added."""
-    monkeypatch.setattr("rtec.diagnosis.improve.LITTLE", 2.0)
+    monkeypatch.setattr("rtec.diagnosis.extend.improve.LITTLE", 2.0)
     result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
     assert (result.reason, result.steps, result.diagnoses[-1].findings[0].accepted) == ("no_gain", (), True)
     page = improved_page(result, figures=False)

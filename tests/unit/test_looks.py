@@ -18,8 +18,8 @@ from rich.console import Console
 from rtec.cli.main import status
 from rtec.cli.show import grid
 from rtec.diagnosis import words
-from rtec.diagnosis.compare import compare
-from rtec.diagnosis.diagnose import diagnose
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.units import named, spoken, titled
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument

@@ -9,10 +9,10 @@ import pytest
 import tomli_w
 
 from rtec.cli.main import status
-from rtec.diagnosis.plan import route, separation
-from rtec.diagnosis.plan_ideas import extra_tests
-from rtec.diagnosis.plan_parameters import ball_bar_set, centres
-from rtec.diagnosis.plan_tests import dry
+from rtec.diagnosis.plan.ideas import extra_tests
+from rtec.diagnosis.plan.parameters import ball_bar_set, centres
+from rtec.diagnosis.plan.plan import route, separation
+from rtec.diagnosis.plan.tests import dry
 from rtec.effects import Effect
 from rtec.errors import ConfigError
 from rtec.machine import Machine
@@ -279,7 +279,7 @@ def test_command_refuses_what_does_not_go_together(tmp_path: Path, capsys: pytes
 
 
 def test_ball_bars_of_two_planes_are_planned_apart() -> None:
-    from rtec.diagnosis.plan_answer import Question, answer
+    from rtec.diagnosis.plan.answer import Question, answer
 
     m = gantry()
     tests = [circle(ONE), dry(m, bar(m, plane="YZ"), Settings(path=Way(step_deg=1.0)), "yz")]

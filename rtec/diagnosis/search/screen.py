@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.at_once import MANY
-from rtec.diagnosis.candidates import Candidate
+from rtec.diagnosis.search.candidates import Candidate
 from rtec.errors import ModelError
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rtec.diagnosis.add import new_effect
+from rtec.diagnosis.extend.add import new_effect
 from rtec.effects import Effect, all_effects, effect_class
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model

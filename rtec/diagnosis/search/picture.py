@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import units, words
-from rtec.diagnosis.folded import period_mm
 from rtec.diagnosis.result import Picture
+from rtec.diagnosis.search.folded import period_mm
 from rtec.effects import Effect
 from rtec.estimation import floor
 from rtec.estimation.gls import solve

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.at_once import each
-from rtec.diagnosis.screen import Projected
-from rtec.diagnosis.shapes import Ground, Shape
-from rtec.diagnosis.shapes_search import Weighed, all_shapes, weigh
+from rtec.diagnosis.search.screen import Projected
+from rtec.diagnosis.search.shapes import Ground, Shape
+from rtec.diagnosis.search.shapes_search import Weighed, all_shapes, weigh
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings

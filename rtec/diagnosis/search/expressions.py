@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.alias import STEPS
-from rtec.diagnosis.candidates import visible
-from rtec.diagnosis.screen import Projected
-from rtec.diagnosis.shapes import Ground
-from rtec.diagnosis.shapes_search import weigh
-from rtec.diagnosis.typed_forms import Form, Span, forms_of
+from rtec.diagnosis.search.candidates import visible
+from rtec.diagnosis.search.confounded import STEPS
+from rtec.diagnosis.search.screen import Projected
+from rtec.diagnosis.search.shapes import Ground
+from rtec.diagnosis.search.shapes_search import weigh
+from rtec.diagnosis.search.typed_forms import Form, Span, forms_of
+from rtec.diagnosis.search.unnamed import Shaped
 from rtec.diagnosis.units import named, spoken
-from rtec.diagnosis.unnamed import Shaped
 from rtec.diagnosis.words import unit_of_channel
 from rtec.effects import Effect
 from rtec.effects.base import component_kind

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.screen import UNMOVED, Projected
+from rtec.diagnosis.search.screen import UNMOVED, Projected
 from rtec.effects import Effect, Parameter
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings

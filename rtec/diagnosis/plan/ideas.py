@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rtec.diagnosis.plan import Extra
-from rtec.diagnosis.plan_tests import dry
+from rtec.diagnosis.plan.plan import Extra
+from rtec.diagnosis.plan.tests import dry
 from rtec.errors import RtecError
 from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup, axis_along

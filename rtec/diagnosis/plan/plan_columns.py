@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.plan_parameters import Ball, Place, Planned, Stays, ball_place
+from rtec.diagnosis.plan.parameters import Ball, Place, Planned, Stays, ball_place
 from rtec.effects import Effect
 from rtec.errors import ModelError
 from rtec.estimation.gls import without_nuisance

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.joint import Joint
-from rtec.diagnosis.screen import orthonormal
+from rtec.diagnosis.extend.joint import Joint
+from rtec.diagnosis.search.screen import orthonormal
 from rtec.effects import Parameter
 from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener, without_drift

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from rtec.at_once import each
 from rtec.diagnosis import words
-from rtec.diagnosis.absent import SURE
-from rtec.diagnosis.alias import WITHIN
-from rtec.diagnosis.answer import Searched, answer
-from rtec.diagnosis.candidates import library
-from rtec.diagnosis.refits import BESIDE, Refits
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
-from rtec.diagnosis.screen import Projected, Screen, screen
-from rtec.diagnosis.tried import Tried, prepare
-from rtec.diagnosis.unnamed import Shaped, adequacy, best_shapes
+from rtec.diagnosis.search.answer import Searched, answer
+from rtec.diagnosis.search.candidates import library
+from rtec.diagnosis.search.confounded import WITHIN
+from rtec.diagnosis.search.not_found import SURE
+from rtec.diagnosis.search.refit import BESIDE, Refits
+from rtec.diagnosis.search.screen import Projected, Screen, screen
+from rtec.diagnosis.search.tried import Tried, prepare
+from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
 from rtec.estimation.noise import without_drift
 from rtec.metrology.measurement import Measurement

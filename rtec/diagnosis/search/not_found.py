@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtec.diagnosis import words
-from rtec.diagnosis.candidates import Untried
 from rtec.diagnosis.result import Absent, Finding, NotTestable
-from rtec.diagnosis.screen import Screen
+from rtec.diagnosis.search.candidates import Untried
+from rtec.diagnosis.search.screen import Screen
 from rtec.estimation.floor import unit_of
 
 SURE = math.log(20.0)

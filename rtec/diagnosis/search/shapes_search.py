@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.screen import ABSORBED, Projected
-from rtec.diagnosis.shapes import Ground, Shape, plain_name
+from rtec.diagnosis.search.screen import ABSORBED, Projected
+from rtec.diagnosis.search.shapes import Ground, Shape, plain_name
 
 Floats = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare_result import Compared, Comparison, FloorFrom, Outside, Part, Region, Size, Traces
-from rtec.diagnosis.locate import locate
-from rtec.diagnosis.locate_bins import MOVES, unit_of
-from rtec.diagnosis.scaled import odd_scales
+from rtec.diagnosis.compare.bins import MOVES, unit_of
+from rtec.diagnosis.compare.locate import locate
+from rtec.diagnosis.compare.result import Compared, Comparison, FloorFrom, Outside, Part, Region, Size, Traces
 from rtec.diagnosis.usable import check_enough
+from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.errors import MeasurementError
 from rtec.estimation.columns import base_of, effect_columns, ordered
 from rtec.estimation.compare_floor import flattened, repeats_floor, tails_of

@@ -8,20 +8,21 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import picture, words
-from rtec.diagnosis.absent import SURE, absent_ones, speaking_up, untestable
-from rtec.diagnosis.alias import SAME, WITHIN, alike, cosine
-from rtec.diagnosis.candidates import Candidate, Untried
-from rtec.diagnosis.drifts import run_drifts
-from rtec.diagnosis.folded import fold
-from rtec.diagnosis.gains import with_gains
+from rtec.diagnosis import words
+from rtec.diagnosis.plan.gains import with_gains
+from rtec.diagnosis.plan.separating import fitted_to
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown, label_of
-from rtec.diagnosis.scaled import odd_scales
-from rtec.diagnosis.screen import Projected, Screen
-from rtec.diagnosis.separating import fitted_to
-from rtec.diagnosis.tried import Prepared, Tried
-from rtec.diagnosis.typed import Typed, propose
-from rtec.diagnosis.unnamed import Shaped
+from rtec.diagnosis.search import picture
+from rtec.diagnosis.search.candidates import Candidate, Untried
+from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine
+from rtec.diagnosis.search.expressions import Typed, propose
+from rtec.diagnosis.search.folded import fold
+from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
+from rtec.diagnosis.search.run_drift import run_drifts
+from rtec.diagnosis.search.screen import Projected, Screen
+from rtec.diagnosis.search.tried import Prepared, Tried
+from rtec.diagnosis.search.unnamed import Shaped
+from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import Effect
 from rtec.errors import RtecError
 from rtec.estimation import floor

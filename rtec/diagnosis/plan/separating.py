@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.plan import Extra
-from rtec.diagnosis.plan_columns import USUAL_NOISE, clean, effect_columns
-from rtec.diagnosis.plan_ideas import extra_tests
-from rtec.diagnosis.plan_parameters import label
+from rtec.diagnosis.plan.ideas import extra_tests
+from rtec.diagnosis.plan.parameters import label
+from rtec.diagnosis.plan.plan import Extra
+from rtec.diagnosis.plan.plan_columns import USUAL_NOISE, clean, effect_columns
 from rtec.effects import Effect
 from rtec.estimation.columns import slope
 from rtec.estimation.gls import solve

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.candidates import real
+from rtec.diagnosis.search.candidates import real
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]

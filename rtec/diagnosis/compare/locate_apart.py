@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare_result import Bound, Region
-from rtec.diagnosis.locate_bins import Variable
+from rtec.diagnosis.compare.bins import Variable
+from rtec.diagnosis.compare.result import Bound, Region
 from rtec.diagnosis.words import UNITS
 from rtec.estimation.readings import Readings, Series
 

@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rtec.diagnosis.plan import WEAK, Extra, Proposal, Separation, judge, propose, route, told, told_by
-from rtec.diagnosis.plan_ideas import extra_tests
-from rtec.diagnosis.plan_parameters import Planned, Stays, ball_bar_set, centres, planned
-from rtec.diagnosis.plan_tests import wanted_effects
-from rtec.diagnosis.separating import Rival, Separator, ranked
+from rtec.diagnosis.plan.ideas import extra_tests
+from rtec.diagnosis.plan.parameters import Planned, Stays, ball_bar_set, centres, planned
+from rtec.diagnosis.plan.plan import WEAK, Extra, Proposal, Separation, judge, propose, route, told, told_by
+from rtec.diagnosis.plan.separating import Rival, Separator, ranked
+from rtec.diagnosis.plan.tests import wanted_effects
 from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import BallBar

@@ -4,11 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rtec.diagnosis.absent import SURE
-from rtec.diagnosis.add import Added, add, new_effect
-from rtec.diagnosis.diagnose import ALPHA, DRAWS, diagnose
+from rtec.diagnosis.extend.add import Added, add, new_effect
+from rtec.diagnosis.extend.rivals import rivals_of, said
 from rtec.diagnosis.result import Diagnosis, Finding
-from rtec.diagnosis.rivals import rivals_of, said
+from rtec.diagnosis.search.diagnose import ALPHA, DRAWS, diagnose
+from rtec.diagnosis.search.not_found import SURE
 from rtec.diagnosis.usable import check_enough
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.at_once import MANY, each
-from rtec.diagnosis.alias import WITHIN, cosine, directness, diverse, plausibility
-from rtec.diagnosis.candidates import Candidate
-from rtec.diagnosis.polish import live_columns, polished
-from rtec.diagnosis.screen import Memory, Projected, Screen, screen
-from rtec.diagnosis.tried import Prepared, Tried
+from rtec.diagnosis.search.candidates import Candidate
+from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse, plausibility
+from rtec.diagnosis.search.polish import live_columns, polished
+from rtec.diagnosis.search.screen import Memory, Projected, Screen, screen
+from rtec.diagnosis.search.tried import Prepared, Tried
 from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out
 from rtec.estimation.noise import Whitener, without_drift
 from rtec.estimation.readings import Readings

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.plan_columns import USUAL_NOISE, information
-from rtec.diagnosis.plan_parameters import Planned, Stays, planned
+from rtec.diagnosis.plan.parameters import Planned, Stays, planned
+from rtec.diagnosis.plan.plan_columns import USUAL_NOISE, information
 from rtec.effects import Effect
 from rtec.metrology.measurement import Measurement
 

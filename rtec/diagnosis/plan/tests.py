@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec.diagnosis.candidates import surroundings, visible
+from rtec.diagnosis.search.candidates import surroundings, visible
 from rtec.effects import Effect, effect_class
 from rtec.errors import ConfigError
 from rtec.estimation.readings import read

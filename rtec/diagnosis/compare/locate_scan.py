@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.locate_bins import Variable
+from rtec.diagnosis.compare.bins import Variable
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.entry import Errors, entry_of, notes_of, ranges_of
-from rtec.diagnosis.joint import LOOSE, Joint, joint_fit
-from rtec.diagnosis.ranged import ranged
-from rtec.diagnosis.rivals import Rival
-from rtec.diagnosis.scaled import check_scales
+from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
+from rtec.diagnosis.extend.joint import LOOSE, Joint, joint_fit
+from rtec.diagnosis.extend.parameter_scan import ranged
+from rtec.diagnosis.extend.rivals import Rival
 from rtec.diagnosis.usable import apart, check_enough, check_finite, unsure
+from rtec.diagnosis.wrong_scale import check_scales
 from rtec.effects import Effect
 from rtec.errors import ModelError
 from rtec.estimation import floor

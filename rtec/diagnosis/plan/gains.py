@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtec.diagnosis.plan import Extra
-from rtec.diagnosis.plan_parameters import hours_in_words
+from rtec.diagnosis.plan.parameters import hours_in_words
+from rtec.diagnosis.plan.plan import Extra
+from rtec.diagnosis.plan.separating import CLEAR, Pair, separating
 from rtec.diagnosis.result import Alike
-from rtec.diagnosis.separating import CLEAR, Pair, separating
 from rtec.estimation.noise import Whitener
 from rtec.model import FittedEffect, Model
 

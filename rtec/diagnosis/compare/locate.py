@@ -12,10 +12,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare_result import Bound, Region
-from rtec.diagnosis.locate_apart import both_ways
-from rtec.diagnosis.locate_bins import COARSE, FINE, Variable, variables_of, words_of
-from rtec.diagnosis.locate_scan import Bools, Scan, Spot, scan
+from rtec.diagnosis.compare.bins import COARSE, FINE, Variable, variables_of, words_of
+from rtec.diagnosis.compare.locate_apart import both_ways
+from rtec.diagnosis.compare.locate_scan import Bools, Scan, Spot, scan
+from rtec.diagnosis.compare.result import Bound, Region
 from rtec.estimation.compare_floor import draws
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, Series

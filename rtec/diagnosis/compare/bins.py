@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.compare_result import Bound
+from rtec.diagnosis.compare.result import Bound
 from rtec.diagnosis.units import spoken
 from rtec.diagnosis.words import unit_of_channel
 from rtec.estimation.readings import Readings, Series
