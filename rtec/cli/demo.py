@@ -9,7 +9,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rtec.demo.later import Later
+    from rtec.demo.second_story import Later
     from rtec.demo.story import Story
 
 
@@ -43,7 +43,7 @@ def demo(
     """
     from secrets import randbelow
 
-    from rtec.cli.progress import stages
+    from rtec.cli.common import stages
     from rtec.demo.page import write_report
     from rtec.demo.story import config_folder, tell_story
     from rtec.model import save_model

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rtec.diagnosis.extend.add import Added
     from rtec.diagnosis.extend.improve import Choice
     from rtec.diagnosis.result import Finding
-    from rtec.report.html import Page
+    from rtec.report.page import Page
 
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.", show_default=False)]
 Files = Annotated[
@@ -44,7 +44,7 @@ def diagnose(
 
     Example: `rtec diagnose model.toml laser-x.csv drift.csv --report out/diagnosis`
     """
-    from rtec.cli.progress import stages
+    from rtec.cli.common import stages
     from rtec.diagnosis.search.diagnose import diagnose as find
     from rtec.report.diagnosis import diagnosis_page
 
@@ -97,7 +97,7 @@ def add(
 
     `rtec add model.toml --refit --data laser-x.csv -o newer.toml`
     """
-    from rtec.cli.progress import stages
+    from rtec.cli.common import stages
     from rtec.cli.stopping import told_when_stopped
     from rtec.diagnosis.extend.add import add as add_effects
     from rtec.diagnosis.extend.add import refused
@@ -150,7 +150,7 @@ def improve(
 
     Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
     """
-    from rtec.cli.progress import stages
+    from rtec.cli.common import stages
     from rtec.cli.stopping import kept, told_when_stopped
     from rtec.diagnosis.extend.improve import improve as go_on
     from rtec.model import save_model
@@ -196,7 +196,7 @@ def history(
     Example: `rtec history better.toml --report out/history`
     """
     from rtec.diagnosis.machine_file import load_with_machine
-    from rtec.report.model_history import history_page, steps_of
+    from rtec.report.history import history_page, steps_of
 
     known = load_with_machine(model, machine)
     facts: dict[str, Any] = {"model": known.name, "history": [dict(h) for h in known.history], "steps": steps_of(known)}

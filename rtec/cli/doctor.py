@@ -46,7 +46,7 @@ def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
     from rtec.cli.doctor_screen import Screen
     from rtec.cli.show import show_page
     from rtec.doctor.devices import examine
-    from rtec.report.doctor_page import doctor_page
+    from rtec.report.doctor import doctor_page
 
     with Screen(quiet) as screen:
         found = examine(config, seconds, screen.update)
@@ -56,7 +56,7 @@ def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
 
 
 def _computer(config: Path | None, seconds: float, quiet: bool) -> "PcFound":
-    from rtec.cli.progress import bar
+    from rtec.cli.common import bar
     from rtec.cli.show import show_page
     from rtec.doctor.pc import look_at, wanted_of
     from rtec.report.pc_page import pc_page

@@ -8,7 +8,7 @@ from rich.live import Live
 
 from rtec.cli.show import grid
 from rtec.doctor.found import DeviceFound
-from rtec.report.doctor_page import doctor_table
+from rtec.report.doctor import doctor_table
 
 
 class Screen:

@@ -20,7 +20,7 @@ def drivers(
     """
     from rtec.cli.show import show_page
     from rtec.loop.driver_facts import all_drivers, driver_facts
-    from rtec.report.drivers_page import driver_page, drivers_page
+    from rtec.report.drivers import driver_page, drivers_page
 
     found = all_drivers() if name is None else [driver_facts(name)]
     if as_json:

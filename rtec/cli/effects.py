@@ -24,8 +24,8 @@ def effects(
     """
     from rtec.cli.show import show_page
     from rtec.errors import ConfigError
-    from rtec.report import effects_page as told
-    from rtec.report.effects_figure import sketch_of, write_figure
+    from rtec.report import effects as told
+    from rtec.report.effects_figures import sketch_of, write_figure
 
     if figure is not None and name is None:
         raise ConfigError("rtec effects: --figure draws one effect; name it: rtec effects lost_motion --figure out.png")

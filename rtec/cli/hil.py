@@ -8,7 +8,7 @@ import typer
 
 if TYPE_CHECKING:
     from rtec.hil import Bench, HilOrder, SoakOrder
-    from rtec.report.html import Page
+    from rtec.report.page import Page
 
 
 def hil(
@@ -78,7 +78,7 @@ def hil(
 
 def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:
     """Uncorrected, then corrected."""
-    from rtec.cli.progress import stages
+    from rtec.cli.common import stages
     from rtec.report.hil import hil_facts, hil_page
 
     with stages() as stage:
@@ -89,7 +89,7 @@ def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:
 
 def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
     """For long."""
-    from rtec.cli.progress import stages
+    from rtec.cli.common import stages
     from rtec.report.soak import soak_facts, soak_page
 
     with stages() as stage:
@@ -115,7 +115,7 @@ def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, passed: 
 def _list(bench: "Bench", as_json: bool) -> None:
     """Tell all faults."""
     from rtec.cli.show import show_page
-    from rtec.report.html import Page, Section, Table
+    from rtec.report.page import Page, Section, Table
 
     known = bench.faults()
     if as_json:

@@ -66,7 +66,7 @@ def _import(
     force: bool,
     as_json: bool,
 ) -> None:
-    from rtec.cli.progress import bar
+    from rtec.cli.common import bar
     from rtec.machine import load_machine
     from rtec.metrology.importing import import_to_files, load_map
 

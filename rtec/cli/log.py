@@ -83,7 +83,7 @@ def export(
 
     Example: rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc
     """
-    from rtec.cli.progress import bar
+    from rtec.cli.common import bar
     from rtec.log.export import export as export_log
 
     with _opened(log, from_, to, utc) as reader, bar(out.name) as progress:
@@ -158,7 +158,7 @@ def _follow(reader: "Log", logs: Path, *, degc: bool) -> Path:
 
 
 def _segments(logs: Path, from_: str | None, to: str | None) -> "list[Segment]":
-    from rtec.cli.progress import bar
+    from rtec.cli.common import bar
     from rtec.log.log_time import instant_ns
     from rtec.log.stretch import segments_of
 

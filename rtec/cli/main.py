@@ -14,7 +14,6 @@ from rtec import __version__
 from rtec.cli import (
     ballbar,
     compare,
-    ctl,
     demo,
     diagnose,
     doctor,
@@ -32,6 +31,7 @@ from rtec.cli import (
     run,
     simulate,
 )
+from rtec.cli import control as ctl
 from rtec.cli import (
     status as status_command,
 )

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from rtec.metrology.measurement import Measurement
     from rtec.metrology.procedures.iso230_2 import Visits
-    from rtec.report.html import Page
+    from rtec.report.page import Page
 
 _Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 _Report = Annotated[

@@ -53,7 +53,7 @@ def replay(
 
 
 def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool) -> None:
-    from rtec.cli.progress import bar
+    from rtec.cli.common import bar
     from rtec.replay.log_replay import replay_logs
 
     target = out or (None if check or log.is_dir() else log.with_name(f"{log.stem}.replay.arrows"))
@@ -86,8 +86,8 @@ def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool
 
 
 def _capture(setup: "Setup", capture: Path, out: Path | None, as_json: bool) -> None:
+    from rtec.cli.common import bar
     from rtec.cli.flags import flag_lines
-    from rtec.cli.progress import bar
     from rtec.replay.capture import replay_capture
 
     target = out or capture.with_name(f"{capture.stem}.replay.sr")

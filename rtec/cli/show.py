@@ -7,7 +7,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table as Grid
 
-    from rtec.report.html import Page, Table
+    from rtec.report.page import Page, Table
 
 PIPED_WIDTH = 120
 WHOLE = 30

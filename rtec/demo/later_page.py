@@ -1,11 +1,11 @@
 """The second story in words: the lines of the terminal and the sections of the report."""
 
-from rtec.demo.later import Later, by_part_um, tip_rms_um
+from rtec.demo.second_story import Later, by_part_um, tip_rms_um
 from rtec.diagnosis.words import UNITS
 from rtec.report import diagnosis_figures
 from rtec.report.additions import added_page
 from rtec.report.diagnosis import diagnosis_page
-from rtec.report.html import Figure, Section, Table
+from rtec.report.page import Figure, Section, Table
 
 TITLE = "An effect that the model does not know"
 VERDICTS = {

@@ -7,12 +7,12 @@ import numpy as np
 from rtec import __version__
 from rtec.demo.day import CYLINDER, FACE, OTHER, Floats
 from rtec.demo.later_page import later_sections
-from rtec.demo.leftover import WHY
 from rtec.demo.live import RATE_HZ
+from rtec.demo.residual_sources import WHY
 from rtec.demo.sizes import line
 from rtec.demo.story import FINER, Story
 from rtec.report import figures
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import write_page
 
 TITLE = "A turning centre over a day, uncorrected and corrected"

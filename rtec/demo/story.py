@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from rtec.demo import training
-from rtec.demo.beside import Beside
+from rtec.demo.background import Beside
 from rtec.demo.day import Plan, Track
 from rtec.demo.hidden import draw
-from rtec.demo.later import Later, tell_later
-from rtec.demo.leftover import WHY, Leftover, leftover
 from rtec.demo.live import RATE_HZ, LoopSide, corrected, uncorrected
+from rtec.demo.residual_sources import WHY, Leftover, leftover
+from rtec.demo.second_story import Later, tell_later
 from rtec.demo.sizes import NIST_SIZE, NIST_STRAIGHT, Sizes, sizes_of
 from rtec.errors import ConfigError
 from rtec.machine import Machine, load_machine

@@ -6,8 +6,8 @@ from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.improve import Improved
 from rtec.diagnosis.usable import apart, share
 from rtec.diagnosis.words import UNITS, sentence
-from rtec.report.html import Page, Section, Table
-from rtec.report.model_history import history_sections
+from rtec.report.history import history_sections
+from rtec.report.page import Page, Section, Table
 from rtec.report.procedures import number
 
 WHY_ENDED = {

@@ -15,7 +15,7 @@ from rtec.report import ball_bar_figures as draw
 from rtec.report import ball_bar_figures_causes as draw_causes
 from rtec.report.ball_bar_beyond import UNITS, beyond_facts, beyond_section
 from rtec.report.ball_bar_phase import phase_facts, phase_lines
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 Floats = NDArray[np.float64]

@@ -3,7 +3,7 @@
 from rtec.metrology.ball_bar.ball_bar_columns import NotLookedFor
 from rtec.metrology.ball_bar.ball_bar_effects import feeds_of
 from rtec.metrology.ball_bar.diagnosis import Diagnosis
-from rtec.report.html import Section, Table
+from rtec.report.page import Section, Table
 
 UNITS = {
     "um": "µm",

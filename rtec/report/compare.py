@@ -8,7 +8,7 @@ from rtec.diagnosis.compare.result import Compared, Comparison, Outside
 from rtec.diagnosis.units import named, spoken
 from rtec.diagnosis.words import UNITS
 from rtec.report.compare_pictures import pictures
-from rtec.report.html import Page, Section, Table
+from rtec.report.page import Page, Section, Table
 from rtec.report.procedures import number
 
 MOST_PARTS, MOST_SAME, MOST_SEEN, MOST_LEAD = 8, 3, 5, 4

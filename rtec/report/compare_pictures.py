@@ -14,7 +14,7 @@ from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures, compare_lines
 from rtec.report.compare_circle import angle_of, circle_picture
 from rtec.report.compare_stack import Stack, stack_along
-from rtec.report.html import Figure, Section
+from rtec.report.page import Figure, Section
 
 Floats = NDArray[np.float64]
 

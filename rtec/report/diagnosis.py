@@ -12,7 +12,7 @@ from rtec import __version__
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, Picture
 from rtec.diagnosis.units import spoken, titled
 from rtec.diagnosis.words import UNITS, hardly, labels, sentence
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from rtec.metrology.grid.paths import TRIM_MM, Edge
 from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.measurement import Measurement
 from rtec.report import grid_figures as draw
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 FEET = (

@@ -9,7 +9,7 @@ from typing import Any
 
 from rtec.hil_result import Accuracy, FaultFound, HilResult
 from rtec.report.hil_figure import tip_errors
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number, plain
 
 NOT_YET = "never"

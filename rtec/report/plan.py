@@ -9,7 +9,7 @@ from rtec.diagnosis.plan.parameters import hours_in_words
 from rtec.diagnosis.plan.plan import WEAK, Proposal, Separation
 from rtec.diagnosis.plan.separating import Pair, Separator
 from rtec.diagnosis.units import spoken
-from rtec.report.html import Page, Section, Table
+from rtec.report.page import Page, Section, Table
 
 SHOWN = 8
 HARDLY = math.log(2.0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import RtecError
-from rtec.report.html import Page, Section, render
+from rtec.report.page import Page, Section, render
 
 
 def plain(value: Any) -> Any:

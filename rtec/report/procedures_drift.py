@@ -7,7 +7,7 @@ from rtec import __version__
 from rtec.metrology.procedures.approach import Approach
 from rtec.metrology.procedures.drift import Drift, Phase, PhaseFit, Trace
 from rtec.report import procedures_figures as draw
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ import numpy as np
 from rtec import __version__
 from rtec.metrology.procedures.iso230_2 import Positioning
 from rtec.report import procedures_figures as draw
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 FORMULAS = (

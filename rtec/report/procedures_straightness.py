@@ -6,7 +6,7 @@ from rtec import __version__
 from rtec.metrology.procedures.parallelism import Parallelism
 from rtec.metrology.procedures.straightness import Straightness
 from rtec.report import procedures_figures as draw
-from rtec.report.html import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
 
 TITLES = {

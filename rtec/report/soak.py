@@ -4,7 +4,7 @@ import dataclasses
 from typing import Any
 
 from rtec.hil_result import SoakResult
-from rtec.report.html import Page, Section, Table
+from rtec.report.page import Page, Section, Table
 from rtec.report.procedures import number, plain
 
 

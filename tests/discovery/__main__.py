@@ -13,7 +13,7 @@ from timeit import default_timer
 
 from rich.console import Console
 
-from rtec.cli.progress import bar
+from rtec.cli.common import bar
 from tests.discovery import tables
 from tests.discovery.figures import cut, figures, seconds
 from tests.discovery.generator.cases import GROUPS, cases

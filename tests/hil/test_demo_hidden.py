@@ -11,18 +11,18 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.cli.main import status
-from rtec.demo import later as later_story
+from rtec.demo import second_story as later_story
 from rtec.demo.day import Plan
 from rtec.demo.hidden import FAULTS, Here, draw, with_fault, with_play
-from rtec.demo.later import Later, by_part_um, tell_later, tip_rms_um
 from rtec.demo.later_page import later_sections, later_words
 from rtec.demo.live import corrected
+from rtec.demo.second_story import Later, by_part_um, tell_later, tip_rms_um
 from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, config_folder
 from rtec.errors import ConfigError
 from rtec.loop.records import MODE_OFF
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
-from rtec.report.html import Page, render
+from rtec.report.page import Page, render
 from rtec.report.procedures import plain
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth

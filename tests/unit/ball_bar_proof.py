@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rtec.cli.progress import bar
+from rtec.cli.common import bar
 from rtec.parallel import one_blas_thread
 from tests.unit.ball_bar_machines import KINDS, Judged, judge
 

@@ -8,7 +8,7 @@ import pytest
 
 from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
 from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
-from rtec.report.html import render
+from rtec.report.page import render
 from tests.unit.ball_bar_dynamic import DEG, THREE, TWO_FEEDS, Test, run_tests
 from tests.unit.ball_bar_examples import gantry
 

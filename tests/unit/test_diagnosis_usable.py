@@ -20,7 +20,7 @@ from rtec.estimation import floor
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
 from rtec.report.additions import improved_page
-from rtec.report.model_history import rescaled, steps_of
+from rtec.report.history import rescaled, steps_of
 from tests.unit.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
 
 SCALE = "scale,component=EXX,axis=X,k=12"

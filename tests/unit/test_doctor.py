@@ -18,7 +18,7 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.doctor.devices import examine
-from rtec.report.doctor_page import doctor_page
+from rtec.report.doctor import doctor_page
 from tests import setups
 from tests.drivers.box_rig import box_on_pty
 from tests.drivers.conformance import open_files

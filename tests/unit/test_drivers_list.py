@@ -18,7 +18,7 @@ from rtec.loop.clock import VirtualClock
 from rtec.loop.driver_facts import all_drivers, driver_facts
 from rtec.loop.driver_info import find, installed
 from rtec.loop.driver_options import options_of
-from rtec.report.drivers_page import driver_row
+from rtec.report.drivers import driver_row
 from rtec.tomlfile import Strict, validated
 from rtec_drivers.registry import DRIVERS
 from tests.drivers.conformance import CONFIGS, MACHINE

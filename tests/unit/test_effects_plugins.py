@@ -16,7 +16,7 @@ from rtec.cli.main import status
 from rtec.effects import EFFECTS, all_effects, effect_class
 from rtec.effects.registry import plug_in_faults
 from rtec.errors import ModelError
-from rtec.report.effects_page import OTHERS, catalogue_page, families
+from rtec.report.effects import OTHERS, catalogue_page, families
 
 GOOD = """
 from typing import Literal

@@ -26,7 +26,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.model import Model, save_model
 from rtec.report.compare import compare_page
 from rtec.report.diagnosis import diagnosis_page
-from rtec.report.html import Table
+from rtec.report.page import Table
 from rtec.sim.campaign import simulate
 from rtec.sim.campaign_settings import Settings
 from tests.unit.diagnosis_examples import QUICK, effects, laser, small_machine, write_laser, write_machine

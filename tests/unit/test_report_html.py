@@ -2,7 +2,7 @@
 
 from html.parser import HTMLParser
 
-from rtec.report.html import Page, Section, Table, render
+from rtec.report.page import Page, Section, Table, render
 
 HOSTILE = '<script>alert("1 < 2 & 3")</script>'
 

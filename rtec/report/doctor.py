@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from rtec.doctor.found import DeviceFound, Examination, Fault, Value
-from rtec.report.html import Page, Section, Table
+from rtec.report.page import Page, Section, Table
 
 HEAD = ("device", "driver", "value", "now", "age", "rate", "")
 WORDS = (0, 1, 2, 6)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rtec.loop.driver_facts import DriverFacts
 from rtec.loop.driver_options import Option
-from rtec.report.html import Page, Section, Table
+from rtec.report.page import Page, Section, Table
 
 
 def drivers_page(drivers: Sequence[DriverFacts]) -> Page:
