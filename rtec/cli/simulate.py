@@ -9,8 +9,8 @@ import typer
 if TYPE_CHECKING:
     from rtec.metrology.instruments.base import Instrument
     from rtec.model import Model
-    from rtec.sim.campaign import Simulated
-    from rtec.sim.campaign_settings import Settings
+    from rtec.sim.campaign.campaign import Simulated
+    from rtec.sim.campaign.settings import Settings
 
 
 _Machine = Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)]
@@ -91,8 +91,8 @@ def simulate(
     --effect scale,component=EXX,axis=X,k=12 -o out/laser-x --seed 3`
     """
     from rtec.machine import load_machine
-    from rtec.sim.campaign_order import Order, settings_of, table_path
-    from rtec.sim.campaign_truth import truth_of
+    from rtec.sim.campaign.request import Order, settings_of, table_path
+    from rtec.sim.campaign.truth import truth_of
 
     described = load_machine(machine)
     made = Order(instrument, axis, component, setup or ()).make(described)
@@ -113,7 +113,7 @@ def _make(
 ) -> None:
     from rtec.metrology.files.load import save_measurement
     from rtec.model import save_model
-    from rtec.sim.campaign import simulate_with_truth
+    from rtec.sim.campaign.campaign import simulate_with_truth
 
     result = simulate_with_truth(true, made, chosen, seed, path.stem)
     save_measurement(result.measurement, path)

@@ -14,7 +14,7 @@ from rtec.machine import Machine, load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.sim.campaign_truth import effect_from_text
+from rtec.sim.campaign.truth import effect_from_text
 from tests.bench.table import Row
 
 EACH = 50

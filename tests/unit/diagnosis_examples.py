@@ -11,9 +11,9 @@ from rtec.machine import Machine, machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Settings
-from rtec.sim.campaign_truth import effect_from_text
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings
+from rtec.sim.campaign.truth import effect_from_text
 from tests.machines import axis
 
 TABLE: Mapping[str, Any] = {

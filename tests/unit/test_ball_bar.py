@@ -14,10 +14,10 @@ from rtec.metrology.ball_bar.circle import circle_of
 from rtec.metrology.ball_bar.design import stacked_design
 from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.metrology.instruments.ball_bar import circle_channels, travelled_deg
-from rtec.sim.campaign import simulate, simulate_with_truth
-from rtec.sim.campaign_settings import QUIET, Phase, Settings
-from rtec.sim.campaign_settings import Path as Way
-from rtec.sim.campaign_truth import truth_of
+from rtec.sim.campaign.campaign import simulate, simulate_with_truth
+from rtec.sim.campaign.settings import QUIET, Phase, Settings
+from rtec.sim.campaign.settings import Path as Way
+from rtec.sim.campaign.truth import truth_of
 from tests.machines import turning_centre, vertical_mill
 from tests.unit.ball_bar_examples import ROWS, bar, gantry, recorded
 

@@ -18,10 +18,10 @@ from rtec.machine import Machine, load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_order import DRIFT_PROBES
-from rtec.sim.campaign_settings import Settings
-from rtec.sim.campaign_truth import truth_of
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.request import DRIFT_PROBES
+from rtec.sim.campaign.settings import Settings
+from rtec.sim.campaign.truth import truth_of
 
 MILL = Path(__file__).parents[2] / "configs" / "machines" / "vertical-mill.toml"
 TRUE = (

@@ -11,9 +11,9 @@ from rtec.machine import load_machine
 from rtec.metrology.files.load import save_measurement
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.model import load_model
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Settings, Targets
-from rtec.sim.campaign_truth import truth_of
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings, Targets
+from rtec.sim.campaign.truth import truth_of
 
 MACHINE = Path(__file__).parents[2] / "configs" / "machines" / "turning-centre.toml"
 EFFECTS = (

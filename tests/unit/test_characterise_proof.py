@@ -16,9 +16,9 @@ from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.sim.campaign import simulate_with_truth
-from rtec.sim.campaign_settings import PERFECT, Noise, Phase, Sensors, Settings, Targets, Thermal
-from rtec.sim.campaign_truth import truth_of
+from rtec.sim.campaign.campaign import simulate_with_truth
+from rtec.sim.campaign.settings import PERFECT, Noise, Phase, Sensors, Settings, Targets, Thermal
+from rtec.sim.campaign.truth import truth_of
 from tests.machines import turning_centre, vertical_mill
 
 Floats = NDArray[np.float64]

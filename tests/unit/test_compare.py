@@ -21,8 +21,8 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
 from rtec.report.compare import compare_page
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings
 from tests.unit.diagnosis_examples import TABLE, effects, laser, small_machine, write_laser, write_machine
 
 SCALE = "scale,component=EXX,axis=X,k=40"

@@ -8,8 +8,8 @@ from rtec.diagnosis.compare.result import Comparison
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.report.compare import compare_page
 from rtec.report.compare_circle import angle_of, circle_picture
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings
 from tests.unit.diagnosis_examples import laser, small_machine
 from tests.unit.test_compare import PNG, SCALE, model
 

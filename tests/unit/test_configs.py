@@ -11,7 +11,7 @@ from rtec.loop.step import Step
 from rtec.machine import load_machine
 from rtec.metrology.importing import load_map
 from rtec.model import load_model
-from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign.settings import Settings
 from rtec.sim.truth import check_truth, load_truth
 from rtec.tomlfile import read_toml, validated
 

@@ -14,10 +14,10 @@ from rtec.metrology.grid.paths import edges_of
 from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Noise, Phase, Settings
-from rtec.sim.campaign_settings import Path as Way
-from rtec.sim.campaign_truth import truth_of
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Noise, Phase, Settings
+from rtec.sim.campaign.settings import Path as Way
+from rtec.sim.campaign.truth import truth_of
 from tests.machines import axis, machine, turning_centre
 
 Floats = NDArray[np.float64]

@@ -20,7 +20,7 @@ from rtec.machine.exact import exact_tip_error_um
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
 from rtec.model.compiled import compile_model
-from rtec.sim.campaign_truth import truth_of
+from rtec.sim.campaign.truth import truth_of
 from tests.machines import axis, machine
 from tests.unit.test_grid_encoder import measured, own
 

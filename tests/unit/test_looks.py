@@ -27,8 +27,8 @@ from rtec.model import Model, save_model
 from rtec.report.compare import compare_page
 from rtec.report.diagnosis import diagnosis_page
 from rtec.report.page import Table
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings
 from tests.unit.diagnosis_examples import QUICK, effects, laser, small_machine, write_laser, write_machine
 from tests.unit.test_compare import SCALE, model
 from tests.unit.test_compare_report import TILT, angular

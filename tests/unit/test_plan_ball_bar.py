@@ -20,9 +20,9 @@ from rtec.metrology.ball_bar.circle import circles_of
 from rtec.metrology.ball_bar.design import design_of
 from rtec.metrology.ball_bar.rank import rank_of
 from rtec.metrology.measurement import Measurement
-from rtec.sim.campaign_settings import Path as Way
-from rtec.sim.campaign_settings import Settings
-from rtec.sim.campaign_truth import effect_from_text
+from rtec.sim.campaign.settings import Path as Way
+from rtec.sim.campaign.settings import Settings
+from rtec.sim.campaign.truth import effect_from_text
 from tests.machines import axis, turning_centre
 from tests.unit.ball_bar_examples import bar, gantry
 

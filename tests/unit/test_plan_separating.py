@@ -21,9 +21,9 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.report.plan import _separators
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Settings
-from rtec.sim.campaign_truth import effect_from_text
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings
+from rtec.sim.campaign.truth import effect_from_text
 from tests.setups import CONFIGS
 from tests.unit.diagnosis_examples import effects, laser, small_machine, write_machine
 

@@ -21,14 +21,14 @@ from rtec.metrology.files.load import load_measurement
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.model import Model
-from rtec.sim.campaign import Simulated, simulate, simulate_with_truth
-from rtec.sim.campaign_cycle import off_pitch, on_pitch
-from rtec.sim.campaign_noise import drift_noise, with_noise
-from rtec.sim.campaign_order import DRIFT_PROBES, setup_table
-from rtec.sim.campaign_protocol import PRESETS
-from rtec.sim.campaign_settings import PERFECT, QUIET, Noise, Phase, Settings, Targets, Thermal
-from rtec.sim.campaign_thermal import relax
-from rtec.sim.campaign_truth import effect_from_text, truth_of
+from rtec.sim.campaign.campaign import Simulated, simulate, simulate_with_truth
+from rtec.sim.campaign.cycle import off_pitch, on_pitch
+from rtec.sim.campaign.noise import drift_noise, with_noise
+from rtec.sim.campaign.protocol import PRESETS
+from rtec.sim.campaign.request import DRIFT_PROBES, setup_table
+from rtec.sim.campaign.settings import PERFECT, QUIET, Noise, Phase, Settings, Targets, Thermal
+from rtec.sim.campaign.thermal import relax
+from rtec.sim.campaign.truth import effect_from_text, truth_of
 from tests.machines import turning_centre, vertical_mill
 from tests.unit.instrument_examples import EXAMPLES, Example, frames
 

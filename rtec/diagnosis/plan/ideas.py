@@ -13,7 +13,7 @@ from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup, axis_along
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign.settings import Settings
 from rtec.tomlfile import validated
 
 BESIDE_MM = 200.0
@@ -73,7 +73,7 @@ def extra_tests(machine: Machine, given: Sequence[Measurement] = ()) -> list[Ext
 
 
 def _probes() -> dict[str, Any]:
-    from rtec.sim.campaign_order import DRIFT_PROBES
+    from rtec.sim.campaign.request import DRIFT_PROBES
 
     return {"probe": dict(DRIFT_PROBES)}
 

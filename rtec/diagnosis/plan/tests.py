@@ -16,8 +16,8 @@ from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.sim.campaign import simulate
-from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings
 from rtec.tomlfile import read_toml, validated
 
 USUAL = (

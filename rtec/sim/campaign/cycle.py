@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtec.errors import ConfigError
 from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.base import Instrument
-from rtec.sim.campaign_settings import Targets
+from rtec.sim.campaign.settings import Targets
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]

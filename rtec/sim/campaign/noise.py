@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.jit import njit
-from rtec.sim.campaign_settings import Noise
+from rtec.sim.campaign.settings import Noise
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
-from rtec.sim.campaign_cycle import MOST_ROWS, Cycle
-from rtec.sim.campaign_settings import Phase, Settings, Targets
+from rtec.sim.campaign.cycle import MOST_ROWS, Cycle
+from rtec.sim.campaign.settings import Phase, Settings, Targets
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

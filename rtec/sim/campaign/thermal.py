@@ -15,9 +15,9 @@ from rtec.effects.derived import lag_track
 from rtec.errors import ConfigError
 from rtec.jit import njit
 from rtec.machine import Machine
-from rtec.sim.campaign_noise import drift_noise, quantised
-from rtec.sim.campaign_protocol import Timeline
-from rtec.sim.campaign_settings import Body, Sensors, Thermal
+from rtec.sim.campaign.noise import drift_noise, quantised
+from rtec.sim.campaign.protocol import Timeline
+from rtec.sim.campaign.settings import Body, Sensors, Thermal
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]

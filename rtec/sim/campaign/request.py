@@ -10,7 +10,7 @@ from rtec.errors import ConfigError, MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import make_instrument
-from rtec.sim.campaign_settings import Settings
+from rtec.sim.campaign.settings import Settings
 from rtec.tomlfile import read_toml, validated
 
 DRIFT_PROBES: Mapping[str, Any] = {

@@ -15,8 +15,8 @@ from rtec.machine.chain import MM_URAD_TO_UM
 from rtec.metrology.instruments.ball_bar import BallBar, axis_along, circle_channels
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
-from rtec.sim.campaign_cycle import MOST_ROWS, Cycle, directions
-from rtec.sim.campaign_settings import Path, Settings
+from rtec.sim.campaign.cycle import MOST_ROWS, Cycle, directions
+from rtec.sim.campaign.settings import Path, Settings
 
 Floats = NDArray[np.float64]
 APPROACH_S = 2.0
