@@ -5,11 +5,11 @@ Other packages add theirs by the entry point `rtec.drivers`, with a table of the
 
 DRIVERS: dict[str, tuple[str, str]] = {
     "sim": ("rtec_drivers.sim", "SimDriver"),
-    "serial_box": ("rtec_drivers.serial_box", "SerialBoxDriver"),
-    "ascii_lines": ("rtec_drivers.ascii_lines", "AsciiLinesDriver"),
-    "modbus": ("rtec_drivers.modbus_driver", "ModbusDriver"),
-    "can": ("rtec_drivers.can_driver", "CanDriver"),
-    "can_encoders": ("rtec_drivers.can_encoders", "CanEncodersDriver"),
-    "can_box": ("rtec_drivers.can_box", "CanBoxDriver"),
-    "zmq_link": ("rtec_drivers.zmq_link", "ZmqLinkDriver"),
+    "serial_box": ("rtec_drivers.box.driver", "SerialBoxDriver"),
+    "ascii_lines": ("rtec_drivers.ascii.driver", "AsciiLinesDriver"),
+    "modbus": ("rtec_drivers.modbus.driver", "ModbusDriver"),
+    "can": ("rtec_drivers.can.driver", "CanDriver"),
+    "can_encoders": ("rtec_drivers.can.encoders", "CanEncodersDriver"),
+    "can_box": ("rtec_drivers.can.box", "CanBoxDriver"),
+    "zmq_link": ("rtec_drivers.zmq.driver", "ZmqLinkDriver"),
 }

@@ -1,62 +1,190 @@
-"""Thermocouple voltages to temperatures, by the reference functions of ITS-90 (NIST Monograph 175, IEC 60584-1).
+"""From raw numbers off a bus to believed temperatures: scale, open circuit, range, cold junction, stuck sensor.
 
-A thermocouple's voltage tells the difference between its tip and its terminals (the cold junction). So the voltage
-that a tip at the terminals' temperature would give, against 0 °C, is added before the function is turned round:
-`tip = E⁻¹(measured + E(cold junction))`.
+One thread writes (`take`, `silent`), any thread reads (`fill`, `faults`); a reader never waits for a writer, because
+what it reads is replaced whole.
 """
 
-import importlib
-from typing import Any, Literal
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Self
 
-from rtec.errors import DriverFault, DriverUnavailable
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
-Kind = Literal["B", "E", "J", "K", "N", "R", "S", "T"]
-KINDS: tuple[Kind, ...] = ("B", "E", "J", "K", "N", "R", "S", "T")
+from rtec.errors import ConfigError, DriverError, DriverFault
+from rtec.tomlfile import Strict, nearest
+from rtec_drivers.thermocouple_part import Kind, check_installed, to_degc
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+SAME = 1e-7
+"""9999.9 is 9999.900390625 on a bus that sends numbers of 32 bits."""
+COLD_JUNCTION_AGE_NS = 60_000_000_000
+"""Terminals drift slowly; after a minute without their temperature a voltage is no temperature any more."""
 
 
-def to_degc(kind: Kind, measured_mv: float, cold_junction_degc: float) -> float:
-    """Temperature of the tip, °C.
+class Conversion(Strict):
+    """How a raw number becomes a temperature.
+
+    Attributes:
+        scale, offset: value = raw · scale + offset, in °C; in mV where `thermocouple` is given.
+        open_codes: raw numbers that say "no sensor, or its wire is broken".
+        range_degc: what the sensor can be at; outside it the reading is a fault.
+        stuck_s: a raw number that stays the same for so long is a fault; a sensor of coarse steps in a quiet room
+            needs a longer time.
+        thermocouple: letter, where the value is a voltage.
+        cold_junction: of the voltage: temperature of the terminals, °C, or the name of the reading that gives it.
+    """
+
+    scale: float = 1.0
+    offset: float = 0.0
+    open_codes: tuple[float, ...] = ()
+    range_degc: tuple[float, float] = (-50.0, 250.0)
+    stuck_s: Annotated[float, Field(gt=0)] = 900.0
+    thermocouple: Kind | None = None
+    cold_junction: str | float | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if (self.thermocouple is None) != (self.cold_junction is None):
+            raise ValueError("thermocouple and cold_junction go together")
+        if not self.range_degc[0] < self.range_degc[1]:
+            raise ValueError("range_degc must be [lowest, highest]")
+        return self
+
+
+def open_code_faults(codes: Sequence[float], bits: int, signed: bool, kind: str) -> str:
+    """Why one of the codes can never come from a whole number of that many bits; "" where all can.
+
+    Manuals like to give 65535 or 8000h for what a signed number has as -1 or -32768.
+    """
+    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    for code in codes:
+        if code.is_integer() and low <= code <= high:
+            continue
+        instead = ""
+        if code.is_integer() and abs(code) < 1 << bits:
+            instead = f"; as {kind} it is {(int(code) - low) % (1 << bits) + low}"
+        return f"open_codes: {code:.15g} is no {kind}, which goes from {low} to {high}{instead}"
+    return ""
+
+
+@dataclass
+class _State:
+    raw: float = math.nan
+    since_ns: int = 0
+    degc: float = math.nan
+    time_ns: int = 0
+
+
+@dataclass(frozen=True)
+class _Snapshot:
+    index: IntArray
+    degc: FloatArray
+    time_ns: IntArray
+
+
+class Readings:
+    """Newest believed temperature of each sensor of one device, and what is wrong with the others.
 
     Args:
-        kind: letter of the thermocouple.
-        measured_mv: voltage at the terminals, mV.
-        cold_junction_degc: temperature of the terminals, °C.
+        sensors: the machine's sensors, in its order.
+        conversions: by the name of the reading: a sensor, or a cold junction that another reading names.
 
     Raises:
-        DriverFault: outside what the letter's function is defined for; type B starts at about 250 °C.
-        DriverUnavailable: the package with the functions is not installed.
+        ConfigError: a name is neither, or names a cold junction that is not read.
+        DriverUnavailable: a voltage is to be converted and the package for it is not installed.
     """
-    table = _table(kind)
-    try:
-        return float(table.temperature(measured_mv, reference=cold_junction_degc))
-    except ValueError as e:
-        at = f"{measured_mv:g} mV with terminals at {cold_junction_degc:g} °C"
-        raise DriverFault(f"type {kind}: {at} is no temperature that this type can have") from e
 
+    def __init__(self, sensors: Sequence[str], conversions: Mapping[str, Conversion]) -> None:
+        junctions = {c.cold_junction for c in conversions.values() if isinstance(c.cold_junction, str)}
+        faults = [
+            f"{name!r}: the machine has no such sensor{nearest(name, sensors)}"
+            for name in conversions
+            if name not in sensors and name not in junctions
+        ]
+        faults += [
+            f"cold_junction {n!r} is not read{nearest(n, conversions)}" for n in junctions if n not in conversions
+        ]
+        if faults:
+            raise ConfigError("\n".join(faults))
+        if any(c.thermocouple for c in conversions.values()):
+            check_installed()
+        self._sensors = {name: k for k, name in enumerate(sensors)}
+        self._conversions = dict(conversions)
+        self._states = {name: _State() for name in conversions}
+        self._faults = dict.fromkeys(conversions, "no reading yet")
+        self._snapshot = _Snapshot(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))
 
-def to_mv(kind: Kind, tip_degc: float, cold_junction_degc: float) -> float:
-    """Voltage at the terminals, mV, of a tip and terminals at these temperatures, °C; raises as `to_degc` does."""
-    table = _table(kind)
-    try:
-        return float(table.emf(tip_degc)) - float(table.emf(cold_junction_degc))
-    except ValueError as e:
-        raise DriverFault(f"type {kind}: {tip_degc:g} °C or {cold_junction_degc:g} °C is outside its range") from e
+    def take(self, name: str, raw: float, time_ns: int) -> None:
+        """Judge a raw number acquired at an instant, ns; publish it where it can be believed."""
+        state, conversion = self._states[name], self._conversions[name]
+        if raw != state.raw or state.since_ns == 0:
+            state.raw, state.since_ns = raw, time_ns
+        try:
+            degc, why = self._judged(conversion, state, raw, time_ns)
+        except DriverError as e:
+            degc, why = math.nan, str(e)
+        self._faults[name] = why
+        if why:
+            return
+        state.degc, state.time_ns = degc, time_ns
+        self._publish()
 
+    def silent(self, names: Iterable[str], why: str) -> None:
+        """Note that no reading came; values and times stay as they are."""
+        for name in names:
+            self._faults[name] = why
 
-def check_installed() -> None:
-    """Say now, not at the first reading, that the package is missing.
+    def fill(self, degc: FloatArray, time_ns: IntArray) -> None:
+        """Write the newest believed values, °C, and their instants, ns, into the machine's arrays; touch no others."""
+        newest = self._snapshot
+        degc[newest.index] = newest.degc
+        time_ns[newest.index] = newest.time_ns
 
-    Raises:
-        DriverUnavailable: it is.
-    """
-    _table("K")
+    def faults(self) -> list[str]:
+        """What is wrong now, one line a reading; empty when all is well."""
+        return [f"{name}: {why}" for name, why in self._faults.items() if why]
 
+    def tell(self) -> None:
+        """Say what is wrong.
 
-def _table(kind: Kind) -> Any:
-    try:
-        package = importlib.import_module("thermocouple_its90")
-    except ImportError as e:
-        raise DriverUnavailable(
-            "thermocouple voltages need the package thermocouple-its90: pip install 'rtec[thermocouples]'"
-        ) from e
-    return package.get(kind)
+        Raises:
+            DriverFault: something is.
+        """
+        if any(self._faults.values()):
+            raise DriverFault("; ".join(self.faults()))
+
+    def _judged(self, conversion: Conversion, state: _State, raw: float, time_ns: int) -> tuple[float, str]:
+        if not math.isfinite(raw):
+            return math.nan, "the device sent no number"
+        if any(math.isclose(raw, code, rel_tol=SAME) for code in conversion.open_codes):
+            return math.nan, f"open circuit: the device sent {raw:g}; look at the sensor and its wires"
+        value = raw * conversion.scale + conversion.offset
+        if conversion.thermocouple is not None:
+            value = to_degc(conversion.thermocouple, value, self._cold_junction_degc(conversion, time_ns))
+        low, high = conversion.range_degc
+        if not low <= value <= high:
+            return value, f"{value:.1f} °C is outside range_degc, {low:g} to {high:g} °C"
+        frozen_ns = time_ns - state.since_ns
+        if frozen_ns > conversion.stuck_s * 1e9:
+            return value, f"stuck: {value:.2f} °C has not changed for {frozen_ns * 1e-9:.0f} s"
+        return value, ""
+
+    def _cold_junction_degc(self, conversion: Conversion, time_ns: int) -> float:
+        if not isinstance(conversion.cold_junction, str):
+            return float(conversion.cold_junction or 0.0)
+        junction = self._states[conversion.cold_junction]
+        if junction.time_ns == 0 or time_ns - junction.time_ns > COLD_JUNCTION_AGE_NS:
+            raise DriverError(f"its cold junction {conversion.cold_junction!r} has no fresh temperature")
+        return junction.degc
+
+    def _publish(self) -> None:
+        rows = [(self._sensors[n], s) for n, s in self._states.items() if n in self._sensors and s.time_ns]
+        self._snapshot = _Snapshot(
+            np.array([k for k, _ in rows], np.int64),
+            np.array([s.degc for _, s in rows]),
+            np.array([s.time_ns for _, s in rows], np.int64),
+        )

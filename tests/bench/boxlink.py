@@ -20,8 +20,8 @@ import numpy as np
 
 from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
-from rtec_drivers.box_options import BoxOptions
-from rtec_drivers.serial_box import SerialBoxDriver
+from rtec_drivers.box.driver import SerialBoxDriver
+from rtec_drivers.box.options import BoxOptions
 from tests.bench.table import Row
 from tests.machines import turning_centre
 
@@ -64,7 +64,7 @@ def rows() -> list[Row]:
 
 def _box() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Times of round trips, µs."""
-    with tempfile.TemporaryDirectory() as folder, _process(["-m", "rtec_drivers.box_process", f"{folder}/box"]):
+    with tempfile.TemporaryDirectory() as folder, _process(["-m", "rtec_drivers.box.process", f"{folder}/box"]):
         table = {"port": f"{folder}/box", "max_speed_mm_s": {"X": 400.0, "Z": 400.0}, "timeout_ms": 20.0}
         clock, machine = RealClock(), turning_centre()
         counts, output = np.zeros(2, np.int64), np.zeros(2, np.int64)

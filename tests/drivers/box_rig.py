@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from rtec.loop.clock import Clock, RealClock, VirtualClock
 from rtec.machine import Machine
 from rtec.tomlfile import validated
-from rtec_drivers import serial_box
-from rtec_drivers.box_options import BoxOptions
-from rtec_drivers.box_simulator import BoxSimulator, StillPlant
+from rtec_drivers.box import driver as serial_box
+from rtec_drivers.box.driver import SerialBoxDriver
+from rtec_drivers.box.options import BoxOptions
+from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 from rtec_drivers.pty_peer import PtyPeer
-from rtec_drivers.serial_box import SerialBoxDriver
 from rtec_drivers.wire_faults import WireFaults
 from tests.drivers.conformance import MACHINE
 

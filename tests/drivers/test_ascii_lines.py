@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec.tomlfile import validated
-from rtec_drivers.ascii_lines import AsciiLinesDriver
-from rtec_drivers.ascii_options import AsciiOptions
-from rtec_drivers.ascii_text import LineParser, LineReader
+from rtec_drivers.ascii.driver import AsciiLinesDriver
+from rtec_drivers.ascii.options import AsciiOptions
+from rtec_drivers.ascii.text import LineParser, LineReader
 from rtec_drivers.pty_peer import PtyPeer
 from tests.drivers.conformance import MACHINE, DriverLaws, Rig, open_files, soon
 

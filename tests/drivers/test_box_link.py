@@ -11,10 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtec_drivers import box_protocol as protocol
-from rtec_drivers import box_simulator as simulator
-from rtec_drivers.box_protocol import BoxState, Frame, FrameReader, Info
-from rtec_drivers.box_simulator import BoxSimulator, StillPlant
+from rtec_drivers.box import protocol, simulator
+from rtec_drivers.box.protocol import BoxState, Frame, FrameReader, Info
+from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "rtec-box-link.md"
 ROW = re.compile(r"^\| ([A-Z]+) \| (\d+) \| `(\{.*\})` \| `([0-9a-f ]+)` \|$", re.M)

@@ -11,7 +11,7 @@ import pytest
 
 from rtec.errors import ConfigError, DriverFault, DriverTimeout
 from rtec.tomlfile import validated
-from rtec_drivers.can_encoders import CanEncoderOptions, CanEncodersDriver
+from rtec_drivers.can.encoders import CanEncoderOptions, CanEncodersDriver
 from tests.drivers.can_peer import CLOCK, MS, frame, new_channel
 from tests.drivers.conformance import MACHINE, DriverLaws, Rig
 from tests.drivers.modbus_peer import until

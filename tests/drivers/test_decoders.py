@@ -16,14 +16,16 @@ from typing import Any
 import pytest
 
 from rtec.tomlfile import validated
-from rtec_drivers import box_protocol as box
-from rtec_drivers import can_box_frames, modbus_frame, zmq_message
-from rtec_drivers.ascii_options import AsciiOptions
-from rtec_drivers.ascii_readings import ReadingBook
-from rtec_drivers.ascii_text import LineParser
-from rtec_drivers.can_signals import Dbc, ObjectType, SignalOptions
-from rtec_drivers.modbus_map import Register
-from rtec_drivers.thermocouple_readings import Conversion, Readings
+from rtec_drivers.ascii.options import AsciiOptions
+from rtec_drivers.ascii.readings import ReadingBook
+from rtec_drivers.ascii.text import LineParser
+from rtec_drivers.box import protocol as box
+from rtec_drivers.can import can_box_frames
+from rtec_drivers.can.signals import Dbc, ObjectType, SignalOptions
+from rtec_drivers.modbus import frame as modbus_frame
+from rtec_drivers.modbus.map import Register
+from rtec_drivers.thermocouple import Conversion, Readings
+from rtec_drivers.zmq import message as zmq_message
 from tests.drivers.conformance import MACHINE
 
 ROUNDS = int(os.environ.get("ROUNDS", "4000"))

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rtec_drivers.modbus_driver import ModbusDriver
+from rtec_drivers.modbus.driver import ModbusDriver
 from tests.drivers.conformance import DriverLaws, Rig
 from tests.drivers.modbus_peer import FakeSlave, line, serial, slave_table
 

@@ -11,7 +11,7 @@ import pytest
 
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
-from rtec_drivers.serial_box import SerialBoxDriver
+from rtec_drivers.box.driver import SerialBoxDriver
 from tests.drivers.box_rig import MS, MemoryBench, in_memory, options
 from tests.drivers.conformance import MACHINE
 

@@ -16,8 +16,8 @@ import pytest
 from rtec.correction.sinks import FollowingErrorSink, PhaseSink
 from rtec.errors import DriverError, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import RealClock
+from rtec_drivers.box.driver import SerialBoxDriver
 from rtec_drivers.pty_peer import PtyPeer
-from rtec_drivers.serial_box import SerialBoxDriver
 from rtec_drivers.serial_line import Ports, SerialLine
 from tests.drivers.box_rig import SPEED, box_on_pty, options
 from tests.drivers.conformance import MACHINE, DriverLaws, Rig, open_files, soon

@@ -20,13 +20,13 @@ from rtec.correction.sinks import FollowingErrorSink, PulseSink
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
-from rtec_drivers import zmq_sockets
 from rtec_drivers.clock_offset import ClockOffset
 from rtec_drivers.registry import DRIVERS
-from rtec_drivers.zmq_link import ZmqLinkDriver
-from rtec_drivers.zmq_message import KEYS, Answer, StateMessage, read_answer, read_state
-from rtec_drivers.zmq_message import command as command_text
-from rtec_drivers.zmq_options import ZmqOptions, leaves_computer
+from rtec_drivers.zmq import sockets as zmq_sockets
+from rtec_drivers.zmq.driver import ZmqLinkDriver
+from rtec_drivers.zmq.message import KEYS, Answer, StateMessage, read_answer, read_state
+from rtec_drivers.zmq.message import command as command_text
+from rtec_drivers.zmq.options import ZmqOptions, leaves_computer
 from tests.drivers.box_rig import SPEED
 from tests.drivers.conformance import CONFIGS, MACHINE, DriverLaws, Rig, gives_back, open_files, soon
 from tests.drivers.zmq_rig import Cell, ipc_cell

@@ -23,8 +23,8 @@ from rtec.loop.clock import VirtualClock
 from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
 from rtec.tomlfile import validated
-from rtec_drivers.can_driver import CanTemperatureOptions
-from rtec_drivers.can_signals import Dbc
+from rtec_drivers.can.driver import CanTemperatureOptions
+from rtec_drivers.can.signals import Dbc
 from rtec_drivers.hil.adapter import adapter
 from rtec_drivers.hil.catalogue import FAULTS
 from rtec_drivers.hil.findings import faults_found, given_astray, improvement_check, quiet_spans
@@ -36,8 +36,8 @@ from rtec_drivers.hil.soak import RECOVER_S, draw_faults
 from rtec_drivers.hil.track import Track, accuracy
 from rtec_drivers.hil.watch import AFTER_S, Watch
 from rtec_drivers.hil.wiring import read_wiring
-from rtec_drivers.modbus_frame import HOLDING, INPUT, Request, find_rtu
-from rtec_drivers.modbus_options import ModbusOptions
+from rtec_drivers.modbus.frame import HOLDING, INPUT, Request, find_rtu
+from rtec_drivers.modbus.modbus_options import ModbusOptions
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.wire_faults import WireFaults
 from tests import setups

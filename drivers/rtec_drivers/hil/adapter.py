@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from rtec.errors import ConfigError, DriverUnavailable
-from rtec_drivers.can_driver import CanTemperatureOptions, TemperatureSignal
-from rtec_drivers.can_signals import SignalOptions
+from rtec_drivers.can.driver import CanTemperatureOptions, TemperatureSignal
+from rtec_drivers.can.signals import SignalOptions
 
 SAY_NS = 100_000_000
 HEARTBEAT_NS = 500_000_000

@@ -22,15 +22,15 @@ from rtec.loop.run_file import Realtime
 from rtec.loop.state_files import state_places
 from rtec.machine import Machine, load_machine
 from rtec.tomlfile import validated
-from rtec_drivers.box_options import BoxOptions, axis_order
-from rtec_drivers.box_simulator import BoxSimulator
-from rtec_drivers.can_driver import CanTemperatureOptions
+from rtec_drivers.box.options import BoxOptions, axis_order
+from rtec_drivers.box.simulator import BoxSimulator
+from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.hil.adapter import adapter
 from rtec_drivers.hil.injector import Injector, Switch, box_switches, can_switches, modbus_switches
 from rtec_drivers.hil.plant import InBoxOrder, MachinePlant, Recorder, Sensed
 from rtec_drivers.hil.slaves import slave_line
 from rtec_drivers.hil.wiring import SENSED, TRACK, Wiring, read_wiring
-from rtec_drivers.modbus_options import ModbusOptions
+from rtec_drivers.modbus.modbus_options import ModbusOptions
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.sim import SimDriver
 

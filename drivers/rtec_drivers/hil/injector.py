@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rtec.loop.clock import Clock
-from rtec_drivers.box_simulator import BoxSimulator
+from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.hil.adapter import SlcanSimulator
 from rtec_drivers.hil.plant import MachinePlant
 from rtec_drivers.hil.slaves import SlaveLine

@@ -5,8 +5,8 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from rtec.tomlfile import Strict
-from rtec_drivers.modbus_line import TcpOptions
-from rtec_drivers.modbus_map import Register
+from rtec_drivers.modbus.line import TcpOptions
+from rtec_drivers.modbus.map import Register
 from rtec_drivers.serial_line import PortOptions
 
 

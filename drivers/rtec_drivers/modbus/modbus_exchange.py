@@ -5,8 +5,8 @@ from typing import Protocol
 
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import Clock
-from rtec_drivers.modbus_frame import Answer, Request, decode, find_rtu, split_tcp
-from rtec_drivers.modbus_line import Line
+from rtec_drivers.modbus.frame import Answer, Request, decode, find_rtu, split_tcp
+from rtec_drivers.modbus.line import Line
 
 LONGEST_NOISE = 4096
 """A babbling line fills no memory: of what is no answer no more than so many bytes are kept."""

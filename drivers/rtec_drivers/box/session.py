@@ -6,8 +6,8 @@ from typing import Protocol
 
 from rtec.errors import DriverFault, DriverTimeout
 from rtec.loop.clock import Clock
-from rtec_drivers import box_protocol as protocol
-from rtec_drivers.box_protocol import BoxState, Frame, FrameReader, Info
+from rtec_drivers.box import protocol
+from rtec_drivers.box.protocol import BoxState, Frame, FrameReader, Info
 
 HELLO_PERIOD_S = 0.1
 READS_PER_WAIT = 64

@@ -4,8 +4,8 @@ from collections import deque
 from typing import Any
 
 from rtec.errors import DriverTimeout, DriverUnavailable
-from rtec_drivers.zmq_message import TOPIC
-from rtec_drivers.zmq_options import Keys, ZmqOptions
+from rtec_drivers.zmq.message import TOPIC
+from rtec_drivers.zmq.options import Keys, ZmqOptions
 
 QUEUED = 256
 READ_AT_ONCE = 16

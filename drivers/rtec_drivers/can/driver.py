@@ -13,10 +13,10 @@ from pydantic import Field, model_validator
 from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec_drivers.can_bus import CanOptions, CanPort
-from rtec_drivers.can_nodes import NMT, NodeOptions, NodeWatch
-from rtec_drivers.can_signals import Dbc, SignalOptions, Source
-from rtec_drivers.thermocouple_readings import Conversion, Readings, open_code_faults
+from rtec_drivers.can.bus import CanOptions, CanPort
+from rtec_drivers.can.can_nodes import NMT, NodeOptions, NodeWatch
+from rtec_drivers.can.signals import Dbc, SignalOptions, Source
+from rtec_drivers.thermocouple import Conversion, Readings, open_code_faults
 
 Timeout = Annotated[float, Field(gt=0, le=3600)]
 

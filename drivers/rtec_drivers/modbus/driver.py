@@ -12,14 +12,14 @@ from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.tomlfile import nearest
-from rtec_drivers.modbus_exchange import Exchange, RtuExchange, TcpExchange
-from rtec_drivers.modbus_line import Line, RtuLine, TcpLine, TcpOptions
-from rtec_drivers.modbus_map import Register, blocks_of, load_profile
-from rtec_drivers.modbus_options import ModbusOptions, SlaveOptions
-from rtec_drivers.modbus_poll import Poller, Slave
-from rtec_drivers.modbus_worker import NS, Backoff, Worker
+from rtec_drivers.link_worker import NS, Backoff, Worker
+from rtec_drivers.modbus.line import Line, RtuLine, TcpLine, TcpOptions
+from rtec_drivers.modbus.map import Register, blocks_of, load_profile
+from rtec_drivers.modbus.modbus_exchange import Exchange, RtuExchange, TcpExchange
+from rtec_drivers.modbus.modbus_options import ModbusOptions, SlaveOptions
+from rtec_drivers.modbus.poll import Poller, Slave
 from rtec_drivers.serial_line import PortFinder, PortOptions
-from rtec_drivers.thermocouple_readings import Readings
+from rtec_drivers.thermocouple import Readings
 
 SILENT_CHARACTERS = 3.5
 LEAST_SILENCE_NS = 1_750_000

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rtec.machine import Machine
-from rtec_drivers.ascii_options import LINE_ENDS, AsciiOptions, compiled
+from rtec_drivers.ascii.options import LINE_ENDS, AsciiOptions, compiled
 
 TO_DEGC = {
     "degc": (1.0, 0.0),

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from rtec.errors import DriverFault, DriverTimeout
-from rtec_drivers import box_protocol as protocol
-from rtec_drivers.box_protocol import BoxState
+from rtec_drivers.box import protocol
+from rtec_drivers.box.protocol import BoxState
 
 LARGEST = 2**31 - 1
 PATIENT_TRIES = 10

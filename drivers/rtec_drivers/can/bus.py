@@ -13,7 +13,7 @@ from pydantic import Field
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.tomlfile import Strict
-from rtec_drivers.modbus_worker import Backoff, Worker
+from rtec_drivers.link_worker import Backoff, Worker
 
 RECEIVE_S = 0.02
 """Longest wait for a frame before the thread looks whether it shall stop, or whether something has fallen silent."""

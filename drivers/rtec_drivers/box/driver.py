@@ -12,10 +12,10 @@ from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec_drivers import box_protocol as protocol
-from rtec_drivers.box_ledger import BoxLedger
-from rtec_drivers.box_options import BoxOptions, axis_order, max_counts_per_s
-from rtec_drivers.box_session import Answer, BoxSession
+from rtec_drivers.box import protocol
+from rtec_drivers.box.ledger import BoxLedger
+from rtec_drivers.box.options import BoxOptions, axis_order, max_counts_per_s
+from rtec_drivers.box.session import Answer, BoxSession
 from rtec_drivers.count_tracker import CountTracker
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.serial_line import PortFinder, Ports, SerialLine

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec_drivers.ascii_options import SPINDLE, AsciiOptions
-from rtec_drivers.ascii_readings import ReadingBook
-from rtec_drivers.ascii_text import LineParser, LineReader
+from rtec_drivers.ascii.options import SPINDLE, AsciiOptions
+from rtec_drivers.ascii.readings import ReadingBook
+from rtec_drivers.ascii.text import LineParser, LineReader
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.serial_line import PortFinder, Ports, SerialLine
 

@@ -12,13 +12,13 @@ from rtec.correction.sinks import Sink
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
-from rtec_drivers import zmq_message as message
-from rtec_drivers.box_options import max_counts_per_s
+from rtec_drivers.box.options import max_counts_per_s
 from rtec_drivers.count_tracker import CountTracker
-from rtec_drivers.zmq_commands import CommandAccount
-from rtec_drivers.zmq_options import ZmqOptions, load_keys
-from rtec_drivers.zmq_sockets import Sockets
-from rtec_drivers.zmq_states import Counts, StateBook
+from rtec_drivers.zmq import message
+from rtec_drivers.zmq.commands import CommandAccount
+from rtec_drivers.zmq.options import ZmqOptions, load_keys
+from rtec_drivers.zmq.sockets import Sockets
+from rtec_drivers.zmq.states import Counts, StateBook
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

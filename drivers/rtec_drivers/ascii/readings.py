@@ -2,9 +2,9 @@
 
 from rtec.errors import DriverFault
 from rtec.machine import Machine
-from rtec_drivers.ascii_options import AsciiOptions
-from rtec_drivers.ascii_text import LineParser
-from rtec_drivers.box_options import max_counts_per_s
+from rtec_drivers.ascii.options import AsciiOptions
+from rtec_drivers.ascii.text import LineParser
+from rtec_drivers.box.options import max_counts_per_s
 from rtec_drivers.count_tracker import CountTracker
 from rtec_drivers.stuck import StuckWatch
 

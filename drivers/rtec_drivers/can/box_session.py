@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from rtec.errors import DriverError
-from rtec_drivers import can_box_frames as frames
-from rtec_drivers.can_box_frames import BoxFrame
+from rtec_drivers.can import can_box_frames as frames
+from rtec_drivers.can.can_box_frames import BoxFrame
 
 PATIENCE_NS = 50_000_000
 """After so long a silence the box is asked less often,"""

@@ -16,12 +16,12 @@ from dataclasses import dataclass, field
 
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import Clock
-from rtec_drivers.modbus_exchange import LONGEST_NOISE, Exchange
-from rtec_drivers.modbus_frame import ERRORS, frames_of_slaves, why_not
-from rtec_drivers.modbus_line import Line
-from rtec_drivers.modbus_map import Block
-from rtec_drivers.modbus_worker import NS, Backoff, Worker
-from rtec_drivers.thermocouple_readings import Readings
+from rtec_drivers.link_worker import NS, Backoff, Worker
+from rtec_drivers.modbus.frame import ERRORS, frames_of_slaves, why_not
+from rtec_drivers.modbus.line import Line
+from rtec_drivers.modbus.map import Block
+from rtec_drivers.modbus.modbus_exchange import LONGEST_NOISE, Exchange
+from rtec_drivers.thermocouple import Readings
 
 STARVED_NS = 5 * NS
 LONGEST_LATE_NS = 10 * NS

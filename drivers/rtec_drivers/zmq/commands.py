@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from rtec.errors import DriverFault, DriverTimeout
-from rtec_drivers import zmq_message as message
+from rtec_drivers.zmq import message
 
 HOLDS = "the correction holds until it is ordered to resume"
 

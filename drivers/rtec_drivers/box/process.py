@@ -1,11 +1,11 @@
-"""`python -m rtec_drivers.box_process LINK`: a simulated encoder box in a process of its own, until its input ends."""
+"""`python -m rtec_drivers.box.process LINK`: a simulated encoder box in a process of its own, until its input ends."""
 
 import argparse
 import sys
 from pathlib import Path
 
 from rtec.loop.clock import RealClock
-from rtec_drivers.box_simulator import BoxSimulator
+from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.pty_peer import PtyPeer
 
 
@@ -26,7 +26,7 @@ class MovingPlant:
 
 def main(arguments: list[str]) -> None:
     """Serve until standard input ends, which it does when whoever started this is gone."""
-    parser = argparse.ArgumentParser(prog="rtec_drivers.box_process", description=__doc__)
+    parser = argparse.ArgumentParser(prog="rtec_drivers.box.process", description=__doc__)
     parser.add_argument("link", type=Path, help="name to give to the port")
     parser.add_argument("--axes", type=int, default=2)
     parser.add_argument("--counts-per-s", type=int, default=100_000)

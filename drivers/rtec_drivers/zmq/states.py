@@ -6,8 +6,8 @@ from rtec.errors import DriverFault, DriverTimeout
 from rtec.machine import Machine
 from rtec_drivers.clock_offset import ClockOffset
 from rtec_drivers.stuck import StuckWatch
-from rtec_drivers.zmq_message import MessageError, StateMessage, read_state
-from rtec_drivers.zmq_options import ZmqOptions
+from rtec_drivers.zmq.message import MessageError, StateMessage, read_state
+from rtec_drivers.zmq.options import ZmqOptions
 
 FUTURE_NS = 1_000_000
 
