@@ -231,7 +231,7 @@ def _asked(
     from rtec.diagnosis.extend.asked import asked_effect
 
     if expr is not None:
-        from rtec.effects.from_text import expression_from_text
+        from rtec.effects.expression import expression_from_text
 
         if component is None:
             raise typer.BadParameter("say which component error the expression feeds: --component EXX")

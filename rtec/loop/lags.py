@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from rtec.model import Model
-from rtec.model.kernel.plan import Plan, plan_model
+from rtec.model.kernel.trace import Plan, plan_model
 from rtec.model.kernel.write import LAG_SLOTS
 
 MOST_APART: Final = math.log(2.0)

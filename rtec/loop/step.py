@@ -19,7 +19,7 @@ from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.step_numbers import check_limits, numbers_of, times_of
 from rtec.loop.step_source import StepSource, write_step
 from rtec.model import Model
-from rtec.model.kernel import elementary
+from rtec.model.kernel import build as elementary
 from rtec.model.kernel.build import build_module
 from rtec.model.kernel.write import write_kernel
 

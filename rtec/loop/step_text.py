@@ -4,7 +4,7 @@ IMPORTS = """
 from rtec.correction.guard import guard_update
 from rtec.correction.ledger import ledger_update
 from rtec.effects.derived import direction_update, lag_update, motion_update, reversal_update, since_reversal
-from rtec.model.kernel.elementary import sin_cos
+from rtec.model.kernel.build import sin_cos
 
 
 """

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State, derived
-from rtec.model.kernel import elementary
+from rtec.model.kernel import build as elementary
 from rtec.model.kernel.build import build_module
 from rtec.model.kernel.write import EXTRA_ARRAYS, KernelSource, slow_inputs, write_kernel
 from rtec.model.model import Model
 
 Floats = NDArray[np.float64]
 
-IMPORTS = "\nfrom rtec.effects.derived import lag_update\nfrom rtec.model.kernel.elementary import sin_cos\n\n\n"
+IMPORTS = "\nfrom rtec.effects.derived import lag_update\nfrom rtec.model.kernel.build import sin_cos\n\n\n"
 
 EVALUATE = '''
 

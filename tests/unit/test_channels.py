@@ -32,8 +32,8 @@ from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.compiled import compile_model
 from rtec.model.fit import Margin, valid_range
-from rtec.model.kernel.plan import plan_model
-from rtec.model.reversal import reversal_um
+from rtec.model.kernel.trace import plan_model
+from rtec.model.model import reversal_um
 from tests.machines import turning_centre
 from tests.unit import measurement_examples
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.effects.from_text import expression_from_text
+from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import fit_model

@@ -14,7 +14,7 @@ from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.extend.joint import joint_fit
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.usable import apart, share
-from rtec.effects.from_text import expression_from_text
+from rtec.effects.expression import expression_from_text
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation import floor
 from rtec.metrology.measurement import Measurement

@@ -18,7 +18,7 @@ from rtec.effects import EFFECTS, State, derived, effect_class
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model, load_model, save_model
 from rtec.model.compiled import CompiledModel, compile_model
-from rtec.model.kernel import elementary
+from rtec.model.kernel import build as elementary
 from tests.unit.effect_example import MACHINE, Example, states
 from tests.unit.effect_examples import EXAMPLES, everything
 

@@ -11,7 +11,7 @@ import pytest
 from rtec.cli.main import status
 from rtec.diagnosis.units import spoken
 from rtec.effects import EFFECTS
-from rtec.effects.around import DRIVES
+from rtec.effects.base import DRIVES
 from rtec.effects.registry import FAMILIES
 from rtec.effects.time_data import NOT_EFFECTS
 from rtec.metrology.instruments.registry import INSTRUMENTS

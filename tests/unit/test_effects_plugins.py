@@ -130,7 +130,7 @@ def test_built_in_names_look_for_no_package(monkeypatch: pytest.MonkeyPatch) -> 
     def searched(**_: object) -> None:
         raise AssertionError("searched")
 
-    monkeypatch.setattr("rtec.effects.plugins.entry_points", searched)
+    monkeypatch.setattr("rtec.effects.registry.entry_points", searched)
     monkeypatch.syspath_prepend("somewhere new")
     for name in EFFECTS:
         assert effect_class(name, "t") is EFFECTS[name]

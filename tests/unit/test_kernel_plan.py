@@ -19,9 +19,8 @@ from rtec.effects.derived import lag_update
 from rtec.errors import ModelError
 from rtec.machine import Machine, machine_from
 from rtec.model import FittedEffect, Model
-from rtec.model.kernel.elementary import LARGEST, sin_cos
-from rtec.model.kernel.plan import Plan, plan_model
-from rtec.model.kernel.trace import Graph, SymbolicChannels
+from rtec.model.kernel.build import LARGEST, sin_cos
+from rtec.model.kernel.trace import Graph, Plan, SymbolicChannels, plan_model
 from rtec.model.kernel.write import write_kernel
 from rtec.model.model import names_of
 from tests.unit.effect_examples import EXAMPLES, MACHINE, everything, states

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rtec.correction.guard import Limits
 from rtec.effects import Effect, State, effect_class
 from rtec.effects.derived import since_reversal_track
-from rtec.effects.from_text import expression_from_text
+from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.loop.inputs import Inputs
 from rtec.loop.records import MODE_ON, Samples

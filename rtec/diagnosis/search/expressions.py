@@ -23,7 +23,7 @@ from rtec.diagnosis.units import named, spoken
 from rtec.diagnosis.words import unit_of_channel
 from rtec.effects import Effect
 from rtec.effects.base import component_kind
-from rtec.effects.from_text import expression_from_text
+from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from rtec.machine import Axis, Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
-from rtec.model.kernel.plan import Plan, Product, plan_model
+from rtec.model.kernel.trace import Plan, Product, plan_model
 from rtec.model.model import Model
 
 # Division by zero gives inf, as in numpy, and the guard holds on it; an exception would end the loop.
