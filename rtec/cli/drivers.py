@@ -19,7 +19,7 @@ def drivers(
     Example: rtec drivers serial_box
     """
     from rtec.cli.show import show_page
-    from rtec.loop.driver_facts import all_drivers, driver_facts
+    from rtec.loop.driver_info import all_drivers, driver_facts
     from rtec.report.drivers import driver_page, drivers_page
 
     found = all_drivers() if name is None else [driver_facts(name)]

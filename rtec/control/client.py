@@ -12,8 +12,8 @@ from rtec.control.keys import ClientKeys, read_client
 from rtec.control.messages import RequestError, may_be_text, read_answer, request
 from rtec.control.places import all_of, answers, of_config
 from rtec.errors import RtecError
-from rtec.loop.control_settings import PLACE
 from rtec.loop.orders import LONGEST_TEXT, Order, OrderRefused
+from rtec.loop.run_file import PLACE
 
 WAIT_S: Final = 2.0
 

@@ -16,7 +16,7 @@ from rtec.log.folder import WRITTEN, log_files
 from rtec.log.log_segment import both_clocks
 from rtec.log.recording import Begin, Recording
 from rtec.loop.clock import Clock
-from rtec.loop.log_settings import LogTable
+from rtec.loop.run_file import LogTable
 from rtec.loop.state import Saved
 
 LOOK_NS: Final = 1_000_000_000

@@ -9,7 +9,7 @@ from rtec.doctor.doctor_watch import Ability
 from rtec.doctor.found import DeviceFound, Fault, Patient
 from rtec.doctor.readings import Readings
 from rtec.errors import DriverError
-from rtec.loop.driver_facts import CAN_BE
+from rtec.loop.driver_info import CAN_BE
 
 FEW = 20
 """The first readings may be slow; fewer say nothing of the others."""

@@ -13,7 +13,7 @@ from rtec.doctor.readings import Readings
 from rtec.errors import DriverError, DriverTimeout, RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.devices import device_options, make_device
-from rtec.loop.driver_facts import CAN_BE
+from rtec.loop.driver_info import CAN_BE
 
 SLOW_NS = 50_000_000
 """Temperatures and the spindle are asked for this often; counts in every cycle, as the loop will."""

@@ -1,22 +1,87 @@
-"""The run file: which machine, model, devices, limits; read whole, checked whole, all faults told at once."""
+"""The run file: which machine, model, devices, limits; read whole, checked whole, all faults told at once.
 
+`[control]` of a run file: who may ask the daemon how it goes, and order it about, and where.
+
+`[log]` of a run file: how long one file of a log grows, and how much of the disk all of them may take.
+"""
+
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from rtec.correction.guard import GuardSettings, Limits
 from rtec.correction.sinks import PulseSink, Sink
 from rtec.errors import ConfigError, RtecError
-from rtec.loop.control_settings import ControlTable
-from rtec.loop.inputs import Inputs, loop_faults
-from rtec.loop.log_settings import LogTable
-from rtec.loop.step import StepSettings
+from rtec.loop.step import Inputs, StepSettings, loop_faults
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
+
+PLACE: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|\*|[^:/\[\]\s]+):(?P<port>\d{1,5})")
+LOOPBACK: Final = re.compile(r"(127\.\d{1,3}\.\d{1,3}\.\d{1,3}|localhost):\d{1,5}")
+
+
+class ControlTable(Strict):
+    """Sockets of the daemon. The local ones are files beside the state; what leaves them needs keys.
+
+    Attributes:
+        local: answer on this computer, by a socket that file permissions guard.
+        access: who may use it: "user" (the one that the daemon runs as, and root) or "group" (its group, too).
+        status_hz: how often the status is published.
+        tcp: "host:port" at which clients with a key are answered; not given: nothing listens on the network.
+        tcp_status: "host:port" at which the status is published to clients with a key.
+        keys: folder made by `rtec keys server`; needed with `tcp` or `tcp_status`.
+        prometheus: "host:port" of this computer at which Prometheus reads figures; not given: nothing listens.
+        compared: file with what `rtec compare --json` printed last; what it says is left stands in the status.
+    """
+
+    local: bool = True
+    access: Literal["user", "group"] = "user"
+    status_hz: Annotated[float, Field(ge=0.1, le=50)] = 10.0
+    tcp: str | None = None
+    tcp_status: str | None = None
+    keys: Path | None = None
+    prometheus: str | None = None
+    compared: Path | None = None
+
+    @model_validator(mode="after")
+    def _places(self) -> Self:
+        for name, place in (("tcp", self.tcp), ("tcp_status", self.tcp_status), ("prometheus", self.prometheus)):
+            if not isinstance(place, str):
+                continue
+            match = PLACE.fullmatch(place)
+            if match is None or not 0 < int(match["port"]) < 65536:
+                raise ValueError(f'{name}: {place!r} is not "host:port"')
+            if self.keys is None and name != "prometheus":
+                raise ValueError(f"{name} needs keys: make them with `rtec keys server FOLDER`, name the folder here")
+        if self.tcp is not None and self.tcp == self.tcp_status:
+            raise ValueError("tcp and tcp_status need different ports")
+        if self.prometheus is not None and not LOOPBACK.fullmatch(self.prometheus):
+            raise ValueError(
+                f'prometheus: {self.prometheus!r} is not "127.0.0.1:PORT" or "localhost:PORT": it asks for no key, '
+                "so it stays on the loopback"
+            )
+        return self
+
+
+class LogTable(Strict):
+    """Rules for the logs in `[run] log_folder`. A log that `--log` puts elsewhere is one file, and stays as it is.
+
+    Attributes:
+        segment_mb: a file that has grown to this is closed, and the next begun; 10^6 bytes.
+        segment_s: so is one that is this old.
+        disk_share: all logs in the folder may take this share of its disk; the oldest go first.
+        pack: turn closed files into zstd Parquet, about a tenth of the size.
+    """
+
+    segment_mb: Annotated[float, Field(gt=0)] = 512.0
+    segment_s: Annotated[float, Field(ge=1)] = 3600.0
+    disk_share: Annotated[float, Field(gt=0, le=1)] = 0.5
+    pack: bool = True
 
 
 class RunTable(Strict):

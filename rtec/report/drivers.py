@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from rtec.loop.driver_facts import DriverFacts
-from rtec.loop.driver_options import Option
+from rtec.loop.driver_info import DriverFacts, Option
 from rtec.report.page import Page, Section, Table
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from rtec.loop.driver_facts import CAN_BE
+from rtec.loop.driver_info import CAN_BE
 from tests import setups
 
 PAGE = (Path(__file__).parents[2] / "docs" / "write-a-driver.md").read_text(encoding="utf-8")

@@ -20,10 +20,9 @@ from rtec.effects.derived import motion_track
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, ModelError
 from rtec.log.reader import LogReader, LogWriter
-from rtec.loop.inputs import Inputs
 from rtec.loop.records import MODE_ON, Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
-from rtec.loop.step import Step, StepSettings
+from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.machine import load_machine
 from rtec.model import FittedEffect, Model, save_model
 from rtec.replay.replay import replay_log

@@ -18,9 +18,8 @@ from rtec.control.messages import TOPIC
 from rtec.control.server import Control
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.clock import RealClock
-from rtec.loop.control_settings import ControlTable
 from rtec.loop.orders import Order, OrderRefused
-from rtec.loop.run_file import Setup
+from rtec.loop.run_file import ControlTable, Setup
 from rtec.tomlfile import validated
 from tests import setups
 from tests.unit.control_rig import SHORT_MS, FakeDaemon, Line, free_place, lock

@@ -15,9 +15,7 @@ from rtec.cli.main import status
 from rtec.correction.sinks import Sink
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import VirtualClock
-from rtec.loop.driver_facts import all_drivers, driver_facts
-from rtec.loop.driver_info import find, installed
-from rtec.loop.driver_options import options_of
+from rtec.loop.driver_info import all_drivers, driver_facts, find, installed, options_of
 from rtec.report.drivers import driver_row
 from rtec.tomlfile import Strict, validated
 from rtec_drivers.registry import DRIVERS

@@ -30,8 +30,8 @@ from rtec.log.recording import RETRY_NS, Begin, Recording, free_path
 from rtec.log.stretch import segments_of
 from rtec.log.tidy import tidy
 from rtec.loop.clock import Clock, VirtualClock
-from rtec.loop.log_settings import LogTable
 from rtec.loop.records import Layout
+from rtec.loop.run_file import LogTable
 from tests.unit.log_rig import LAYOUT, NOON_NS, read, rows, same, write
 
 PLENTY = 1 << 60

@@ -12,7 +12,7 @@ from rtec.control.desk import Desk
 from rtec.control.prometheus import Endpoint, metrics
 from rtec.errors import ConfigError
 from rtec.loop.clock import VirtualClock
-from rtec.loop.control_settings import ControlTable
+from rtec.loop.run_file import ControlTable
 from rtec.tomlfile import validated
 from tests import setups
 from tests.unit.control_rig import FakeDaemon, free_place

@@ -15,11 +15,10 @@ import tomli_w
 from rtec.correction.guard import Flag, Limits
 from rtec.daemon.reload import MOST_BYTES, Reader, read_again
 from rtec.errors import RtecError
-from rtec.loop.lags import lags_of, slots_to_carry
 from rtec.loop.orders import OrderRefused
 from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Samples
 from rtec.loop.run_file import Setup, load_setup
-from rtec.loop.step import Step, StepSettings
+from rtec.loop.step import Step, StepSettings, lags_of, slots_to_carry
 from rtec.model import Model, save_model
 from tests import setups
 

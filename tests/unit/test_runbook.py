@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from rtec.cli.main import app
 from rtec.correction.guard import REASONS, Flag
-from rtec.loop.log_settings import LogTable
 from rtec.loop.orders import Order
+from rtec.loop.run_file import LogTable
 from rtec.tomlfile import read_toml
 
 ROOT = Path(__file__).parents[2]

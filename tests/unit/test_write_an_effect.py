@@ -22,9 +22,8 @@ from rtec.effects import Effect, State, effect_class
 from rtec.effects.derived import since_reversal_track
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
-from rtec.loop.inputs import Inputs
 from rtec.loop.records import MODE_ON, Samples
-from rtec.loop.step import Step, StepSettings
+from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.model import Model, load_model, save_model
 from rtec.model.compiled import compile_model
 from rtec.model.file import tables
