@@ -9,8 +9,8 @@ import typer
 from rtec.loop.clock import Clock, RealClock
 
 if TYPE_CHECKING:
-    from rtec.log.log_open import Log
-    from rtec.log.log_segment import Segment
+    from rtec.log.folder import Segment
+    from rtec.log.reader import Log
 
 app = typer.Typer(
     no_args_is_help=True, help="Find logs by time, look into one, follow it while it grows, turn them into a table."
@@ -55,7 +55,7 @@ def info(log: _Log, as_json: _Json = False) -> None:
     Example: rtec log info run.arrows --json
     """
     from rtec.cli.log_screen import print_facts
-    from rtec.log.log_open import open_log
+    from rtec.log.reader import open_log
 
     with open_log(log) as reader:
         facts = _facts(reader)
@@ -111,7 +111,7 @@ def tail(
     """
     from rtec.cli.log_screen import print_rows
     from rtec.log.folder import newest_log
-    from rtec.log.log_open import open_log
+    from rtec.log.reader import open_log
 
     path: Path | None = newest_log(log)
     try:
@@ -159,8 +159,7 @@ def _follow(reader: "Log", logs: Path, *, degc: bool) -> Path:
 
 def _segments(logs: Path, from_: str | None, to: str | None) -> "list[Segment]":
     from rtec.cli.common import bar
-    from rtec.log.log_time import instant_ns
-    from rtec.log.stretch import segments_of
+    from rtec.log.stretch import instant_ns, segments_of
 
     bounds = [None if text is None else instant_ns(text) for text in (from_, to)]
     with bar(logs.name) as progress:
@@ -169,9 +168,8 @@ def _segments(logs: Path, from_: str | None, to: str | None) -> "list[Segment]":
 
 def _opened(logs: Path, from_: str | None, to: str | None, utc: bool) -> "Log":
     """One file as it is; else a stretch."""
-    from rtec.log.log_open import open_log
-    from rtec.log.log_time import instant_ns
-    from rtec.log.stretch import LogStretch
+    from rtec.log.reader import open_log
+    from rtec.log.stretch import LogStretch, instant_ns
 
     if not logs.is_dir() and from_ is None and to is None and not utc:
         return open_log(logs)
@@ -181,7 +179,7 @@ def _opened(logs: Path, from_: str | None, to: str | None, utc: bool) -> "Log":
 
 def _segment_facts(segment: "Segment") -> dict[str, Any]:
     """A file in `list`; these names are the keys of its JSON."""
-    from rtec.log.log_time import utc_text
+    from rtec.log.stretch import utc_text
 
     return {
         "log": str(segment.path),

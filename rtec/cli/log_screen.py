@@ -8,9 +8,9 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.correction.guard import Flag
-from rtec.log.log_open import Log
-from rtec.log.log_segment import Segment
-from rtec.log.log_time import utc_text
+from rtec.log.folder import Segment
+from rtec.log.reader import Log
+from rtec.log.stretch import utc_text
 from rtec.loop.records import Commands, Layout, Samples
 
 MODES = {0: "off", 1: "on", 2: "hold", 3: "taken over"}

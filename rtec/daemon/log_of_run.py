@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from rtec.errors import LogError
-from rtec.log.folder import first_name
-from rtec.log.log_segment import time_header
+from rtec.log.folder import first_name, time_header
 from rtec.log.reader import LogWriter
 from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.records import Layout

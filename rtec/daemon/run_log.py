@@ -12,8 +12,7 @@ from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen, TimeoutExpired
 from typing import Final
 
-from rtec.log.folder import WRITTEN, log_files
-from rtec.log.log_segment import both_clocks
+from rtec.log.folder import WRITTEN, both_clocks, log_files
 from rtec.log.recording import Begin, Recording
 from rtec.loop.clock import Clock
 from rtec.loop.run_file import LogTable

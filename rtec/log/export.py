@@ -12,8 +12,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from rtec.errors import LogError
-from rtec.log.log_open import Log
-from rtec.log.log_table import CHUNK_ROWS, flat_names, flatten
+from rtec.log.reader import CHUNK_ROWS, Log, flat_names, flatten
 from rtec.loop.records import Commands, Samples
 
 __all__ = ["export", "flat_names"]

@@ -1,4 +1,4 @@
-"""Packs a closed log as zstd Parquet: every bit of every row; see `rtec.log.log_packed` for the file."""
+"""Packs a closed log as zstd Parquet: every bit of every row; see `rtec.log.reader` for the file."""
 
 import json
 import os
@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import LogError
 from rtec.log.format import FORMAT_VERSION
-from rtec.log.log_open import Log
-from rtec.log.log_packed import SAME_AS, same_columns
-from rtec.log.log_table import CHUNK_ROWS, Block, chunks, flat_names, flatten
+from rtec.log.reader import CHUNK_ROWS, SAME_AS, Block, Log, chunks, flat_names, flatten, same_columns
 from rtec.loop.records import Commands, Layout, Samples
 
 _DELTA: Final = ("time_ns", "counts_time_ns", "counts_", "output_")

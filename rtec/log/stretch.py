@@ -2,23 +2,49 @@
 
 Monotonic time begins anew with every start of the computer; rows are in the order of the files, which their names
 give. A damaged file costs its own rows, and is told in `troubles`.
+
+Date and time of day for people who look for a stretch of a log. Nothing here decides an order.
 """
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
 from rtec.errors import LogError
-from rtec.log.folder import log_files, place_of
-from rtec.log.log_open import open_log
-from rtec.log.log_segment import Segment, look_at
-from rtec.log.log_table import Block
-from rtec.log.log_time import utc_text
+from rtec.log.folder import Segment, log_files, look_at, place_of
+from rtec.log.reader import Block, open_log
 from rtec.loop.records import Layout
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND: Final = timedelta(microseconds=1)
+EXAMPLES: Final = "2026-03-09, '2026-03-09 14:30', 2026-03-09T13:30:00Z or 2026-03-09T14:30:00+01:00"
+
+
+def instant_ns(text: str) -> int:
+    """Give the instant that an ISO 8601 text names, ns since 1970 UTC; without a zone it is this computer's own time.
+
+    Raises:
+        LogError: it is no date and time.
+    """
+    try:
+        found = datetime.fromisoformat(text.strip())
+        return (found.astimezone(UTC) - _EPOCH) // _MICROSECOND * 1000
+    except (ValueError, OverflowError) as error:
+        raise LogError(f"{text!r} is no date and time; give {EXAMPLES}") from error
+
+
+def utc_text(instant: int) -> str:
+    """Give an instant, ns since 1970 UTC, as `2026-03-09 13:30:00Z`; "" where no calendar reaches."""
+    try:
+        return (_EPOCH + timedelta(microseconds=instant // 1000)).strftime("%Y-%m-%d %H:%M:%SZ")
+    except OverflowError:
+        return ""
+
 
 Told = Callable[[int, int], None]
 

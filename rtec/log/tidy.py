@@ -21,10 +21,9 @@ from typing import Final
 
 from rtec.errors import LogError
 from rtec.log.events import events_path
-from rtec.log.folder import WRITTEN, log_files, place_of
-from rtec.log.log_open import PACKED, open_log
-from rtec.log.log_segment import being_written, look_at
+from rtec.log.folder import WRITTEN, being_written, log_files, look_at, place_of
 from rtec.log.packed import pack
+from rtec.log.reader import PACKED, open_log
 
 NICE: Final = 19
 MOST_TOLD: Final = 20

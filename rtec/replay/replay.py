@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
-from rtec.log.log_open import Log, open_log
-from rtec.log.reader import LogWriter
+from rtec.log.reader import Log, LogWriter, open_log
 from rtec.loop.records import MODE_TAKEN_OVER, Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import state_from_text, structure_of

@@ -7,9 +7,8 @@ from timeit import default_timer
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.log.log_open import open_log
 from rtec.log.packed import pack
-from rtec.log.reader import LogWriter
+from rtec.log.reader import LogWriter, open_log
 from rtec.loop.records import Samples
 from rtec.loop.step import Step, StepSettings
 from tests.bench import models

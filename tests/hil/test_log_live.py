@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rtec.log.folder import log_files
-from rtec.log.log_open import open_log
+from rtec.log.reader import open_log
 from rtec.log.tidy import tidy
 from tests import setups
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec.log.log_open import open_log
-from rtec.log.reader import LogWriter
+from rtec.log.reader import LogWriter, open_log
 from rtec.loop.records import Commands, Layout, Samples
 
 LAYOUT = Layout(("X", "Z"), ("T_bed", "T_air"))

@@ -8,8 +8,7 @@ from typer.testing import CliRunner
 
 import rtec.cli.log as log_cli
 from rtec.errors import LogError
-from rtec.log.folder import first_name
-from rtec.log.log_segment import look_at
+from rtec.log.folder import first_name, look_at
 from rtec.log.reader import LogReader, LogWriter
 from rtec.log.recording import free_path
 from rtec.log.stretch import LogStretch, segments_of

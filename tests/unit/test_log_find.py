@@ -11,14 +11,11 @@ from typer.testing import CliRunner
 import rtec.cli.log as log_cli
 from rtec.errors import LogError
 from rtec.log.export import export
-from rtec.log.folder import first_name
-from rtec.log.log_open import open_log
-from rtec.log.log_segment import look_at
-from rtec.log.log_time import instant_ns, utc_text
+from rtec.log.folder import first_name, look_at
 from rtec.log.packed import pack
-from rtec.log.reader import LogWriter
+from rtec.log.reader import LogWriter, open_log
 from rtec.log.recording import free_path
-from rtec.log.stretch import LogStretch, segments_of
+from rtec.log.stretch import LogStretch, instant_ns, segments_of, utc_text
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Layout
 from tests.unit.log_rig import LAYOUT, NOON_NS, rows, write

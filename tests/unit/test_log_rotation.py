@@ -21,11 +21,9 @@ import pytest
 
 from rtec.daemon.run_log import TIDY_ANYWAY_NS, TIDY_NS, Keeper
 from rtec.errors import LogError
-from rtec.log.folder import first_name, log_files, newest_log, next_log, place_of
-from rtec.log.log_open import open_log
-from rtec.log.log_segment import being_written, look_at
+from rtec.log.folder import being_written, first_name, log_files, look_at, newest_log, next_log, place_of
 from rtec.log.packed import pack
-from rtec.log.reader import LogReader, LogWriter
+from rtec.log.reader import LogReader, LogWriter, open_log
 from rtec.log.recording import RETRY_NS, Begin, Recording, free_path
 from rtec.log.stretch import segments_of
 from rtec.log.tidy import tidy
@@ -56,7 +54,7 @@ def test_packed_and_read_again_it_is_the_same_to_the_last_bit(tmp_path: Path, la
 
 def test_many_groups_of_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows are found in whichever group they lie. Oracle: pyarrow counts the groups."""
-    monkeypatch.setattr("rtec.log.log_table.CHUNK_ROWS", 100)
+    monkeypatch.setattr("rtec.log.reader.CHUNK_ROWS", 100)
     path = write(tmp_path / "a.arrows", 0, 730, flush=30)
     with open_log(path) as log:
         pack(log, tmp_path / "a.parquet")
