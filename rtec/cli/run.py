@@ -51,7 +51,7 @@ def run(
         return
     from rtec.cli.run_screen import Screen, show_report
     from rtec.control.server import Control
-    from rtec.daemon.log_of_run import new_log_path
+    from rtec.daemon.run_log import new_log_path
     from rtec.daemon.supervisor import Supervisor
     from rtec.loop.clock import RealClock
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.flags import flag_lines
-from rtec.daemon.aloud import Aloud
+from rtec.daemon.process import Aloud
 from rtec.daemon.supervisor import Report, Status
 from rtec.log.events import Event
 from rtec.loop.run_file import Setup

@@ -1,9 +1,32 @@
-"""Asks the system for real-time treatment of this process; what is not granted is said in one sentence."""
+"""Asks the system for real-time treatment of this process; what is not granted is said in one sentence.
+
+What the signals of a daemon mean while it runs, how a child is started deaf to them, and who started it.
+
+Tells the service manager how the daemon is: the protocol of `sd_notify(3)`, a datagram to a socket.
+
+READY is told after the first good cycle: one whose counts were fresh, and every temperature that the model reads.
+WATCHDOG is told only while the loop does cycles. Its rows are what is counted, so a loop that stands still, or a
+supervisor that no longer gets any, is found out by the service manager, which starts the daemon anew.
+
+Says lines without ever waiting for whoever should hear them: a terminal that stands, a journal that is full.
+"""
 
 import ctypes
 import gc
 import os
+import queue
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from multiprocessing import parent_process, resource_tracker
+from types import FrameType, TracebackType
+from typing import Final, Self
 
+from rtec.correction.guard import Flag
+from rtec.daemon.status import Status
+from rtec.loop.clock import Clock
 from rtec.loop.run_file import Realtime
 
 MCL_CURRENT_AND_FUTURE = 3
@@ -67,3 +90,159 @@ def prepare_worker() -> None:
     if any ordinary program may keep it off the processor meanwhile, the loop waits for that program.
     """
     _fifo(WORKER_PRIORITY)
+
+
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP)
+
+
+@contextmanager
+def signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Hand them all to the handler; the previous handlers come back afterwards."""
+    previous = {number: signal.signal(number, handler) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, old in previous.items():
+            signal.signal(number, old)
+
+
+@contextmanager
+def signals_wait() -> Iterator[None]:
+    """A child started meanwhile is deaf to Ctrl-C from its first instruction, until it says itself what to do with it.
+
+    Here a signal that comes meanwhile is handled afterwards.
+    """
+    resource_tracker.ensure_running()  # started by `Process.start` it would let the signals through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def starter() -> int:
+    """Process number of whoever started this process; `os.getppid` says another as soon as that one is gone.
+
+    It was told when this process was started: one that is killed in that very moment is missed all the same.
+    """
+    parent = parent_process()
+    return os.getppid() if parent is None or parent.pid is None else parent.pid
+
+
+NOT_GOOD: Final = Flag.STALE_COUNTS | Flag.STALE_TEMPERATURE
+STATUS_NS: Final = 1_000_000_000
+_PARTS: Final = 4
+"""So often within the time that the service manager allows."""
+
+
+class Notifier:
+    """Does nothing where no service manager asks for it.
+
+    Args:
+        address: path of the socket, or its abstract name behind an `@`; "": nobody asks.
+        watchdog_ns: longest time between two signs of life; 0: nobody asks for them.
+        clock: monotonic.
+
+    Attributes:
+        asked: whether a service manager listens.
+    """
+
+    def __init__(self, address: str, watchdog_ns: int, clock: Clock) -> None:
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self.asked = bool(address)
+        self._clock, self._period_ns = clock, watchdog_ns // _PARTS
+        self._ready = False
+        self._cycles, self._text = -1, ""
+        self._next_life_ns = self._next_text_ns = 0
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str], clock: Clock) -> "Notifier":
+        """Give what the service manager asked for: NOTIFY_SOCKET, WATCHDOG_USEC for the process WATCHDOG_PID."""
+        usec, pid = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
+        mine = pid in ("", str(os.getpid())) and usec.isdecimal()
+        return cls(environment.get("NOTIFY_SOCKET", ""), int(usec) * 1000 if mine else 0, clock)
+
+    def look(self, status: Status) -> None:
+        """Tell what the newest status gives reason to; called many times a second."""
+        if not self._address:
+            return
+        now = self._clock.now_ns()
+        if not self._ready and status.cycles and not status.flags & NOT_GOOD:
+            self._ready = self._send(f"READY=1\nSTATUS={_words(status)}")
+        lives, self._cycles = status.cycles != self._cycles, status.cycles
+        if self._period_ns and lives and now >= self._next_life_ns and self._send("WATCHDOG=1"):
+            self._next_life_ns = now + self._period_ns
+        if now >= self._next_text_ns:
+            self._next_text_ns = now + STATUS_NS
+            self._tell(_words(status))
+
+    def stopping(self) -> None:
+        """Tell that the run comes to its end."""
+        self._send("STOPPING=1")
+
+    def _tell(self, text: str) -> None:
+        if text != self._text and self._send(f"STATUS={text}"):
+            self._text = text
+
+    def _send(self, text: str) -> bool:
+        """Send, and never wait for it: what does not go now is sent again at the next look."""
+        if not self._address:
+            return False
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as s:
+                s.sendto(text.encode(), socket.MSG_NOSIGNAL, self._address)
+        except (OSError, ValueError):
+            return False
+        return True
+
+
+def _words(status: Status) -> str:
+    """One line for `systemctl status`."""
+    if not status.cycles:
+        return "starting"
+    wrong = [f"{name}: {'; '.join(texts)}" for name, texts in status.devices.items()]
+    parts = [f"correction {status.mode}", *status.reasons, *wrong, status.log]
+    return "; ".join(part.replace("\n", " ") for part in parts if part)
+
+
+WAITING: Final = 200
+"""Lines; what comes then is not said. It stands in the events all the same."""
+END_S: Final = 1.0
+
+
+class Aloud:
+    """Entering starts a thread that says what it is given; leaving lets it finish, for a moment.
+
+    Args:
+        say: prints a line; may take as long as it likes.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._lines: queue.Queue[str | None] = queue.Queue(WAITING)
+        self._thread = threading.Thread(target=self._work, name="rtec-aloud", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._put(None)
+        self._thread.join(END_S)
+
+    def line(self, text: str) -> None:
+        """Have it said; from any thread."""
+        self._put(text)
+
+    def _put(self, text: str | None) -> None:
+        try:
+            self._lines.put_nowait(text)
+        except queue.Full:
+            return
+
+    def _work(self) -> None:
+        with suppress(OSError):  # a pipe whose reader is gone: there is nobody to tell
+            while (text := self._lines.get()) is not None:
+                self._say(text)

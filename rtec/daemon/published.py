@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.daemon.note import NOTE_BYTES, Note
+from rtec.daemon.ring import NOTE_BYTES, Note
 from rtec.errors import RtecError
 
 NEVER: Final = -(2**63)

@@ -1,10 +1,22 @@
-"""What a run tells of itself: while it goes on (`Status`) and at its end (`Report`). Plain data."""
+"""What a run tells of itself: while it goes on (`Status`) and at its end (`Report`). Plain data.
 
+Makes a status of the rows that pass, and remembers what the whole run came to.
+
+What kept the correction from being what it should be, and when: the beginning and end of every alarm as an event.
+
+A status says what is wrong now. Whoever comes in the morning wants to know what was wrong in the night.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from rtec.correction.guard import REASONS, Flag
+from rtec.daemon.ring import Ring
+from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 
 
 @dataclass
@@ -79,3 +91,134 @@ class Report:
     status: Status
     flags_seen: dict[str, float]
     largest_um: dict[str, float]
+
+
+NS = 1e-9
+_NAMES = {number: name for name, number in MODES_BY_NAME.items()}
+
+
+class Watch:
+    """Looks at rows.
+
+    Attributes:
+        status: of the newest row.
+        rows: seen so far.
+        largest_um: largest applied correction so far, by axis.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout, self.status, self.rows = layout, Status(), 0
+        self._first_ns: int | None = None
+        self._flag_counts = np.zeros(len(Flag), dtype=np.int64)
+        self._largest = np.zeros(len(layout.axes))
+        self._passed = Flag(0)
+
+    def look(self, samples: Samples, commands: Commands, ring: Ring) -> None:
+        """Take rows in, at least one."""
+        if self._first_ns is None:
+            self._first_ns = int(samples.time_ns[0])
+        self.rows += len(samples)
+        self._flag_counts += [np.count_nonzero(commands.flags & int(flag)) for flag in Flag]
+        self._passed |= Flag(int(np.bitwise_or.reduce(commands.flags)))
+        self._largest = np.maximum(self._largest, np.abs(commands.applied_um).max(axis=0))
+        axes, sensors = self.layout.axes, self.layout.sensors
+        now_ns = int(samples.time_ns[-1])
+        degc_age_s = (now_ns - samples.degc_time_ns[-1]) * NS
+        self.status = Status(
+            time_s=(now_ns - self._first_ns) * NS,
+            time_ns=now_ns,
+            cycles=self.rows + ring.overruns,
+            misses=ring.deadline_misses,
+            mode=_NAMES.get(ring.orders.mode, ""),
+            requested_um=dict(zip(axes, commands.requested_um[-1].tolist(), strict=True)),
+            applied_um=dict(zip(axes, commands.applied_um[-1].tolist(), strict=True)),
+            output=dict(zip(axes, commands.output[-1].tolist(), strict=True)),
+            counts=dict(zip(axes, samples.counts[-1].tolist(), strict=True)),
+            counts_age_s=(now_ns - int(samples.counts_time_ns[-1])) * NS,
+            flags=Flag(int(commands.flags[-1])),
+            degc=dict(zip(sensors, samples.degc[-1].tolist(), strict=True)),
+            degc_age_s=dict(zip(sensors, degc_age_s.tolist(), strict=True)),
+            spindle_rpm=float(samples.spindle_rpm[-1]),
+            devices=ring.note.read() if ring.note is not None else {},
+            takeovers=ring.takeovers,
+            reloads=ring.reloads,
+            overruns=ring.overruns,
+        )
+
+    def take_passed(self) -> Flag:
+        """Give the flags of all rows since this was asked the last time."""
+        passed, self._passed = self._passed, Flag(0)
+        return passed
+
+    @property
+    def largest_um(self) -> dict[str, float]:
+        """By axis."""
+        return dict(zip(self.layout.axes, self._largest.tolist(), strict=True))
+
+    @property
+    def flags_seen(self) -> dict[str, float]:
+        """Share of rows that carried each flag, by the flag's name."""
+        return {
+            flag.name or str(flag): count / self.rows
+            for flag, count in zip(Flag, self._flag_counts.tolist(), strict=True)
+            if count
+        }
+
+
+ORDERED: Final = Flag.ORDERED_HOLD | Flag.ORDERED_OFF | Flag.FADING
+"""Somebody ordered it, which is an event of its own; or it follows from another one."""
+START_NS: Final = 10_000_000_000
+"""So long may slow devices take for their first reading."""
+QUIET_NS: Final = 10_000_000_000
+"""What comes again within this time is one alarm."""
+
+Tell = Callable[[str, str], None]
+
+
+@dataclass
+class _Alarm:
+    text: str
+    since_ns: int
+    last_ns: int
+
+
+class Alarms:
+    """Tells of each alarm when it begins, and when it has been over for some seconds.
+
+    Args:
+        tell: told the kind of event, "alarm" or "alarm over", and a text.
+    """
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell = tell
+        self._going_on: dict[str, _Alarm] = {}
+        self._first_ns: int | None = None
+
+    def look(self, now_ns: int, passed: Flag, devices: Mapping[str, Sequence[str]]) -> None:
+        """Look at what is wrong.
+
+        Args:
+            now_ns: monotonic.
+            passed: flags of any of the rows since the last look.
+            devices: what is wrong now, by device.
+        """
+        self._first_ns = now_ns if self._first_ns is None else self._first_ns
+        if now_ns - self._first_ns < START_NS:
+            return
+        for key, text in _wrong(passed & ~ORDERED, devices).items():
+            if key in self._going_on:
+                self._going_on[key].last_ns = now_ns
+            else:
+                self._going_on[key] = _Alarm(text, now_ns, now_ns)
+                self._tell("alarm", text)
+        for key, alarm in list(self._going_on.items()):
+            if now_ns - alarm.last_ns >= QUIET_NS:
+                del self._going_on[key]
+                lasted_s = (alarm.last_ns - alarm.since_ns) * 1e-9
+                self._tell("alarm over", f"{alarm.text}; it lasted {lasted_s:.1f} s")
+
+
+def _wrong(flags: Flag, devices: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Texts by what they are of: a device's reason may tell a time that grows, and is one alarm all the same."""
+    out = {f"flag {flag.name}": text for flag, text in REASONS.items() if flag in flags}
+    return out | {f"device {name}": f"device {name}: {'; '.join(texts)}" for name, texts in devices.items()}

@@ -16,18 +16,14 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from rtec.daemon.alarms import Alarms
 from rtec.daemon.disk import MOST_SECONDS, DiskThread
 from rtec.daemon.fastpath import Orders, fast_path
-from rtec.daemon.log_of_run import log_folder, new_log
-from rtec.daemon.notify import Notifier
-from rtec.daemon.reload_desk import ReloadDesk
+from rtec.daemon.process import Notifier, signals, signals_wait
+from rtec.daemon.reload import ReloadDesk
 from rtec.daemon.ring import Ring
-from rtec.daemon.run_log import Keeper
+from rtec.daemon.run_log import Keeper, log_folder, new_log
 from rtec.daemon.sign_check import StepOrders
-from rtec.daemon.signals import signals, signals_wait
-from rtec.daemon.status import Report, Status
-from rtec.daemon.watch import Watch
+from rtec.daemon.status import Alarms, Report, Status, Watch
 from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
 from rtec.log.events import Event, Events, events_path

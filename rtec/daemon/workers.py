@@ -1,25 +1,305 @@
 """Slow devices in processes of their own.
 
 A device that gives temperatures or the spindle speed and nothing else is opened, polled and closed by a worker
-(`rtec.daemon.worker`). It publishes what it reads (`rtec.daemon.published`); in the loop's process a small port
-object looks at that memory (`rtec.daemon.worker_port`). The supervisor starts the workers, starts those that died
-again, with growing waits, and ends those that hang (`rtec.daemon.worker_keeper`).
+(`rtec.daemon.workers`). It publishes what it reads (`rtec.daemon.published`); in the loop's process a small port
+object looks at that memory (`rtec.daemon.workers`). The supervisor starts the workers, starts those that died
+again, with growing waits, and ends those that hang (`rtec.daemon.workers`).
 
 Workers are spawned by the supervisor, never by the loop's process: that one has locked memory, threads and real-time
 priority, none of which a child should begin with.
+
+Who keeps one worker alive: starts it, starts it again after growing waits when it died, ends it when it hangs.
+
+The loop's port to a worker: a small object in the loop's process that looks at what the worker publishes.
+
+The worker: a process that opens one slow device, polls it, publishes what it reads, and closes it.
 """
 
-from collections.abc import Callable, Sequence
+import ctypes
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Final, Self
 
-from rtec.daemon.published import Published
-from rtec.daemon.worker import Task
-from rtec.daemon.worker_keeper import Kept
-from rtec.errors import RtecError
-from rtec.loop.clock import Clock
-from rtec.loop.devices import driver_class
+import numpy as np
+
+from rtec.daemon.process import SIGNALS, signals_wait, starter
+from rtec.daemon.published import FAILED, NEVER, OPEN, STARTING, Published, Reader
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError, unforeseen
+from rtec.loop.clock import Clock, RealClock
+from rtec.loop.devices import driver_class, make_device
+from rtec.loop.ports import FloatArray, IntArray, Resumable
 from rtec.loop.run_file import Setup
+from rtec.machine import Machine
+
+LOOK_NS: Final = 10_000_000
+"""While the worker opens its device, it is looked at so often."""
+OPENS_NS: Final = 20_000_000_000
+"""Opening may take so long."""
+SILENT_NS: Final = 1_000_000_000
+"""A worker that shows no life for so long is told as silent."""
+ERRORS: Final = {kind.__name__: kind for kind in (DriverError, DriverUnavailable, DriverTimeout, DriverFault)}
+
+
+class WorkerPort:
+    """The loop's side of a worker: a device like any other, that looks at memory and waits for nothing.
+
+    Args:
+        name: of the device.
+        memory: where its worker publishes.
+        sensors: of the machine.
+        clock: the monotonic one; all processes share it.
+    """
+
+    def __init__(self, name: str, memory: Published, sensors: int, clock: Clock) -> None:
+        self._name, self._memory, self._clock = name, memory, clock
+        self._reader = Reader(memory, sensors)
+
+    def __enter__(self) -> Self:
+        """Wait until the worker has opened its device.
+
+        Raises:
+            DriverUnavailable: it could not, or does not say.
+        """
+        memory, end_ns = self._memory, self._clock.now_ns() + OPENS_NS
+        while memory.state == STARTING and not memory.said.read() and self._clock.now_ns() < end_ns:
+            self._clock.sleep_until_ns(self._clock.now_ns() + LOOK_NS)
+        if memory.state != OPEN:
+            why = memory.told.read().get("open") or memory.said.read().get("worker")
+            raise DriverUnavailable(why[0] if why else "its worker does not say whether it is open")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Let go; the supervisor ends the worker."""
+
+    @property
+    def must_resume(self) -> str:
+        """Why the device waits for an order to resume; "" where it does not."""
+        return "".join(self._memory.told.read().get("resume", ()))
+
+    def resume(self) -> None:
+        """Hand the order on to the worker."""
+        self._memory.resumes += 1
+
+    def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
+        """Fill in what the worker published last, °C and instants, ns; then tell what is wrong.
+
+        Raises:
+            DriverError: as the driver itself; or the worker is dead or silent.
+        """
+        reader = self._reader
+        reader.look()
+        np.copyto(degc, reader.degc, where=reader.read)
+        np.copyto(time_ns, reader.time_ns, where=reader.read)
+        self._check("temperatures")
+
+    def read_spindle(self) -> float:
+        """Give the spindle speed that the worker published last, 1/min.
+
+        Raises:
+            DriverError: as the driver itself; or the worker is dead or silent.
+        """
+        self._check("spindle")
+        self._reader.look()
+        return float(self._reader.rpm[0])
+
+    def _check(self, does: str) -> None:
+        memory = self._memory
+        said = memory.said.read()
+        if said:
+            raise DriverUnavailable(said["worker"][0])
+        silent_ns = self._clock.now_ns() - memory.heartbeat_ns
+        if silent_ns > SILENT_NS:
+            raise DriverTimeout(f"its worker has shown no life for {silent_ns // 1_000_000_000} s")
+        wrong = memory.told.read().get(does)
+        if wrong:
+            raise ERRORS.get(wrong[0], DriverFault)(wrong[1])
+
+
+def worker_ports(memories: Mapping[str, Published], machine: Machine, clock: Clock) -> dict[str, WorkerPort]:
+    """The loop's ports, by device."""
+    return {name: WorkerPort(name, m, len(machine.sensor_names), clock) for name, m in memories.items()}
+
+
+POLL_NS: Final = 10_000_000
+"""A driver in a worker is asked so often; the instants of its readings are its own."""
+PR_SET_PDEATHSIG: Final = 1
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a worker does; goes to its process as it stands.
+
+    Attributes:
+        name: of the device.
+        table: the device's table in the run file.
+        machine: whose sensors the readings follow.
+        path: of the run file.
+        temperatures, spindle: what is read from it.
+        memory: where it publishes.
+    """
+
+    name: str
+    table: Mapping[str, Any]
+    machine: Machine
+    path: Path
+    temperatures: bool
+    spindle: bool
+    memory: Published
+
+
+def work(task: Task) -> None:
+    """Be the worker, until the supervisor asks to end or is gone.
+
+    What cannot be opened, and what nobody foresaw, is told in the memory and ends the process.
+    """
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    # A worker that is stopped or hangs cannot look for its parent; the kernel can.
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    clock, memory = RealClock(), task.memory
+    with ExitStack() as stack:
+        try:
+            device: Any = make_device(task.name, task.table, task.machine, clock, task.path)
+            stack.enter_context(device)
+            _Desk(task, device, clock).serve()
+        except RtecError as e:
+            _last_words(memory, str(e))
+        except Exception as e:
+            _last_words(memory, unforeseen(e))
+            raise
+
+
+def _last_words(memory: Published, text: str) -> None:
+    memory.told.write({"open": [text]})
+    memory.state = FAILED
+
+
+class _Desk:
+    """Asks one device and publishes."""
+
+    def __init__(self, task: Task, device: Any, clock: Clock) -> None:
+        self._task, self._device, self._clock = task, device, clock
+        sensors = len(task.machine.sensor_names)
+        self._degc, self._time_ns, self._rpm = np.full(sensors, np.nan), np.full(sensors, NEVER), float("nan")
+        self._resumes = task.memory.resumes
+
+    def serve(self) -> None:
+        """Do it until told otherwise."""
+        memory, parent = self._task.memory, starter()
+        while not memory.stop_requested and os.getppid() == parent:
+            now_ns = self._clock.now_ns()
+            self._once()
+            memory.heartbeat_ns, memory.state = now_ns, OPEN
+            self._clock.sleep_until_ns(now_ns + POLL_NS)
+
+    def _once(self) -> None:
+        memory, device, wrong = self._task.memory, self._device, dict[str, list[str]]()
+        if isinstance(device, Resumable):
+            if memory.resumes != self._resumes:
+                self._resumes = memory.resumes
+                device.resume()
+            if device.must_resume:
+                wrong["resume"] = [device.must_resume]
+        if self._task.temperatures:
+            try:
+                device.read_temperatures(self._degc, self._time_ns)
+            except DriverError as e:  # what is good is in the arrays all the same
+                wrong["temperatures"] = [type(e).__name__, str(e)]
+        if self._task.spindle:
+            try:
+                self._rpm = device.read_spindle()
+            except DriverError as e:
+                self._rpm = float("nan")
+                wrong["spindle"] = [type(e).__name__, str(e)]
+        memory.publish(self._degc, self._time_ns, self._rpm)
+        memory.told.write(wrong)
+
+
+HANGS_NS: Final = OPENS_NS
+"""A worker that shows no life for so long is killed and started again; opening may take that long too."""
+FIRST_WAIT_NS: Final = 500_000_000
+LONGEST_WAIT_NS: Final = 30_000_000_000
+STOP_TIMEOUT_S: Final = 3.0
+
+
+class Kept:
+    """One worker and its restarts."""
+
+    def __init__(self, task: Task, clock: Clock, tell: Callable[[str], None]) -> None:
+        self._task, self._clock, self._tell = task, clock, tell
+        self._process: Any = None
+        self._wait_ns, self._begun_ns, self._again_ns = FIRST_WAIT_NS, 0, 0
+
+    def start(self) -> None:
+        """Start it; what an earlier one left in the memory is forgotten."""
+        context = multiprocessing.get_context("spawn")
+        self._task.memory.forget()
+        self._process = context.Process(
+            target=work, args=(self._task,), name=f"rtec-worker-{self._task.name}", daemon=True
+        )
+        self._begun_ns = self._clock.now_ns()
+        with signals_wait():
+            self._process.start()
+
+    def look(self, again: bool) -> None:
+        """See how it does; start it anew when its time has come, where that is wanted."""
+        now_ns, memory = self._clock.now_ns(), self._task.memory
+        if self._process is None:
+            if again and now_ns >= self._again_ns:
+                self.start()
+        elif not self._process.is_alive():
+            self._ended(now_ns, again)
+        elif now_ns - max(memory.heartbeat_ns, self._begun_ns) > HANGS_NS:
+            self._process.kill()
+        elif memory.state == OPEN and memory.said.read():
+            memory.said.write({})
+            self._tell(f"[device.{self._task.name}] its new worker has opened it")
+        if self._process is not None and now_ns - self._begun_ns > 2 * LONGEST_WAIT_NS:
+            self._wait_ns = FIRST_WAIT_NS
+
+    def ask_to_end(self) -> None:
+        """Ask; `end` waits."""
+        self._task.memory.stop_requested = 1
+
+    def end(self, clean_up: Callable[[], None]) -> None:
+        """See it gone."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.join(STOP_TIMEOUT_S)
+            if process.is_alive():
+                process.kill()
+                process.join()
+        clean_up()
+
+    def _ended(self, now_ns: int, again: bool) -> None:
+        self._process.join()
+        memory, process = self._task.memory, self._process
+        why = memory.told.read().get("open") if memory.state == FAILED else None
+        text = why[0] if why else f"its worker, process {process.pid}, ended ({_how(process.exitcode)})"
+        self._process = None
+        self._again_ns = now_ns + self._wait_ns
+        if again:
+            text = f"{text}; a new one is started in {self._wait_ns * 1e-9:g} s"
+            self._tell(f"[device.{self._task.name}] {text}")
+        memory.said.write({"worker": [text]})
+        self._wait_ns = min(2 * self._wait_ns, LONGEST_WAIT_NS)
+
+
+def _how(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
 
 
 def names_for_workers(setup: Setup) -> list[str]:

@@ -3,8 +3,8 @@
 import threading
 
 from rtec.correction.guard import REASONS, Flag
-from rtec.daemon.alarms import QUIET_NS, START_NS, Alarms
-from rtec.daemon.aloud import WAITING, Aloud
+from rtec.daemon.process import WAITING, Aloud
+from rtec.daemon.status import QUIET_NS, START_NS, Alarms
 
 S = 1_000_000_000
 FIRST = 1 + START_NS

@@ -6,8 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.daemon.note import NOTE_BYTES, Note
-from rtec.daemon.ring import Ring
+from rtec.daemon.ring import NOTE_BYTES, Note, Ring
 from rtec.loop.records import Layout
 
 LAYOUT = Layout(("X",), ())

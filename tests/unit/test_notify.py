@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from rtec.correction.guard import Flag
-from rtec.daemon.notify import STATUS_NS, Notifier
+from rtec.daemon.process import STATUS_NS, Notifier
 from rtec.daemon.status import Status
 from rtec.loop.clock import VirtualClock
 from tests import setups

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rtec.daemon.published import FAILED, NEVER, OPEN, Published, Reader
-from rtec.daemon.worker_port import WorkerPort
+from rtec.daemon.workers import WorkerPort
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 

@@ -86,7 +86,7 @@ def test_systemd_calls_it_well_shut(installed: Path) -> None:
 
 @needs_make
 def test_the_unit_says_what_the_daemon_does(unit: dict[str, list[str]]) -> None:
-    """Oracles: `rtec.daemon.notify` (ready, life), `state_files` (folders), `supervisor` (signals, status 130)."""
+    """Oracles: `rtec.daemon.process` (ready, life), `state_files` (folders), `supervisor` (signals, status 130)."""
     assert unit["Type"] == ["notify"]
     assert unit["NotifyAccess"] == ["main"]
     assert int(unit["WatchdogSec"][0]) >= 6  # the ring holds the rows of six seconds of a supervisor that stands still
