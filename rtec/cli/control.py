@@ -81,8 +81,7 @@ def mark(
 
 
 def _give(name: str, text: str, config: Path | None, at: str | None, key: Path | None, as_json: bool) -> None:
-    from rtec.control.client import Client, find
-    from rtec.control.control_follow import carry_out
+    from rtec.control.client import Client, carry_out, find
     from rtec.loop.clock import RealClock
     from rtec.loop.orders import order_named
 

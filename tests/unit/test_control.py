@@ -17,10 +17,9 @@ import pytest
 import zmq
 
 from rtec.control.client import Client, Place, find
-from rtec.control.control_lines import QUEUED
 from rtec.control.messages import LARGEST_REQUEST, TOPIC
 from rtec.control.places import ORDERS, STATUS, answers, listen, socket_path
-from rtec.control.server import Control
+from rtec.control.server import QUEUED, Control
 from rtec.errors import RtecError
 from rtec.loop.clock import RealClock
 from rtec.loop.orders import Order

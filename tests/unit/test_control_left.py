@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from rtec.control.control_follow import carry_out
+from rtec.control.client import carry_out
 from rtec.control.desk import Desk
 from rtec.control.facts import axis_rows, footer, headline, held, troubles, well
 from rtec.control.residual import LARGEST_BYTES, Left
