@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rtec.doctor.found import Examination
-    from rtec.doctor.pc_found import PcFound
+    from rtec.doctor.found import Examination, PcFound
 
 
 def doctor(

@@ -1,4 +1,7 @@
-"""What one device has given so far: newest values, their age, how often new ones come."""
+"""What one device has given so far: newest values, their age, how often new ones come.
+
+Bookkeeping of one thing that a device is asked for again and again: how often it fails, how new it is.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -6,9 +9,108 @@ from typing import Any
 import numpy as np
 
 from rtec.correction.sinks import PulseSink
-from rtec.doctor.doctor_watch import NS, Rate
 from rtec.doctor.found import Patient, Value
+from rtec.errors import DriverError
 from rtec.loop.clock import Clock
+
+NS = 1e-9
+NOTHING_YET = -(2**62)
+FAILING_NS = 100_000_000
+"""So long without a good reading is no hiccup."""
+MANY = 0.1
+"""A device that fails in more than this share of the readings is not well, though it comes back each time."""
+KEPT = 10_000
+
+
+class Rate:
+    """Counts the new instants of one value."""
+
+    def __init__(self) -> None:
+        self.first_ns = self.newest_ns = NOTHING_YET
+        self._news = 0
+
+    @property
+    def seen(self) -> bool:
+        """Was there any?"""
+        return self.newest_ns != NOTHING_YET
+
+    def see(self, time_ns: int) -> None:
+        """Take note of the instant of what was read; 0 means that nothing was."""
+        if time_ns in (self.newest_ns, 0):
+            return
+        if self.seen:
+            self._news += 1
+        else:
+            self.first_ns = time_ns
+        self.newest_ns = time_ns
+
+    def hz(self) -> float | None:
+        """New values a second; None where there were less than two."""
+        span_s = (self.newest_ns - self.first_ns) * NS
+        return self._news / span_s if self._news and span_s > 0 else None
+
+    def age_s(self, now_ns: int) -> float:
+        """Since the newest was acquired."""
+        return (now_ns - self.newest_ns) * NS
+
+
+class Ability:
+    """One thing that a device does for the run file.
+
+    Attributes:
+        does: "counts", "temperatures" or "spindle".
+        error: of the last reading; None where that was good.
+    """
+
+    def __init__(self, does: str, read: Callable[[], None], clock: Clock) -> None:
+        self.does = does
+        self.error: DriverError | None = None
+        self._read, self._clock = read, clock
+        self._good = self._bad_since_good = self._since_good = 0
+        self._failing_ns, self._last_words = NOTHING_YET, ""
+        self._took_ns: list[int] = []
+
+    def ask(self) -> None:
+        """Read once; a fault is noted, never raised."""
+        start_ns = self._clock.now_ns()
+        try:
+            self._read()
+        except DriverError as e:
+            self._failed(e, start_ns)
+            return
+        self._good += 1
+        self._since_good += 1
+        self.error = None
+        if len(self._took_ns) < KEPT:
+            self._took_ns.append(self._clock.now_ns() - start_ns)
+
+    def _failed(self, error: DriverError, now_ns: int) -> None:
+        if self.error is None:
+            self._failing_ns = now_ns
+        self.error, self._last_words = error, str(error)
+        if self._good:
+            self._bad_since_good += 1
+            self._since_good += 1
+
+    def failing(self) -> DriverError | None:
+        """The error, where it has lasted, or was there from the first reading to the last."""
+        lasting = self._good == 0 or self._clock.now_ns() - self._failing_ns > FAILING_NS
+        return self.error if lasting else None
+
+    def hiccups(self) -> tuple[str, bool]:
+        """What went wrong now and then since the first good reading, and whether that is too often; "" for nothing."""
+        if not self._bad_since_good:
+            return "", False
+        text = (
+            f"{self.does}: {self._bad_since_good} of {self._since_good} readings failed, the last: {self._last_words}"
+        )
+        return text, self._bad_since_good > MANY * self._since_good
+
+    def took_ms(self) -> tuple[float, float] | None:
+        """How long a good reading takes, ms: median and longest; None where there was none."""
+        if not self._took_ns:
+            return None
+        return float(np.median(self._took_ns)) * 1e-6, max(self._took_ns) * 1e-6
 
 
 class Readings:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rtec.daemon.process import prepare_process
-from rtec.doctor.pc_found import Finding, State
+from rtec.doctor.found import Finding, State
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.run_file import Realtime

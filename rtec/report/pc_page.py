@@ -1,6 +1,6 @@
 """What people are told about this computer, and how it becomes fit for real time."""
 
-from rtec.doctor.pc_found import Finding, PcFound
+from rtec.doctor.found import Finding, PcFound
 from rtec.report.page import Page, Section, Table
 
 STATES = {"good": "good", "better": "could be better", "wrong": "wrong", "unknown": "not known"}

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rtec.doctor.pc import look_at, wanted_of
-from rtec.doctor.pc_found import Finding, PcFound
-from rtec.doctor.pc_read import UNLIMITED, Pc, as_list, processor_list
+from rtec.doctor.found import Finding, PcFound
+from rtec.doctor.pc import UNLIMITED, Pc, as_list, look_at, processor_list, wanted_of
 from rtec.doctor.wakeup import WakeUps
 from rtec.errors import DriverUnavailable
 from rtec.loop.run_file import Realtime
