@@ -54,7 +54,7 @@ def replay(
 
 def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool) -> None:
     from rtec.cli.common import bar
-    from rtec.replay.log_replay import replay_logs
+    from rtec.replay.replay import replay_logs
 
     target = out or (None if check or log.is_dir() else log.with_name(f"{log.stem}.replay.arrows"))
     with bar(log.name) as progress:

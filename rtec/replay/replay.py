@@ -1,8 +1,11 @@
-"""Replay: a log through the same step, on a virtual clock, as fast as it goes; memory does not grow with its length."""
+"""Replay: a log through the same step, on a virtual clock, as fast as it goes; memory does not grow with its length.
+
+Replays a log, or every log of a folder, each from its own beginning.
+"""
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.log.folder import log_files
 from rtec.log.reader import Log, LogWriter, open_log
 from rtec.loop.records import MODE_TAKEN_OVER, Commands, Layout, Samples
 from rtec.loop.run_file import Setup
@@ -186,3 +190,53 @@ def _compare(report: ReplayReport, logged: Commands, replayed: Commands) -> None
 def _bits(array: NDArray[Any]) -> NDArray[Any]:
     """The same memory as integers, so that a NaN equals itself and -0 is not 0."""
     return np.ascontiguousarray(array).view(np.int64) if array.dtype == np.float64 else array
+
+
+def replay_logs(
+    setup: Setup,
+    path: Path,
+    out: Path | None = None,
+    check: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> ReplayReport:
+    """Step through a log, or through all logs of a folder.
+
+    Args:
+        setup: whose model, limits and machine are used.
+        path: log or folder.
+        out: as for `rtec.replay.replay.replay_log`; not for a folder.
+        check: compare with the commands in the log; for a folder always.
+        progress: told rows (of a folder: files) done, and in all.
+
+    Returns:
+        for a folder the sum; rows are numbered through, notes name their file.
+
+    Raises:
+        LogError: the log cannot be read, the folder has none, or `out` was given for a folder.
+    """
+    if not path.is_dir():
+        return replay_log(setup, path, out, check, progress)
+    if out is not None:
+        raise LogError(f"{path}: is a folder; its logs are checked, nothing is written: leave --out away")
+    paths = log_files(path)
+    if not paths:
+        raise LogError(f"{path}: no logs in this folder")
+    total = ReplayReport()
+    for k, each in enumerate(paths):
+        try:
+            _add(total, replay_log(setup, each, None, True), each.name)
+        except LogError as error:
+            total.unread.append(str(error))
+        if progress is not None:
+            progress(k + 1, len(paths))
+    return total
+
+
+def _add(total: ReplayReport, one: ReplayReport, name: str) -> None:
+    moved: list[Difference] = [replace(d, row=d.row + total.rows) for d in one.differences]
+    total.differences = (total.differences + moved)[:MOST_DIFFERENCES]
+    total.rows += one.rows
+    total.different += one.different
+    total.unchecked += one.unchecked
+    total.torn_bytes += one.torn_bytes
+    total.notes += [f"{name}: {note}" for note in one.notes]

@@ -7,7 +7,7 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from rtec.hil_result import Accuracy, FaultFound, HilResult
+from rtec.hil import Accuracy, FaultFound, HilResult
 from rtec.report.hil_figure import tip_errors
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number, plain

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Any
 
-from rtec.hil_result import SoakResult
+from rtec.hil import SoakResult
 from rtec.report.page import Page, Section, Table
 from rtec.report.procedures import number, plain
 

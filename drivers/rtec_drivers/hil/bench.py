@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import ConfigError
-from rtec.hil import FaultOrder, HilOrder, SoakOrder, Tell
-from rtec.hil_result import Check, Comparison, Course, FaultFound, HilResult, SoakResult
+from rtec.hil import Check, Comparison, Course, FaultFound, FaultOrder, HilOrder, HilResult, SoakOrder, SoakResult, Tell
 from rtec.loop.records import MODE_OFF, MODE_ON
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS, Bus

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtec.hil import FaultOrder
-from rtec.hil_result import WITHIN, Check, Comparison, FaultFound
+from rtec.hil import WITHIN, Check, Comparison, FaultFound, FaultOrder
 from rtec.replay.replay import replay_log
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS

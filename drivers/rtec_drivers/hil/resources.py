@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rtec.daemon.status import Status
-from rtec.hil_result import Check, Deadlines, Resource
+from rtec.hil import Check, Deadlines, Resource
 from rtec.loop.stats import Histogram
 
 LOOP = "rtec-loop"

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec.hil import FaultOrder, SoakOrder, Tell
-from rtec.hil_result import Check, SoakFault, SoakResult
+from rtec.hil import Check, FaultOrder, SoakFault, SoakOrder, SoakResult, Tell
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS, Bus
 from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.hil_result import Accuracy
+from rtec.hil import Accuracy
 from rtec.machine import Machine
 
 Floats = NDArray[np.float64]
