@@ -76,12 +76,12 @@ def straightness(
 
     Example: `rtec straightness z-arbor.csv --report out/z`
     """
-    from rtec.metrology.procedures.tables_in import straightness_table
+    from rtec.metrology.procedures.tables import straightness_table
     from rtec.report.procedures_straightness import straightness_page
 
     notes = _Notes()
     if _is_measurement(table):
-        from rtec.metrology.procedures.measured import straightness_of
+        from rtec.metrology.procedures.tables import straightness_of
 
         axis, result = straightness_of(_measurement(table, machine, notes))
     else:
@@ -96,7 +96,7 @@ def parallelism(table: _Table, report: _Report = None, as_json: _Json = False) -
 
     Example: `rtec parallelism z-circles.csv --json`
     """
-    from rtec.metrology.procedures.tables_in import parallelism_table
+    from rtec.metrology.procedures.tables import parallelism_table
     from rtec.report.procedures_straightness import parallelism_page
 
     axis, result = parallelism_table(table)
@@ -124,13 +124,13 @@ def drift(
 
     Example: `rtec drift spindle.csv --radial1 ch1_um --radial2 ch2_um --axial ch5_um --distance 100`
     """
-    from rtec.metrology.procedures.tables_in import drift_table
+    from rtec.metrology.procedures.tables import drift_table
     from rtec.report.procedures_drift import drift_page
 
     columns = {n: c for n, c in (("radial1", radial1), ("radial2", radial2), ("axial", axial)) if c}
     notes = _Notes()
     if _is_measurement(file):
-        from rtec.metrology.procedures.measured import drift_of
+        from rtec.metrology.procedures.tables import drift_of
 
         result = drift_of(_measurement(file, machine, notes), distance_mm)
     else:
@@ -141,10 +141,10 @@ def drift(
 def _visits(file: Path, machine: Path | None, swap: bool, notes: _Notes) -> "tuple[Visits, float | None]":
     """Deviations of one file, and the pitch of its axis where the machine file knows it."""
     if file.suffix == ".dat":
-        from rtec.metrology.procedures.iso230_dat import read_dat
+        from rtec.metrology.procedures.tables import read_dat
 
         return read_dat(file, swap), None
-    from rtec.metrology.procedures.iso230_stops import visits_of
+    from rtec.metrology.procedures.iso230_2 import visits_of
 
     measurement = _measurement(file, machine, notes)
     visits = visits_of(measurement)

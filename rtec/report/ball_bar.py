@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec import __version__
-from rtec.metrology.ball_bar.ball_bar_effects import feeds_of
+from rtec.metrology.ball_bar.causes import feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP
 from rtec.metrology.ball_bar.diagnosis import LEFT, Diagnosis
 from rtec.metrology.ball_bar.iso230_4 import Harmonic

@@ -1,7 +1,7 @@
 """What a ball-bar report says of causes beyond [BB]'s: found or not, not to be seen, and which test would show them."""
 
-from rtec.metrology.ball_bar.ball_bar_columns import NotLookedFor
-from rtec.metrology.ball_bar.ball_bar_effects import feeds_of
+from rtec.metrology.ball_bar.causes import feeds_of
+from rtec.metrology.ball_bar.design import NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import Diagnosis
 from rtec.report.page import Section, Table
 

@@ -8,9 +8,8 @@ import numpy as np
 from rtec import __version__
 from rtec.errors import MeasurementError
 from rtec.metrology.grid.compare import certain, directions, feeds, not_compared, places
-from rtec.metrology.grid.grid_names import Item, same_feed, slowest
 from rtec.metrology.grid.paths import TRIM_MM, Edge
-from rtec.metrology.grid.setup import GridSetup, analyse
+from rtec.metrology.grid.setup import GridSetup, Item, analyse, same_feed, slowest
 from rtec.metrology.measurement import Measurement
 from rtec.report import grid_figures as draw
 from rtec.report.page import Figure, Page, Section, Table

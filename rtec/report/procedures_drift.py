@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec import __version__
-from rtec.metrology.procedures.approach import Approach
-from rtec.metrology.procedures.drift import Drift, Phase, PhaseFit, Trace
+from rtec.metrology.procedures.drift import Approach, Drift, Phase, PhaseFit, Trace
 from rtec.report import procedures_figures as draw
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number

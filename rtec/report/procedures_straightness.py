@@ -3,8 +3,7 @@
 import numpy as np
 
 from rtec import __version__
-from rtec.metrology.procedures.parallelism import Parallelism
-from rtec.metrology.procedures.straightness import Straightness
+from rtec.metrology.procedures.straightness import Parallelism, Straightness
 from rtec.report import procedures_figures as draw
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number

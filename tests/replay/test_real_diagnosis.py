@@ -19,8 +19,8 @@ from rtec.machine import machine_from
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.cyclic import cyclic_error
 from rtec.metrology.procedures.iso230_2 import positioning
-from rtec.metrology.procedures.iso230_dat import read_dat
 from rtec.metrology.procedures.lag import lag_model
+from rtec.metrology.procedures.tables import read_dat
 from rtec.metrology.readers.base import Source
 from rtec.metrology.readers.json_lines import read as read_json
 from rtec.metrology.readers.twincat_scope import read as read_scope

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from rtec.metrology.procedures.cyclic import cyclic_error
 from rtec.metrology.procedures.drift import spindle_drift
 from rtec.metrology.procedures.iso230_2 import Positioning, TwoWay, positioning
-from rtec.metrology.procedures.iso230_dat import read_dat
 from rtec.metrology.procedures.lag import lag_model
-from rtec.metrology.procedures.tables import read_table
+from rtec.metrology.procedures.tables import read_dat, read_table
 from rtec.metrology.readers.base import Source
 from rtec.metrology.readers.json_lines import read as read_json
 from rtec.metrology.readers.twincat_scope import read as read_scope

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.machine import Machine
-from rtec.metrology.files.files_angle import on_circle
+from rtec.metrology.files.columns import on_circle
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement

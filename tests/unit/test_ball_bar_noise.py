@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rtec.metrology.ball_bar.ball_bar_noise import Noise, find_noise
 from rtec.metrology.ball_bar.circle import Circle, circle_of
+from rtec.metrology.ball_bar.fit import Noise, find_noise
 from tests.unit.ball_bar_dynamic import wander
 from tests.unit.ball_bar_examples import bar, gantry, recorded
 

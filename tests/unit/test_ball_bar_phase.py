@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from rtec.machine import load_machine
-from rtec.metrology.ball_bar.ball_bar_columns import NotLookedFor
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import circles_of
+from rtec.metrology.ball_bar.design import NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
 from rtec.metrology.ball_bar.next_test import wanted
 from rtec.metrology.ball_bar.phase import Phase

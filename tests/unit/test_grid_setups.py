@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.metrology.grid.compare import moved_along, not_compared, places
-from rtec.metrology.grid.grid_path import straight_pieces
+from rtec.metrology.grid.paths import straight_pieces
 from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement

@@ -5,9 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.approach import approach
 from rtec.metrology.procedures.cyclic import cyclic_error
-from rtec.metrology.procedures.drift import phases_of, spindle_drift, tilt_urad
+from rtec.metrology.procedures.drift import approach, phases_of, spindle_drift, tilt_urad
 from rtec.metrology.procedures.fitting import correlation_time
 from rtec.metrology.procedures.lag import lag_model
 

@@ -7,9 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.iso230_2 import Visits, hidden_period, positioning
-from rtec.metrology.procedures.iso230_dat import read_dat
-from rtec.metrology.procedures.iso230_stops import stops
+from rtec.metrology.procedures.iso230_2 import Visits, hidden_period, positioning, stops
+from rtec.metrology.procedures.tables import read_dat
 
 Floats = NDArray[np.float64]
 TARGET = np.array([0.0, 53.0, 111.0])

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.procedures.fitting import best_line
-from rtec.metrology.procedures.parallelism import best_circle, parallelism
-from rtec.metrology.procedures.straightness import face, pair, reversal
+from rtec.metrology.procedures.straightness import best_circle, face, pair, parallelism, reversal
 
 Floats = NDArray[np.float64]
 Z = np.arange(0.0, 301.0, 20.0)

@@ -8,8 +8,7 @@ import pytest
 
 from rtec.errors import MeasurementError
 from rtec.metrology.procedures.iso230_2 import hidden_period
-from rtec.metrology.procedures.tables import read_table
-from rtec.metrology.procedures.tables_in import drift_table
+from rtec.metrology.procedures.tables import drift_table, read_table
 
 HEAD = ["time_s", "spindle_rpm", "radial1_um", "axial_um"]
 ROWS = [[600.0 * i, 2000.0, 10.0 * (1.0 - np.exp(-i / 6.0)), 20.0 * (1.0 - np.exp(-i / 6.0))] for i in range(48)]

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect
 from rtec.effects.derived import FAR_MM
-from rtec.metrology.ball_bar.ball_bar_effects import ALIKE_FEED, along, axis_of, feeds_of, shape_of
-from rtec.metrology.ball_bar.causes import At, Cause, Shape
+from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, Shape, along, axis_of, feeds_of, shape_of
 from rtec.metrology.ball_bar.circle import Circle
 
 Floats = NDArray[np.float64]

@@ -3,10 +3,9 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from rtec.metrology.ball_bar.ball_bar_columns import NotLookedFor, table_of, with_setup
-from rtec.metrology.ball_bar.ball_bar_effects import same_feed
+from rtec.metrology.ball_bar.causes import same_feed
 from rtec.metrology.ball_bar.circle import Circle
-from rtec.metrology.ball_bar.design import Centre
+from rtec.metrology.ball_bar.design import Centre, NotLookedFor, table_of, with_setup
 from rtec.metrology.ball_bar.phase import by_time
 
 SAME_MM = 1.0

@@ -12,13 +12,12 @@ from typing import Literal
 
 import numpy as np
 
-from rtec.metrology.ball_bar.ball_bar_columns import APART, share_left
-from rtec.metrology.ball_bar.ball_bar_work import NOISE_UM
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import Circle
-from rtec.metrology.ball_bar.design import Centre, design_of, stacked_design
+from rtec.metrology.ball_bar.design import APART, Centre, design_of, share_left, stacked_design
 from rtec.metrology.ball_bar.fit import Fitted, fit
 from rtec.metrology.ball_bar.rank import rank_of
+from rtec.metrology.ball_bar.search import NOISE_UM
 from rtec.metrology.ball_bar.values import Value
 
 Phase = Literal["auto", "angle", "time"]

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtec.metrology.ball_bar.ball_bar_effects import ALIKE_FEED, same_feed
 from rtec.metrology.ball_bar.beyond import HALF_WAYS, WIDTH, Candidate
-from rtec.metrology.ball_bar.causes import Cause
+from rtec.metrology.ball_bar.causes import ALIKE_FEED, Cause, same_feed
 from rtec.metrology.ball_bar.circle import Circle
 from rtec.metrology.ball_bar.rank import Rank
 

@@ -13,12 +13,10 @@ import numpy as np
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.files.checks import Rows, check_order, remarks
-from rtec.metrology.files.columns import channel_columns, check_columns
+from rtec.metrology.files.columns import channel_columns, check_columns, on_circle, still_right
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.files.files_angle import on_circle, still_right
-from rtec.metrology.files.files_text import look_over
 from rtec.metrology.files.save import save_measurement
-from rtec.metrology.files.table import Raw, header_of, parquet_names, read_csv, read_parquet
+from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
 from rtec.metrology.files.toml import Leniency, find_files, read_measurement_toml
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.measurement import Measurement

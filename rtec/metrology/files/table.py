@@ -1,20 +1,219 @@
-"""Numbers out of CSV and Parquet. The quick reader takes what is plain; the exact one says what is wrong and where."""
+"""Numbers out of CSV and Parquet. The quick reader takes what is plain; the exact one says what is wrong and where.
 
+One cell: a number, or what is wrong with it and what to do.
+
+How the text of a table is written: hash, encoding, byte order mark; nothing is guessed that could be wrong.
+"""
+
+import codecs
 import csv
+import hashlib
 import itertools
+import math
+import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults, places
-from rtec.metrology.files.files_cells import NANS, Cells
-from rtec.metrology.files.files_text import Text
 from rtec.metrology.files.toml import Leniency
+
+NANS = ("nan", "NaN", "NAN", "-nan", "-NaN")
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+# Of these letters `float` makes what `NUMBER` allows, or nothing.
+PLAIN_ROW = re.compile(r"[0-9eE.+-]*", re.ASCII)
+INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
+
+
+class Cells:
+    """Turns cells into numbers and tells those that are none."""
+
+    def __init__(self, leniency: Leniency, faults: Faults, where: str) -> None:
+        self.decimal = leniency.decimal
+        self.delimiter = leniency.delimiter
+        self.empty = {"", *NANS, *(str(w) for w in leniency.missing_codes if isinstance(w, str))}
+        self.faults = faults
+        self.where = where
+
+    def row(
+        self,
+        row: Sequence[str],
+        line: int,
+        width: int,
+        places_of: Sequence[tuple[str, int]],
+        values: dict[str, "array[float]"],
+    ) -> bool:
+        """Append one row to `values`; is it bad?"""
+        if len(row) != width:
+            for column in values.values():
+                column.append(math.nan)
+            self.faults.row("width", line, f"has {len(row)} cells, the header has {width}", self._width_way(row, width))
+            return True
+        if self.decimal == "." and PLAIN_ROW.fullmatch("".join(row)):
+            try:
+                found = [float(row[i]) for _, i in places_of]
+            except ValueError:
+                pass
+            else:
+                for (name, _), value in zip(places_of, found, strict=True):
+                    values[name].append(value)
+                return False
+        bad = False
+        for name, i in places_of:
+            value, fault = self._number(row[i])
+            values[name].append(value)
+            if fault:
+                bad = True
+                kind, way = fault
+                self.faults.row(f"{name} {kind}", line, f"{name}: {row[i]!r} {kind}", way)
+        return bad
+
+    def _number(self, cell: str) -> tuple[float, tuple[str, str] | None]:
+        text = cell.strip()
+        if text in self.empty:
+            return math.nan, None
+        # "1.234" among decimal commas may be a thousand or one and a bit: it is not read at all.
+        dotted = text if self.decimal == "." else text.replace(".", "?").replace(",", ".")
+        if NUMBER.fullmatch(dotted):
+            return float(dotted), None
+        if INFINITE.fullmatch(text):
+            return math.inf, None
+        return math.nan, self._wrong(text)
+
+    def _wrong(self, text: str) -> tuple[str, str]:
+        if self.decimal == "." and re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text):
+            return (
+                "has a decimal comma or a thousands separator",
+                f'a decimal comma: {self.where} decimal = ","; a thousands separator: write numbers without',
+            )
+        if self.decimal == "," and NUMBER.fullmatch(text):
+            return "has a decimal point where decimal = ',' was said", "make the table use one of the two"
+        if re.fullmatch(r"[+-]?\d{1,3}([,.' \u00a0\u202f’]\d{3})+([.,]\d+)?", text):
+            return "has thousands separators", "write numbers without, or convert with `rtec import` (thousands = …)"
+        if re.fullmatch(r"\d{1,4}[-/.:]\d{1,2}[-/.:T ].*|\d{1,2}:\d{2}.*", text):
+            return "is a date or time of day", "`rtec import` turns it into seconds (a map with [time] unit = …)"
+        shown = text.replace('"', "'")
+        return (
+            "is no number",
+            f'correct it, or if it stands for "no value": {self.where} missing_codes = ["{shown}"], '
+            "or leave such rows out: drop_bad_rows = true",
+        )
+
+    def _width_way(self, row: Sequence[str], width: int) -> str:
+        if self.delimiter == "," and len(row) > width:
+            return 'decimal commas? write points, or divide cells by ";" and say so ' + (
+                f'({self.where} delimiter = ";", decimal = ",")'
+            )
+        return f"complete it, or leave such rows out: {self.where} drop_bad_rows = true"
+
+
+BLOCK = 1 << 20
+# The longer marks first: that of UTF-32 begins like that of UTF-16.
+MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text file, looked over once.
+
+    Attributes:
+        encoding: Python's name; a byte order mark is part of it.
+        digest: running SHA-256 over its bytes.
+        notes: what to tell about the encoding.
+    """
+
+    encoding: str
+    digest: "hashlib._Hash"
+    notes: tuple[str, ...]
+
+
+def look_over(path: Path, declared: str | None, where: str) -> Text:
+    """Hash a file and make sure that all of it can be decoded, in one pass.
+
+    Args:
+        path: the file.
+        declared: encoding that the user gave.
+        where: how the user gives one, for messages.
+
+    Raises:
+        MeasurementError: cannot be read, or is not text in that encoding; names line and byte.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+            encoding = declared or _by_mark(head, path, where)
+            if declared == "utf-8" and head.startswith(codecs.BOM_UTF8):
+                encoding = "utf-8-sig"
+            file.seek(0)
+            digest = _pass(file, encoding, path, where)
+    except FileNotFoundError as e:
+        raise MeasurementError(f"{path}: no such file") from e
+    except OSError as e:
+        raise MeasurementError(f"{path}: cannot be read: {e.strerror}") from e
+    notes = () if encoding == "utf-8" else (f"text is {encoding}" + ("" if declared else ", by its byte order mark"),)
+    return Text(encoding, digest, notes)
+
+
+def _by_mark(head: bytes, path: Path, where: str) -> str:
+    for mark, name in MARKS:
+        if head.startswith(mark):
+            return name
+    if b"\0" in head:
+        half = "utf-16-le" if head[1::2].count(0) >= head[::2].count(0) else "utf-16-be"
+        raise MeasurementError(
+            f"{path}: holds zero bytes and no byte order mark; if it is UTF-16 text, say so: "
+            f"{where} encoding = {half!r}"
+        )
+    return "utf-8"
+
+
+def _pass(file: BinaryIO, encoding: str, path: Path, where: str) -> "hashlib._Hash":
+    digest = hashlib.sha256()
+    decoder = codecs.getincrementaldecoder(encoding)()
+    plain = encoding in ("utf-8", "utf-8-sig", "latin-1", "cp1252")
+    at, lines = 0, 0
+    while block := file.read(BLOCK):
+        digest.update(block)
+        pending = len(decoder.getstate()[0])
+        if pending or not (plain and block.isascii()):
+            try:
+                decoder.decode(block)
+            except UnicodeDecodeError as e:
+                raise MeasurementError(_undecodable(e, at - pending, lines, path, encoding, where)) from e
+        at += len(block)
+        lines += block.count(b"\n")
+    try:
+        decoder.decode(b"", final=True)
+    except UnicodeDecodeError as e:
+        raise MeasurementError(f"{path}: ends in the middle of a {encoding} character; is it whole?") from e
+    return digest
+
+
+def _undecodable(e: UnicodeDecodeError, at: int, lines: int, path: Path, encoding: str, where: str) -> str:
+    data = bytes(e.object)
+    line = lines + data[: e.start].count(b"\n") + 1
+    start = data.rfind(b"\n", 0, e.start) + 1
+    text = data[start : e.start + 12].split(b"\n")[0].decode("latin-1")
+    # What Windows programs write for ° and µ; the rest of that range is text in another alphabet.
+    likely = "latin-1" if data[e.start] >= 0xA0 else "cp1252"
+    other = f"; if it is {likely}, say so: {where} encoding = {likely!r}" if encoding.startswith("utf-8") else ""
+    return (
+        f"{path}: line {line}: byte 0x{data[e.start]:02X} (byte {at + e.start} of the file, in {text!r}) "
+        f"is no {encoding} text{other}"
+    )
+
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -10,16 +10,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtec.metrology.grid.grid_names import COVERAGE, Item, same_feed
 from rtec.metrology.grid.paths import SAME_MM, Edge
 from rtec.metrology.grid.setup import (
+    COVERAGE,
     GridSetup,
+    Item,
     angle_moving,
     arm_on,
     at_corner,
     curve_of,
     plate_um,
     range_of,
+    same_feed,
     squareness_of,
 )
 from rtec.metrology.instruments.ball_bar import axis_along

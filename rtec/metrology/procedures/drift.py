@@ -2,6 +2,12 @@
 
 The record is cut into phases of constant speed; each phase is a first-order approach to a new state,
 `y = start + change · (1 - exp(-t/τ))`. Radial, axial, and tilt = (radial 1 - radial 2) / distance of the probes.
+
+First-order approach to a new state, with an interval for its time constant that does not flatter.
+
+`y = start + change · (1 - exp(-t/τ))`: for each τ of a grid the two others follow by linear least squares (variable
+projection); the interval holds every τ whose residual an F test does not refuse. Readings in a row are not independent,
+so they count as n / correlation time. Where one time constant leaves a shape behind, two are tried.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,9 +17,207 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.approach import Approach, approach
+from rtec.metrology.procedures.fitting import Fit, correlation_time, separable_fit, unit_errors
 
 Floats = NDArray[np.float64]
+COVERS = 0.95
+POINTS = 241
+PAIR_POINTS = 60
+APART = 2.0
+"""Two time constants closer than this factor are one."""
+SURE = 0.01
+SHAPE = 1.5
+"""A residual of more than this many times the noise of neighbours has a shape."""
+LONGEST = 30.0
+"""τ is searched up to this many times the record: beyond it a curve is a straight line."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two approaches at once, the quick one first.
+
+    Attributes:
+        changes: of either.
+        taus_s: time constants.
+        taus_se_s: their standard errors, as far as a parabola describes the fit.
+        start: at t = 0.
+        rms: root mean square of the residual.
+    """
+
+    changes: tuple[float, float]
+    taus_s: tuple[float, float]
+    taus_se_s: tuple[float, float]
+    start: float
+    rms: float
+
+    def values(self, time_s: Floats) -> Floats:
+        """The curve, (n,)."""
+        curves = [-c * np.expm1(-time_s / tau) for c, tau in zip(self.changes, self.taus_s, strict=True)]
+        return np.asarray(self.start + sum(curves), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Approach:
+    """A fitted approach; values in the unit of the readings, standard deviations at fixed τ excluded.
+
+    Attributes:
+        start: at t = 0.
+        change: from start to the end that it goes to.
+        tau_s: time constant.
+        tau_low_s, tau_high_s: 95 % interval; infinite above where a straight line does as well, zero below where a
+            step does.
+        reached: share of the change that was reached in the record.
+        rms: root mean square of the residual.
+        noise: of a single reading, from neighbours.
+        effective: independent readings that the residual amounts to.
+        pair: two time constants, where they describe the readings better than one beyond chance; else None.
+        words: what is doubtful about it, or empty.
+    """
+
+    start: float
+    change: float
+    tau_s: float
+    tau_low_s: float
+    tau_high_s: float
+    reached: float
+    rms: float
+    noise: float
+    effective: float
+    pair: Pair | None
+    words: str
+
+    def values(self, time_s: Floats) -> Floats:
+        """The curve, (n,); that of the pair where there is one."""
+        if self.pair is not None:
+            return self.pair.values(time_s)
+        return np.asarray(self.start - self.change * np.expm1(-time_s / self.tau_s), dtype=np.float64)
+
+
+def approach(time_s: Floats, reading: Floats) -> Approach:
+    """Fit one approach to readings without gaps, (n,) each; time counts from the change of speed."""
+    duration = float(time_s[-1] - time_s[0])
+    step = float(np.median(np.diff(time_s)))
+    grid = np.geomspace(0.3 * step, LONGEST * duration, POINTS)
+    left = _left(time_s, reading, grid)
+    best = int(np.argmin(left))
+    fine = np.geomspace(grid[max(best - 1, 0)], grid[min(best + 1, POINTS - 1)], POINTS)
+    tau = float(fine[int(np.argmin(_left(time_s, reading, fine)))])
+    start, change = _linear(time_s, reading, tau)
+    residual = reading - start + change * np.expm1(-time_s / tau)
+    effective = len(reading) / correlation_time(residual)
+    least = float(residual @ residual)
+    low, high = _interval(grid, left, least, max(effective - 3.0, 2.0))
+    noise = float(np.sqrt(np.mean(np.diff(reading) ** 2) / 2))
+    rms = float(np.sqrt(least / len(reading)))
+    pair = _better_pair(time_s, reading, least) if rms > SHAPE * noise else None
+    words = "two parts" if pair else _words(rms, noise, low, high, float(np.std(reading)))
+    reached = float(-np.expm1(-duration / tau))
+    return Approach(start, change, tau, low, high, reached, rms, noise, effective, pair, words)
+
+
+def _better_pair(time_s: Floats, reading: Floats, least: float) -> Pair | None:
+    """Two approaches if an F test takes them over one; time constants from the sampling to the length of the record."""
+    from scipy.stats import f
+
+    duration, step = float(time_s[-1] - time_s[0]), float(np.median(np.diff(time_s)))
+    taus = np.geomspace(step, duration, PAIR_POINTS)
+    curves = -np.expm1(-time_s / taus[:, None])
+    centred = curves - curves.mean(axis=1, keepdims=True)
+    gram, along = centred @ centred.T, centred @ (reading - reading.mean())
+    quick, slow = np.triu_indices(PAIR_POINTS, 1)
+    apart = taus[slow] >= APART * taus[quick]
+    quick, slow = quick[apart], slow[apart]
+    area = gram[quick, quick] * gram[slow, slow] - gram[quick, slow] ** 2
+    first = (along[quick] * gram[slow, slow] - along[slow] * gram[quick, slow]) / area
+    second = (along[slow] * gram[quick, quick] - along[quick] * gram[quick, slow]) / area
+    best = int(np.argmax(first * along[quick] + second * along[slow]))
+    fit, ends = _refined(time_s, reading, taus[[quick[best], slow[best]]], (step, duration))
+    rest = float(fit.residual @ fit.residual)
+    free = max(len(reading) / fit.correlation - 5.0, 2.0)
+    if rest > 0.0 and float(f.sf((least / rest - 1.0) * free / 2.0, 2, free)) > SURE:
+        return None
+    start, *changes = (float(v) for v in fit.values)
+    errors = ends * _log_errors(time_s, fit, ends)
+    return Pair(
+        (changes[0], changes[1]), (float(ends[0]), float(ends[1])), (float(errors[0]), float(errors[1])), start, fit.rms
+    )  # fmt: skip
+
+
+def _refined(time_s: Floats, reading: Floats, taus_s: Floats, bounds_s: tuple[float, float]) -> tuple[Fit, Floats]:
+    """Time constants from the least to the largest, at least `APART` apart, and the fit at them."""
+    low, high = (float(np.log(b)) for b in bounds_s)
+    apart = float(np.log(APART))
+
+    def ends(theta: Floats) -> Floats:
+        quick = low + theta[0] * (high - apart - low)
+        return np.asarray(np.exp([quick, quick + apart + theta[1] * (high - apart - quick)]), dtype=np.float64)
+
+    def build(theta: Floats) -> tuple[Floats, Floats]:
+        curves = -np.expm1(-time_s[:, None] / ends(theta))
+        return np.concatenate([np.ones((len(time_s), 1)), curves], axis=1), np.zeros(len(time_s))
+
+    first = (float(np.log(taus_s[0])) - low) / (high - apart - low)
+    quick = low + first * (high - apart - low)
+    second = (float(np.log(taus_s[1])) - quick - apart) / max(high - apart - quick, 1e-9)
+    begin = np.clip([first, second], 1e-3, 1 - 1e-3)
+    fit = separable_fit(build, reading, [begin], np.zeros(2), np.ones(2), errors=False)
+    return fit, ends(fit.theta)
+
+
+def _log_errors(time_s: Floats, fit: Fit, taus_s: Floats) -> Floats:
+    """Standard errors of ln τ of a pair, whether or not it ended on a bound, (2,)."""
+    decay = np.exp(-time_s[:, None] / taus_s)
+    slopes = -fit.values[1:] * decay * time_s[:, None] / taus_s
+    design = np.concatenate([np.ones((len(time_s), 1)), 1.0 - decay, slopes], axis=1)
+    try:
+        return np.asarray(fit.rms * np.sqrt(fit.correlation) * unit_errors(design)[3:], dtype=np.float64)
+    except MeasurementError:
+        return np.full(2, np.inf)
+
+
+def _left(time_s: Floats, reading: Floats, taus: Floats) -> Floats:
+    """Residual sum of squares for each τ, (τs,)."""
+    curve = -np.expm1(-time_s / taus[:, None])
+    curve = curve - curve.mean(axis=1, keepdims=True)
+    level = reading - reading.mean()
+    size = np.maximum((curve**2).sum(axis=1), 1e-300)
+    return np.asarray(np.maximum(level @ level - (curve @ level) ** 2 / size, 0.0), dtype=np.float64)
+
+
+def _linear(time_s: Floats, reading: Floats, tau_s: float) -> tuple[float, float]:
+    curve = -np.expm1(-time_s / tau_s)
+    centred = curve - curve.mean()
+    size = float(centred @ centred)
+    change = float(centred @ reading) / size if size > 0 else 0.0
+    return float(reading.mean() - change * curve.mean()), change
+
+
+def _interval(grid: Floats, left: Floats, least: float, free: float) -> tuple[float, float]:
+    """Ends of the τ that the readings do not refuse."""
+    from scipy.stats import f
+
+    inside = np.flatnonzero(left <= least * (1.0 + float(f.ppf(COVERS, 1, free)) / free) + 1e-12 * (least + 1e-12))
+    if not len(inside):  # the readings lie on the curve to the last digit
+        best = int(np.argmin(left))
+        inside = np.array([best])
+    low, high = max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 1, len(grid) - 1)
+    return (0.0 if inside[0] == 0 else float(grid[low])), (
+        float("inf") if inside[-1] == len(grid) - 1 else float(grid[high])
+    )
+
+
+def _words(rms: float, noise: float, low_s: float, high_s: float, spread: float) -> str:
+    if spread < 2.0 * noise or spread == 0.0:
+        return "only noise"
+    if low_s == 0.0 and np.isinf(high_s):
+        return "no approach"
+    if np.isinf(high_s):
+        return "not settled"
+    if low_s == 0.0:
+        return "a step"
+    return "rest has a shape" if rms > 3.0 * max(noise, 1e-12) and rms > 0.1 * spread else ""
+
+
 SAME_SPEED = 0.02
 """Speeds closer than this share, or 10 rpm, are one phase."""
 LEAST_READINGS = 12

@@ -2,17 +2,160 @@
 
 x_ij: actual minus target position at target i (m of them) in cycle j (n of them); ↑ approached in the positive
 direction, ↓ in the negative one. All in µm. Figures that need both directions are None where only one was measured.
+
+Drift between the cycles of a positioning test, told apart from repeatability.
+
+ISO 230-2 takes all scatter at a target as repeatability. When the axis warms up during the test, the cycles as a whole
+move, and that is no scatter: the same cycle is off in the same way at every target. A two-way layout separates them:
+`x_ij - x̄_i = zero of cycle j + stretch of cycle j × position + rest`.
+
+From the rows of a positioning measurement to the visits of each target.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.iso230_drift import CycleDrift, cycle_drift
+from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
+SURE = 0.01
+"""A drift is called one when scatter alone would give it in fewer than this share of tests."""
+
+
+@dataclass(frozen=True)
+class CycleDrift:
+    """How the cycles move as a whole.
+
+    Attributes:
+        cycle_um: mean of x_ij - x̄_i over all targets and directions, one a cycle, (n,).
+        stretch_um_per_m: slope of x_ij - x̄_i over position, one a cycle, (n,); zeros for one target.
+        range_um: largest minus smallest cycle mean.
+        stretch_range_um_per_m: the same for the slopes.
+        p: chance that scatter alone gives cycle means this far apart (F test of the two-way layout).
+        p_stretch: the same for the slopes; 1 where they cannot be tested.
+        R_um: largest 4 s_i of any one direction, as it stands.
+        R_without_um: the same once the cycle means are taken out.
+        R_without_stretch_um: the same once the slopes are taken out too.
+        share: of the squared scatter, what sure movements of whole cycles explain.
+        words: the finding, in one or two sentences.
+    """
+
+    cycle_um: Floats
+    stretch_um_per_m: Floats
+    range_um: float
+    stretch_range_um_per_m: float
+    p: float
+    p_stretch: float
+    R_um: float
+    R_without_um: float
+    R_without_stretch_um: float
+    share: float
+    words: str
+
+    @property
+    def is_drift(self) -> bool:
+        """Do the cycles move, beyond what scatter explains?"""
+        return min(self.p, self.p_stretch) < SURE
+
+
+def cycle_drift(target_mm: Floats, directions: Sequence[Floats]) -> CycleDrift | None:
+    """Separate drift from repeatability.
+
+    Args:
+        target_mm: (m,).
+        directions: deviations µm, (m, n) each.
+
+    Returns:
+        None where readings are missing or there are fewer than two cycles or targets.
+    """
+    x = np.concatenate(list(directions)) if directions else np.zeros((0, 0))
+    if x.size == 0 or np.isnan(x).any() or x.shape[1] < 2 or len(x) < 3:
+        return None
+    rows, cycles = x.shape
+    place = np.tile(target_mm - target_mm.mean(), len(directions))
+    off = x - x.mean(axis=1, keepdims=True)
+    means = off.mean(axis=0)
+    size = float(place @ place)
+    slopes = place @ off / size if size > 0 else np.zeros(cycles)
+    level = off - means
+    flat = level - np.outer(place, slopes)
+    free = (cycles - 1, (rows - 1) * (cycles - 1), (rows - 2) * (cycles - 1))
+    p = _chance(rows * float(means @ means), free[0], float((level**2).sum()), free[1])
+    p_stretch = _chance(size * float(slopes @ slopes), free[0], float((flat**2).sum()), free[2]) if size > 0 else 1.0
+    total = float((off**2).sum())
+    parts = (rows * float(means @ means), size * float(slopes @ slopes))
+    return _told(
+        means,
+        slopes * 1e3,
+        float(np.ptp(target_mm)),
+        (p, p_stretch),
+        (_largest(off, cycles - 1), _largest(level, free[1] / rows), _largest(flat, free[2] / rows)),
+        (parts[0] / total, parts[1] / total) if total > 0 else (0.0, 0.0),
+    )
+
+
+def _largest(residual: Floats, free: float) -> float:
+    """Largest 4 s_i; `free`: degrees of freedom of one target."""
+    return float(4 * np.sqrt((residual**2).sum(axis=1) / free).max()) if free > 0 else float("nan")
+
+
+def _chance(between: float, free_between: int, within: float, free_within: int) -> float:
+    """Chance of an F value at least this large from scatter alone."""
+    from scipy.stats import f
+
+    if between <= 0.0 or free_within <= 0:
+        return 1.0
+    if within <= 0.0:
+        return 0.0
+    return float(f.sf(between / free_between / (within / free_within), free_between, free_within))
+
+
+def _told(
+    means: Floats,
+    slopes: Floats,
+    travel_mm: float,
+    chances: tuple[float, float],
+    repeat: tuple[float, float, float],
+    shares: tuple[float, float],
+) -> CycleDrift:
+    spread, stretch = float(np.ptp(means)), float(np.ptp(slopes))
+    p, p_stretch = chances
+    share = sum(s for s, chance in zip(shares, chances, strict=True) if chance < SURE)
+    moves = []
+    if p < SURE:
+        moves.append(f"zero moves by {spread:.2f} µm ({_trend(means)})")
+    if p_stretch < SURE:
+        moves.append(f"scale by {stretch * travel_mm * 1e-3:.2f} µm over the {travel_mm:g} mm ({_trend(slopes)})")
+    if moves:
+        left = repeat[2] if p_stretch < SURE else repeat[1]
+        words = (
+            f"The cycles move as a whole: {' and '.join(moves)}. That is {100 * share:.0f} % of the squared scatter at "
+            f"the targets; unidirectional repeatability is {repeat[0]:.2f} µm as the standard counts it and "
+            f"{left:.2f} µm with the drift taken out."
+        )
+        if not any("every" in m for m in moves):
+            words += " Warming goes one way; this does not: look for a loose mount or a reference that is lost."
+    else:
+        words = (
+            f"No drift between the cycles beyond scatter (cycle means within {spread:.2f} µm, p = {p:.2f}): "
+            "the repeatability is repeatability."
+        )
+    return CycleDrift(means, slopes, spread, stretch, p, p_stretch, *repeat, share, words)
+
+
+def _trend(values: Floats) -> str:
+    steps = np.diff(values)
+    if (steps > 0).all():
+        return "rising in every cycle"
+    if (steps < 0).all():
+        return "falling in every cycle"
+    return "not all one way"
+
+
 SAME_PHASE = 0.02
 """Targets whose place within the pitch differs by less than this share of it see the periodic error alike."""
 
@@ -190,3 +333,94 @@ def _few(visits: Visits) -> list[str]:
     if missing:
         out.append(f"{missing} readings are missing; their targets' figures come from fewer cycles.")
     return out
+
+
+Ints = NDArray[np.int64]
+SAME_TARGET_MM = 0.001
+
+
+def visits_of(measurement: Measurement) -> Visits:
+    """Visits of the targets of a laser_linear measurement; its readings are actual minus nominal along the axis.
+
+    Raises:
+        MeasurementError: the instrument has no axis, or the measurement lacks that axis or `reading_um`.
+    """
+    name, axis = measurement.name, measurement.instrument.axis
+    if axis is None or axis not in measurement.machine.axis_names:
+        raise MeasurementError(f"{name}: ISO 230-2 needs one axis of the machine; the measurement names {axis!r}")
+    channel = measurement.machine.axis(axis)
+    if channel.channel not in measurement.channels or "reading_um" not in measurement.readings:
+        raise MeasurementError(f"{name}: needs the columns {channel.channel}_mm and reading_um")
+    direction = measurement.state().value(channel.direction_channel)
+    reading = measurement.readings["reading_um"]
+    return stops(name, measurement.channels[channel.channel], direction, measurement.run, reading)
+
+
+def stops(name: str, position_mm: Floats, direction: Floats, run: Ints, reading_um: Floats) -> Visits:
+    """Group rows, in order of time, into visits.
+
+    Rows in a row at one target, in one direction and run, are one stop; their mean counts. The k-th visit of a target
+    in one direction belongs to cycle k.
+
+    Args:
+        name: for messages.
+        position_mm: commanded, (n,).
+        direction: of approach, -1, 0, +1, (n,).
+        run: (n,).
+        reading_um: (n,); NaN where there is none.
+
+    Raises:
+        MeasurementError: nothing can be used.
+    """
+    target = _targets(position_mm)
+    change = np.ones(len(target), bool)
+    change[1:] = (np.diff(target) != 0) | (np.diff(direction) != 0) | (np.diff(run) != 0)
+    first = np.flatnonzero(change)
+    means = [_mean(part) for part in np.split(reading_um, first[1:])]
+    found: dict[tuple[float, int], list[float]] = {}
+    for i, value in zip(first, means, strict=True):
+        found.setdefault((float(target[i]), int(direction[i])), []).append(value)
+    return _table(name, found)
+
+
+def _table(name: str, found: dict[tuple[float, int], list[float]]) -> Visits:
+    """Visits of all targets that were approached often enough; the others are told."""
+    ways = [d for d in (1, -1) if any(len(v) > 1 for (_, way), v in found.items() if way == d)]
+    targets = sorted({t for t, _ in found})
+    kept = [t for t in targets if ways and all(np.isfinite(found.get((t, d), [])).sum() > 1 for d in ways)]
+    if not kept:
+        raise MeasurementError(
+            f"{name}: no target was approached twice from the same side; ISO 230-2 needs repeated cycles"
+        )
+    notes = []
+    left = [t for t in targets if t not in kept]
+    if left:
+        some = ", ".join(f"{round(t, 3):g}" for t in left[:6]) + (", …" if len(left) > 6 else "")
+        notes.append(
+            f"{len(left)} places were not approached twice from {'both sides' if len(ways) == 2 else 'one side'} "
+            f"and are left out: {some} mm."
+        )
+    if any(d == 0 for _, d in found):
+        notes.append("The first place has no direction of approach and its first reading is left out.")
+    cycles = max(len(found[t, d]) for t in kept for d in ways)
+    grid = {d: np.full((len(kept), cycles), np.nan) for d in (1, -1)}
+    for d in ways:
+        for i, t in enumerate(kept):
+            grid[d][i, : len(found[t, d])] = found[t, d]
+    return Visits(name, np.array(kept), grid[1], grid[-1], tuple(notes))
+
+
+def _targets(position_mm: Floats) -> Floats:
+    """Positions that are the same target get the same number."""
+    order = np.argsort(position_mm, kind="stable")
+    rising = position_mm[order]
+    group = np.concatenate([[0], np.cumsum(np.diff(rising) > SAME_TARGET_MM)])
+    first = rising[np.searchsorted(group, np.arange(group[-1] + 1))]
+    out = np.empty_like(position_mm)
+    out[order] = first[group]
+    return out
+
+
+def _mean(values: Floats) -> float:
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if len(known) else float("nan")

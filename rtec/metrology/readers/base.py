@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rtec.errors import MeasurementError
-from rtec.metrology.files.files_text import look_over
+from rtec.metrology.files.table import look_over
 from rtec.tomlfile import Strict, nearest
 
 Floats = NDArray[np.float64]
