@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtec.characterise.coverage import followed, several_speeds
-from rtec.characterise.seen import Seen, both_ways, gone_along, lags_s, reads, speed_varies, visited
-from rtec.characterise.source import Source
+from rtec.characterise.source import Seen, Source, both_ways, gone_along, lags_s, reads, speed_varies, visited
 from rtec.characterise.stream import Term
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind

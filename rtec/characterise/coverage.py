@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.result import Warn
-from rtec.characterise.seen import moves, reads
-from rtec.characterise.source import Source
+from rtec.characterise.source import Source, moves, reads
 from rtec.machine import Axis
 from rtec.metrology.instruments.grid_encoder import GridEncoder
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rtec.characterise.normal import solve
 
 if TYPE_CHECKING:
-    from rtec.characterise.table import Table
+    from rtec.characterise.choose import Table
 
 Floats = NDArray[np.float64]
 

@@ -12,9 +12,8 @@ from rtec.characterise.identifiable import check_seen
 from rtec.characterise.noise import Outlier
 from rtec.characterise.normal import Normal
 from rtec.characterise.projection import Polished, polish
-from rtec.characterise.source import Source, flat
+from rtec.characterise.source import Source, flat, thinned
 from rtec.characterise.stream import Progress, Term, gather, predict
-from rtec.characterise.thin import thinned
 from rtec.errors import ModelError
 
 Floats = NDArray[np.float64]

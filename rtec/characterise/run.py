@@ -17,11 +17,9 @@ from rtec.characterise.noise import Outlier
 from rtec.characterise.projection import starting_terms
 from rtec.characterise.result import Characterisation
 from rtec.characterise.screen import Screened, screen
-from rtec.characterise.seen import reads
 from rtec.characterise.significance import spared, surety
-from rtec.characterise.source import Source
+from rtec.characterise.source import Source, reads, thinned
 from rtec.characterise.stream import Term, gather
-from rtec.characterise.thin import thinned
 from rtec.effects import Effect
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError

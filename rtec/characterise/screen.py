@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 
 from rtec.characterise.candidates import Candidate, extended, geometry, thermal
 from rtec.characterise.normal import Normal
-from rtec.characterise.seen import Seen, reads, seen_components, varying_sensors
-from rtec.characterise.source import Source
+from rtec.characterise.source import Seen, Source, reads, seen_components, thinned, varying_sensors
 from rtec.characterise.stream import gather
-from rtec.characterise.thin import thinned
 
 Floats = NDArray[np.float64]
 

@@ -2,25 +2,175 @@
 
 Chunks of a few thousand readings stay in the processor's cache while their columns are worked out; what is kept of
 them is one small square matrix a block.
+
+A state walked through window by window, so that a million readings never need their whole design in memory.
+
+Takes the nuisances that each run has anew out of the columns, chunk by chunk.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.normal import Normal
-from rtec.characterise.project import Carry
-from rtec.characterise.seen import reads
-from rtec.characterise.source import Explicit, Source, flat
-from rtec.characterise.walk import Walk
-from rtec.effects import Effect
+from rtec.characterise.source import Explicit, Source, flat, reads
+from rtec.effects import Effect, State
+from rtec.effects.derived import FAR_MM, lag_update
+from rtec.effects.state import Value
+from rtec.jit import njit
 from rtec.machine import Machine
 from rtec.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
+
+
+@njit
+def _lag_on(value: Floats, time_s: Floats, tau_s: float, memory: Floats) -> Floats:
+    """First-order lag that goes on from `memory`: lagged, input, instant, begun; moved to the window's end."""
+    out = np.empty(len(value))
+    for i in range(len(value)):
+        if memory[3] == 0.0:
+            memory[0] = value[i]
+            memory[3] = 1.0
+        else:
+            memory[0] = lag_update(memory[0], memory[1], value[i], time_s[i] - memory[2], tau_s)
+        memory[1] = value[i]
+        memory[2] = time_s[i]
+        out[i] = memory[0]
+    return out
+
+
+class Walk:
+    """The channels of one state, seen through a window that moves on; what effects may ask of a state.
+
+    Lags are those of the whole state to the last bit: each goes on from where the window before it ended.
+    """
+
+    def __init__(self, state: State) -> None:
+        self._state = state
+        self._memory: dict[tuple[int, int], Floats] = {}
+        self._seen: dict[tuple[str, bool], Floats] = {}
+        self._window = slice(0, 0)
+        self._slot, self._call = 0, 0
+
+    def move(self, start: int, stop: int) -> None:
+        """Look at instants start … stop - 1; windows follow each other without gaps."""
+        self._window = slice(start, stop)
+        self._seen.clear()
+
+    def begin(self, slot: int) -> "Walk":
+        """Say whose basis functions are asked for next: lags are remembered by slot and order of asking."""
+        self._slot, self._call = slot, 0
+        return self
+
+    def value(self, name: str) -> Floats:
+        """Give a channel in the window."""
+        return self._cached(name, False)
+
+    def rise(self, sensor: str) -> Floats:
+        """Temperature above the reference in the window, K."""
+        return self._cached(sensor, True)
+
+    def lagged(self, value: Value, tau_s: Value) -> Floats:
+        """First-order lag of a value in the window."""
+        time_s = self._state.time_s[self._window]
+        whole: Any = np.broadcast_to(np.asarray(value, dtype=np.float64), time_s.shape)
+        memory = self._memory.setdefault((self._slot, self._call), np.zeros(4))
+        self._call += 1
+        return _lag_on(np.ascontiguousarray(whole), np.ascontiguousarray(time_s), float(tau_s), memory)
+
+    def _channel(self, name: str) -> Floats:
+        """Give a whole channel; an axis that was not recorded stands at zero, as in `State.positions_mm`.
+
+        Of an axis that was recorded at one place only, velocity and acceleration are zero, too.
+        """
+        state = self._state
+        if name in state.channels:
+            return state.value(name)
+        for axis in state.machine.axes:
+            recorded = state.channels.get(axis.channel)
+            if name not in axis.moving_channels or (recorded is not None and np.ptp(recorded) > 0.0):
+                continue
+            if recorded is None or name in (axis.velocity_channel, axis.acceleration_channel):
+                return np.full(len(state), FAR_MM if name == axis.since_reversal_channel else 0.0)
+        return state.value(name)
+
+    def _cached(self, name: str, rise: bool) -> Floats:
+        key = (name, rise)
+        if key not in self._seen:
+            value = self._channel(name)[self._window]
+            self._seen[key] = value - self._state.reference_degc if rise else value
+        return self._seen[key]
+
+
+class Carry:
+    """Takes the nuisances of each run out of the columns, also where a run is longer than a chunk.
+
+    Of a run that goes on, what its first chunk shows of the nuisances is taken out of all its chunks: that changes
+    nothing but the size of the numbers, and so keeps their digits. What is left of them is summed up and leaves the
+    normal equations when the run ends.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._guess: Floats | None = None
+        self._left: Floats | None = None
+
+    def project(self, buffer: Floats, start: int, stop: int) -> Floats | float:
+        """Project readings start … stop - 1, (columns, readings), in place; give what the equations still need."""
+        directions, edges = self._source.projected, self._source.run_starts
+        if not directions:
+            return 0.0
+        first, last = np.searchsorted(edges, start, "right") - 1, np.searchsorted(edges, stop, "left")
+        runs = np.clip(edges[first : last + 1], start, stop)
+        gone: Floats | float = 0.0
+        begins, ends = edges[first] >= start, edges[last] <= stop
+        inner = slice(0 if begins else 1, len(runs) if ends else len(runs) - 1)
+        whole = runs[inner]
+        if len(whole) > 1:
+            self._whole(buffer, whole, start)
+        for a, b, opens, closes in _pieces(runs, begins, ends):
+            gone = gone + self._piece(buffer[:, a - start : b - start], [q[a:b] for q in directions], opens, closes)
+        return gone
+
+    def _whole(self, buffer: Floats, runs: NDArray[np.int64], start: int) -> None:
+        """Runs that lie in the chunk; a nuisance of one reading among several touches that reading only."""
+        source = self._source
+        for q, lane in zip(source.projected, source.lanes, strict=True):
+            step = 1 if lane is None else source.count
+            first = int(runs[0]) + (lane or 0)
+            part = np.ascontiguousarray(q[first : runs[-1] : step])
+            starts, lengths = (runs[:-1] - runs[0]) // step, np.diff(runs) // step
+            for row in buffer[:, first - start : runs[-1] - start : step]:
+                np.subtract(row, np.repeat(np.add.reduceat(row * part, starts), lengths) * part, out=row)
+
+    def _piece(self, part: Floats, directions: list[Floats], opens: bool, closes: bool) -> Floats | float:
+        q = np.stack(directions)
+        if opens:
+            self._guess = np.linalg.pinv(q @ q.T) @ (q @ part.T)
+            self._left = np.zeros_like(self._guess)
+        if self._guess is None or self._left is None:
+            return 0.0
+        part -= self._guess.T @ q
+        self._left += q @ part.T
+        return -self._left.T @ self._left if closes else 0.0
+
+
+def _pieces(runs: NDArray[np.int64], begins: bool, ends: bool) -> list[tuple[int, int, bool, bool]]:
+    """Runs of a chunk that go on beyond it: first and last reading, does it begin here, does it end here."""
+    out = []
+    only = len(runs) == 2
+    if not begins or (only and not ends):
+        out.append((int(runs[0]), int(runs[1]), begins, ends or not only))
+    if not only and not ends:
+        out.append((int(runs[-2]), int(runs[-1]), True, False))
+    return out
+
+
 Progress = Callable[[int, int], None]
 
 CHUNK = 8192

@@ -127,7 +127,7 @@ def _show(result: "Simulated", path: Path, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(facts, indent=2))
         return
-    from rtec.characterise.setups import unused_offset
+    from rtec.characterise.warnings import unused_offset
 
     typer.echo(
         f"{facts['rows']} rows in {facts['runs']} runs over {facts['hours']:.1f} h: "

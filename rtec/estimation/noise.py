@@ -289,7 +289,7 @@ def _stretches(n: int) -> NDArray[np.int64]:
 
 def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: int) -> Noise:
     """Noise of a series that has no mean left, searched for from a noise that is about right."""
-    from rtec.estimation.kalman_search import likelihood, walk
+    from rtec.estimation.whitening import likelihood, walk
 
     start = [math.log(now.drift), math.log(now.tau_s)] + ([math.log(now.offset)] if now.offset > 0.0 else [])
     freedom = float(max(len(left) - series.nuisance.shape[1] * int(series.run[-1] + 1), 3))

@@ -2,6 +2,8 @@
 
 A *series* is one reading column of one measurement: its readings in order of time, with noise of its own. The
 readings of all series stand one after the other; NaN readings and spikes are left out.
+
+Fewer readings for a first look where there are very many.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.at_once import each
 from rtec.effects import Effect, State
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.held_out import cut
@@ -19,6 +20,7 @@ from rtec.estimation.smoothing import Windows, smoothed
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
+from rtec.parallel import MANY, each
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -279,3 +281,24 @@ def _check(measurements: Sequence[Measurement]) -> None:
     faults += [f"{m.name}: has no reading" for m in measurements if not np.isfinite(m.matrix()).any()]
     if faults:
         raise MeasurementError("\n".join(faults))
+
+
+RUNS = 40
+"""Whole runs are taken where there are at least so many; else single readings, evenly."""
+
+
+def looked_at(readings: Readings) -> NDArray[np.bool_]:
+    """Which readings a first look takes, (m,): all where they are not many."""
+    keep = np.ones(len(readings), dtype=bool)
+    if len(readings) <= MANY:
+        return keep
+    # Drawn, not every so-and-so many: the runs of a campaign have patterns (there and back, fast and slow).
+    rng = np.random.default_rng(0)
+    share = MANY / len(readings)
+    for s in readings.series:
+        runs = int(s.run[-1]) + 1
+        if runs >= RUNS:
+            keep[s.part] = (rng.permutation(runs) < max(share * runs, RUNS // 2))[s.run]
+        else:
+            keep[s.part] = rng.permutation(len(s)) < share * len(s)
+    return keep

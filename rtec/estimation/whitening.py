@@ -7,6 +7,11 @@ are `L⁻¹ y` with `L Lᵀ = Σ`, up to nothing: the same numbers as by a Chole
 
 The state is [drift, offset of the run, unknowns of the run …]; the gains do not depend on the readings, so they are
 worked out once and then used on every column.
+
+Finds drift, memory and run offset of a series that has no mean left, in one compiled search.
+
+A diagnosis looks for the noise anew for each of its best candidates, a few hundred times; each look is a Nelder-Mead
+walk over three logarithms, and all of it happens here without going through Python.
 """
 
 import math
@@ -142,3 +147,152 @@ def drift_draws(time_s: Floats, tau_s: float, steps: Floats) -> None:
         fresh = math.sqrt(1.0 - decay * decay)
         for k in range(steps.shape[1]):
             steps[i, k] = decay * steps[i - 1, k] + fresh * steps[i, k]
+
+
+@njit
+def likelihood(  # noqa: PLR0912 - one pass, compiled
+    time_s: Floats,
+    run: Ints,
+    unknown: Floats,
+    wide: Floats,
+    left: Floats,
+    drift: float,
+    tau_s: float,
+    offset: float,
+) -> tuple[float, float]:
+    """`log det Σ` and `yᵀ Σ⁻¹ y` of a series, white variance one: `gains` and `innovations` in one pass.
+
+    Args:
+        time_s, run, unknown, wide: as in `kalman.gains`.
+        left: the series y, (n,).
+        drift, tau_s, offset: the noise.
+    """
+    n, size = len(time_s), 2 + unknown.shape[1]
+    p = np.zeros((size, size))
+    h, ph, x = np.ones(size), np.zeros(size), np.zeros(size)
+    log_det, square = 0.0, 0.0
+    for i in range(n):
+        f = 0.0
+        if i > 0:
+            ratio = (time_s[i] - time_s[i - 1]) / tau_s
+            f = math.exp(-ratio) if ratio < 25.0 else 0.0
+        if i == 0 or run[i] != run[i - 1]:
+            kept = p[0, 0]
+            for a in range(size):
+                for b in range(size):
+                    p[a, b] = 0.0
+            p[0, 0] = kept
+            p[1, 1] = offset
+            for a in range(2, size):
+                p[a, a] = wide[a - 2]
+            for a in range(1, size):
+                x[a] = 0.0
+        for a in range(1, size):
+            p[0, a] *= f
+            p[a, 0] = p[0, a]
+        p[0, 0] = f * f * p[0, 0] + (1.0 - f * f) * drift
+        x[0] *= f
+        for a in range(2, size):
+            h[a] = unknown[i, a - 2]
+        s, v = 1.0, left[i]
+        for a in range(size):
+            sum_ = 0.0
+            for b in range(size):
+                sum_ += p[a, b] * h[b]
+            ph[a] = sum_
+            s += h[a] * sum_
+            v -= h[a] * x[a]
+        for a in range(size):
+            g = ph[a] / s
+            x[a] += g * v
+            for b in range(size):
+                p[a, b] -= g * ph[b]
+        log_det += math.log(s)
+        square += v * v / s
+    return log_det, square
+
+
+@njit
+def noise_cost(
+    time_s: Floats, run: Ints, unknown: Floats, wide: Floats, left: Floats, freedom: float, x: Floats, bounds: Floats
+) -> float:
+    """−2 log likelihood and priors at logarithms of drift, memory and offset, white variance profiled.
+
+    Args:
+        time_s, run, unknown, wide, left: as in `likelihood`.
+        freedom: readings less unknowns.
+        x: logarithms, (2,) or (3,); beyond the bounds they count as on them.
+        bounds: lowest, highest, centre and spread of the prior (spread 0: none) of each, (3, 4).
+    """
+    value = np.empty(3)
+    prior = 0.0
+    for k in range(3):
+        at = x[k] if k < len(x) else -1e9
+        value[k] = min(max(at, bounds[k, 0]), bounds[k, 1])
+        if k < len(x) and bounds[k, 3] > 0.0:
+            prior += ((value[k] - bounds[k, 2]) / bounds[k, 3]) ** 2
+    offset = math.exp(value[2]) if len(x) > 2 else 0.0
+    log_det, square = likelihood(time_s, run, unknown, wide, left, math.exp(value[0]), math.exp(value[1]), offset)
+    return log_det + freedom * math.log(max(square, 1e-12) / freedom) + prior
+
+
+@njit
+def walk(  # noqa: PLR0912 - one walk, compiled
+    time_s: Floats, run: Ints, unknown: Floats, wide: Floats, left: Floats, freedom: float, start: Floats,
+    bounds: Floats, evaluations: int,
+) -> Floats:  # fmt: skip
+    """Nelder and Mead's walk from `start`; gives the best place, (2,) or (3,), within the bounds."""
+    d = len(start)
+    place, cost = np.empty((d + 1, d)), np.empty(d + 1)
+    for k in range(d + 1):
+        for j in range(d):
+            place[k, j] = start[j] + (0.7 if k == j + 1 else 0.0)
+        cost[k] = noise_cost(time_s, run, unknown, wide, left, freedom, place[k], bounds)
+    used = d + 1
+    middle, trial, further = np.empty(d), np.empty(d), np.empty(d)
+    while used < evaluations:
+        order = np.argsort(cost)
+        best, worst, second = order[0], order[d], order[d - 1]
+        if cost[worst] - cost[best] < 0.02:
+            break
+        for j in range(d):
+            total = 0.0
+            for k in range(d + 1):
+                if k != worst:
+                    total += place[k, j]
+            middle[j] = total / d
+            trial[j] = 2.0 * middle[j] - place[worst, j]
+        value = noise_cost(time_s, run, unknown, wide, left, freedom, trial, bounds)
+        used += 1
+        if value < cost[best]:
+            for j in range(d):
+                further[j] = 3.0 * middle[j] - 2.0 * place[worst, j]
+            beyond = noise_cost(time_s, run, unknown, wide, left, freedom, further, bounds)
+            used += 1
+            if beyond < value:
+                place[worst], cost[worst] = further, beyond
+            else:
+                place[worst], cost[worst] = trial, value
+            continue
+        if value < cost[second]:
+            place[worst], cost[worst] = trial, value
+            continue
+        for j in range(d):
+            inner = trial[j] if value < cost[worst] else place[worst, j]
+            further[j] = 0.5 * (middle[j] + inner)
+        inside = noise_cost(time_s, run, unknown, wide, left, freedom, further, bounds)
+        used += 1
+        if inside < min(value, cost[worst]):
+            place[worst], cost[worst] = further, inside
+            continue
+        for k in range(d + 1):
+            if k != best:
+                for j in range(d):
+                    place[k, j] = 0.5 * (place[k, j] + place[best, j])
+                cost[k] = noise_cost(time_s, run, unknown, wide, left, freedom, place[k], bounds)
+                used += 1
+    best = np.argmin(cost)
+    out: Floats = place[best].copy()
+    for j in range(d):
+        out[j] = min(max(out[j], bounds[j, 0]), bounds[j, 1])
+    return out

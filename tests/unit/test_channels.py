@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from rtec.characterise.walk import Walk
+from rtec.characterise.stream import Walk
 from rtec.effects import State
 from rtec.effects.derived import (
     FAR_MM,

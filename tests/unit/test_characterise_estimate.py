@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from rtec.characterise import noise
 from rtec.characterise.estimate import Estimate, estimate
 from rtec.characterise.projection import starting_terms
-from rtec.characterise.source import Source
+from rtec.characterise.source import Source, thinned
 from rtec.characterise.stream import Term
-from rtec.characterise.thin import thinned
 from rtec.errors import ModelError
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from rtec.characterise import stream
 from rtec.characterise.normal import Normal, solve
 from rtec.characterise.source import Source
-from rtec.characterise.stream import Term, gather, predict
-from rtec.characterise.walk import Walk
+from rtec.characterise.stream import Term, Walk, gather, predict
 from rtec.effects.state import State
 from rtec.metrology.measurement import Measurement
 from tests.unit.characterise_examples import MACHINE, Probe, ProbeSetup, Tip, effect, measurement, runs

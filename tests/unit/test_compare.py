@@ -12,8 +12,7 @@ import tomli_w
 from rtec.cli.main import status
 from rtec.diagnosis.compare.compare import compare, explained
 from rtec.errors import MeasurementError
-from rtec.estimation.compare_floor import flattened
-from rtec.estimation.floor import floors
+from rtec.estimation.floor import flattened, floors
 from rtec.estimation.outliers import wrong_readings
 from rtec.estimation.readings import read
 from rtec.machine import machine_from

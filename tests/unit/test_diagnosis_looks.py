@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.at_once import MANY, each
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import SKETCH, _sketch
 from rtec.estimation.noise import INEXACT, Noise, find_noise, least_noise
-from rtec.estimation.readings import read
-from rtec.estimation.thin import looked_at
+from rtec.estimation.readings import looked_at, read
 from rtec.machine import Machine, machine_from
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.parallel import MANY, each
 from tests.unit.characterise_examples import Probe, ProbeSetup
 
 Floats = NDArray[np.float64]

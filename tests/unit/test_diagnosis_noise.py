@@ -5,11 +5,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from rtec.estimation.kalman_search import likelihood, noise_cost, walk
 from rtec.estimation.noise import Noise, Whitener, _bounds, find_noise, minutes
 from rtec.estimation.readings import read
 from rtec.estimation.smoothing import Windows, smoothed
-from rtec.estimation.whitening import drift_draws, gains, innovations
+from rtec.estimation.whitening import drift_draws, gains, innovations, likelihood, noise_cost, walk
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from tests.machines import turning_centre

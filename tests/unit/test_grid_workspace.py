@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.candidates import extended
-from rtec.characterise.seen import seen_components
-from rtec.characterise.source import Source
+from rtec.characterise.source import Source, seen_components
 from rtec.machine import Machine
 from rtec.machine.exact import exact_tip_error_um
 from rtec.metrology.measurement import Measurement

@@ -18,9 +18,7 @@ from rtec.diagnosis.usable import check_enough
 from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.errors import MeasurementError
 from rtec.estimation.columns import base_of, effect_columns, ordered
-from rtec.estimation.compare_floor import flattened, repeats_floor, tails_of
-from rtec.estimation.compare_noise import flexible_columns
-from rtec.estimation.floor import floors
+from rtec.estimation.floor import flattened, flexible_columns, floors, repeats_floor, tails_of
 from rtec.estimation.noise import Whitener, find_noise
 from rtec.estimation.outliers import less, wrong_readings
 from rtec.estimation.readings import Readings, Series, read

@@ -16,7 +16,7 @@ from rtec.diagnosis.compare.bins import COARSE, FINE, Variable, variables_of, wo
 from rtec.diagnosis.compare.locate_apart import both_ways
 from rtec.diagnosis.compare.locate_scan import Bools, Scan, Spot, scan
 from rtec.diagnosis.compare.result import Bound, Region
-from rtec.estimation.compare_floor import draws
+from rtec.estimation.floor import draws
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, Series
 

@@ -17,8 +17,7 @@ from rtec.diagnosis.search.screen import orthonormal
 from rtec.effects import Parameter
 from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener, without_drift
-from rtec.estimation.readings import Readings
-from rtec.estimation.thin import looked_at
+from rtec.estimation.readings import Readings, looked_at
 from rtec.model import FittedEffect
 
 Floats = NDArray[np.float64]

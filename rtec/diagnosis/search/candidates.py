@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.seen import Seen, seen_components
-from rtec.characterise.source import Source
+from rtec.characterise.source import Seen, Source, seen_components
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
 from rtec.effects.registry import all_effects

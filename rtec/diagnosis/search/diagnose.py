@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.at_once import each
 from rtec.diagnosis import words
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
 from rtec.diagnosis.search.answer import Searched, answer
@@ -27,7 +26,7 @@ from rtec.diagnosis.usable import check_enough
 from rtec.estimation.noise import without_drift
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.parallel import one_blas_thread
+from rtec.parallel import each, one_blas_thread
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]

@@ -27,8 +27,7 @@ from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener
-from rtec.estimation.readings import Readings
-from rtec.estimation.thin import looked_at
+from rtec.estimation.readings import Readings, looked_at
 
 Floats = NDArray[np.float64]
 

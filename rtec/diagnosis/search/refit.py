@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.at_once import MANY, each
 from rtec.diagnosis.search.candidates import Candidate
 from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse, plausibility
 from rtec.diagnosis.search.polish import live_columns, polished
@@ -17,8 +16,8 @@ from rtec.diagnosis.search.screen import Memory, Projected, Screen, screen
 from rtec.diagnosis.search.tried import Prepared, Tried
 from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out
 from rtec.estimation.noise import Whitener, without_drift
-from rtec.estimation.readings import Readings
-from rtec.estimation.thin import looked_at
+from rtec.estimation.readings import Readings, looked_at
+from rtec.parallel import MANY, each
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]

@@ -15,11 +15,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.at_once import MANY
 from rtec.diagnosis.search.candidates import Candidate
 from rtec.errors import ModelError
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings
+from rtec.parallel import MANY
 
 Floats = NDArray[np.float64]
 Single = NDArray[np.float32]

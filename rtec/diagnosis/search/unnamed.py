@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.at_once import each
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import Ground, Shape
 from rtec.diagnosis.search.shapes_search import Weighed, all_shapes, weigh
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Whitener
-from rtec.estimation.readings import Readings
-from rtec.estimation.thin import looked_at
+from rtec.estimation.readings import Readings, looked_at
+from rtec.parallel import each
 
 Floats = NDArray[np.float64]
 
