@@ -100,8 +100,7 @@ def add(
     from rtec.cli.common import stages
     from rtec.cli.stopping import told_when_stopped
     from rtec.diagnosis.extend.add import add as add_effects
-    from rtec.diagnosis.extend.add import refused
-    from rtec.diagnosis.extend.asked import check_one
+    from rtec.diagnosis.extend.add import check_one, refused
     from rtec.model import save_model
     from rtec.report.additions import added_page
 
@@ -227,8 +226,7 @@ def _names(only: str | None) -> list[str] | None:
 def _asked(
     known: Any, effect: str | None, expr: str | None, param: list[str], component: str | None, settings: list[str]
 ) -> Any:
-    from rtec.diagnosis.extend.add import new_effect
-    from rtec.diagnosis.extend.asked import asked_effect
+    from rtec.diagnosis.extend.add import asked_effect, new_effect
 
     if expr is not None:
         from rtec.effects.expression import expression_from_text

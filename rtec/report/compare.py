@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 from rtec import __version__
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
-from rtec.diagnosis.units import named, spoken
-from rtec.diagnosis.words import UNITS
+from rtec.diagnosis.words import UNITS, named, spoken
 from rtec.report.compare_pictures import pictures
 from rtec.report.page import Page, Section, Table
 from rtec.report.procedures import number

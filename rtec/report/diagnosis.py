@@ -10,8 +10,7 @@ import numpy as np
 
 from rtec import __version__
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, Picture
-from rtec.diagnosis.units import spoken, titled
-from rtec.diagnosis.words import UNITS, hardly, labels, sentence
+from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken, titled
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
 

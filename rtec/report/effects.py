@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rtec.diagnosis.units import spoken
+from rtec.diagnosis.words import spoken
 from rtec.effects import Effect, Parameter
 from rtec.effects.base import About
 from rtec.effects.registry import EFFECTS, FAMILIES, all_effects, effect_class, plug_in_faults

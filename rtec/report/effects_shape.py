@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from rtec.diagnosis.units import spoken
+from rtec.diagnosis.words import spoken
 from rtec.effects import Effect, State
 from rtec.effects.base import Surroundings
 from rtec.errors import ModelError

@@ -7,7 +7,7 @@ import numpy as np
 from rtec import __version__
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
-from rtec.diagnosis.units import spoken
+from rtec.diagnosis.words import spoken
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import note_words, number
 

@@ -8,7 +8,7 @@ from rtec.diagnosis.plan.answer import Answer
 from rtec.diagnosis.plan.parameters import hours_in_words
 from rtec.diagnosis.plan.plan import WEAK, Proposal, Separation
 from rtec.diagnosis.plan.separating import Pair, Separator
-from rtec.diagnosis.units import spoken
+from rtec.diagnosis.words import spoken
 from rtec.report.page import Page, Section, Table
 
 SHOWN = 8

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.bins import cut_into, round_edges, words_of
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.compare.locate_scan import scan
+from rtec.diagnosis.compare.locate import scan
 from rtec.diagnosis.compare.result import Region
 from rtec.metrology.measurement import Measurement
 from tests.unit.diagnosis_examples import laser, small_machine

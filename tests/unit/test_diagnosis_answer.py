@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from rtec.diagnosis import words
+from rtec.diagnosis.search.confounded import aliases_mm, fold, step_mm
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.search.folded import aliases_mm, fold, step_mm
 from rtec.estimation.columns import spikes
 from rtec.estimation.readings import read
 from rtec.model import Model

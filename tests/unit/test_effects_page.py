@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtec.cli.main import status
-from rtec.diagnosis.units import spoken
+from rtec.diagnosis.words import spoken
 from rtec.effects import EFFECTS
 from rtec.effects.base import DRIVES
 from rtec.effects.registry import FAMILIES

@@ -20,7 +20,7 @@ from rtec.cli.show import grid
 from rtec.diagnosis import words
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.units import named, spoken, titled
+from rtec.diagnosis.words import named, spoken, titled
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.model import Model, save_model

@@ -11,11 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.cli.main import status
-from rtec.diagnosis.plan.gains import with_gains
 from rtec.diagnosis.plan.plan import Extra
-from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, usual_size
+from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, usual_size, with_gains
 from rtec.diagnosis.result import Alike
-from rtec.diagnosis.search.tried import prepare
+from rtec.diagnosis.search.refit import prepare
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.result import Bound
-from rtec.diagnosis.units import spoken
-from rtec.diagnosis.words import unit_of_channel
+from rtec.diagnosis.words import spoken, unit_of_channel
 from rtec.estimation.readings import Readings, Series
 from rtec.machine import Machine
 

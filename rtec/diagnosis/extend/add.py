@@ -1,7 +1,14 @@
-"""Adds effects to a model, refits everything, and says what it bought on runs that were left out."""
+"""Adds effects to a model, refits everything, and says what it bought on runs that were left out.
 
+An effect as a person asks for it: its name, a component, and what else it needs to know.
+
+What was passed over when one of several effects was taken that the readings cannot tell apart.
+"""
+
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +17,11 @@ from numpy.typing import NDArray
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.extend.joint import LOOSE, Joint, joint_fit
 from rtec.diagnosis.extend.parameter_scan import ranged
-from rtec.diagnosis.extend.rivals import Rival
+from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.usable import apart, check_enough, check_finite, unsure
+from rtec.diagnosis.words import labels
 from rtec.diagnosis.wrong_scale import check_scales
-from rtec.effects import Effect
+from rtec.effects import Effect, all_effects, effect_class
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.columns import spikes
@@ -26,6 +34,74 @@ from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin
 from rtec.model.model import names_of
 from rtec.parallel import one_blas_thread
+from rtec.tomlfile import nearest, validated
+
+TOLD = 4
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect that would have done as well.
+
+    Attributes:
+        label: short name.
+        confidence: its posterior probability; None where it was not fitted.
+        test: the measurement that tells it from what was taken; empty where none is known.
+    """
+
+    label: str
+    confidence: float | None
+    test: str
+
+    def facts(self) -> dict[str, Any]:
+        """As plain data, without what is not known."""
+        out: dict[str, Any] = {"effect": self.label}
+        if self.confidence is not None:
+            out["confidence"] = self.confidence
+        return out | ({"separating_test": self.test} if self.test else {})
+
+
+def rivals_of(found: Diagnosis, taken: Finding) -> tuple[Rival, ...]:
+    """Everything that these readings cannot tell from what was taken, likeliest first.
+
+    What explains another part of the readings is no rival of it: it is looked for again once this one is in the model.
+
+    Args:
+        found: the diagnosis that proposed it.
+        taken: one of its findings.
+    """
+    if not found.findings or not found.findings[0].accepted:
+        return ()
+    known = {(a.effect, a.component): a for a in found.findings[0].confused_with}
+    apart = {key for key, a in known.items() if a.apart} if taken is found.findings[0] else set()
+    partner = taken.partner.effect if taken.partner else None
+    group = [
+        (f, label)
+        for f, label in zip(found.findings, labels(found.findings), strict=True)
+        if f.group and f is not taken and f.effect != partner and _key(f) not in apart
+    ]
+    out = [Rival(label, f.confidence, _test(known.get(_key(f)))) for f, label in group]
+    there = {_key(taken), *(_key(f) for f, _ in group)} | apart
+    others = [a for key, a in known.items() if key not in there]
+    out += [Rival(a.label or f"{a.effect}({a.component})", None, _test(a)) for a in others]
+    return tuple(out)
+
+
+def _key(finding: Finding) -> tuple[str, str]:
+    return finding.effect.effect, finding.effect.component
+
+
+def _test(alike: Alike | None) -> str:
+    return alike.separating_test if alike is not None else ""
+
+
+def said(taken: Finding, rivals: Sequence[Rival]) -> tuple[str, ...]:
+    """That the readings did not decide, which rivals there were, and what tells each apart."""
+    named = ", ".join(r.label + (f" ({r.confidence:.0%})" if r.confidence is not None else "") for r in rivals[:TOLD])
+    more = f" and {len(rivals) - TOLD} more" if len(rivals) > TOLD else ""
+    first = f"{taken.label} ({taken.confidence:.0%}) was taken, but these readings cannot tell it from {named}{more}"
+    return (first, *(f"to tell it from {r.label}: {r.test}" for r in rivals[:TOLD] if r.test))
+
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
@@ -254,3 +330,71 @@ def _with_smooth(joint: Joint, measurements: Sequence[Measurement], model: Model
     columns = [smooth.columns(f.effect, f.theta) for f in joint.effects]
     whole = np.concatenate([np.zeros((len(smooth), 0)), *columns, smooth.setup], axis=1)
     return held_out(joint.whitener, whole, scale).rms
+
+
+def asked_effect(name: str, component: str | None, settings: Sequence[str], model: Model) -> FittedEffect:
+    """Build an effect from `NAME`, a component and `key=value` texts.
+
+    An axis that is not named is the component's own. Numbers (coefficients, time constants) may be given as a start.
+
+    Raises:
+        ModelError: what is missing or wrong, with what is allowed.
+    """
+    name = name.lower() if name.lower() in all_effects() else name
+    where = f"effect {name!r}"
+    kind = effect_class(name, "rtec add")
+    given = dict(_pair(text, where) for text in settings)
+    if component is None:
+        raise ModelError(f"{where}: say which component error it feeds: --component EXX (`rtec effects {name}` tells)")
+    arguments = {k: v for k, v in given.items() if k in kind.model_fields}
+    if "axis" in kind.model_fields and "axis" not in arguments:
+        own = component[2:].removeprefix("0")
+        if own in model.machine.axis_names:
+            arguments["axis"] = own
+    _needed(kind, arguments, model, where)
+    effect = validated(kind, {"effect": name, "component": component, **arguments}, where, ModelError)
+    numbers = {k: _number(k, v, where) for k, v in given.items() if k not in arguments}
+    return new_effect(effect, model, values=numbers)
+
+
+def check_one(name: str | None, expr: str | None, refit: bool) -> None:
+    """Check that one thing was asked for: a name, an expression, or a refit.
+
+    Raises:
+        ModelError: more than one; a file in the place of the name belongs to `--data A B C`.
+    """
+    named = name is not None and name.lower() in all_effects() and not Path(name).exists()
+    said = [f"effect {name!r}"] * named + ["--expr"] * (expr is not None) + ["--refit"] * refit
+    if len(said) > 1:
+        raise ModelError(f"add: {' and '.join(said)} together: give either a name, or --expr, or --refit")
+
+
+def _pair(text: str, where: str) -> tuple[str, Any]:
+    key, mark, value = text.partition("=")
+    if not mark or not key.strip():
+        raise ModelError(f"{where}: --set {text!r} is no key=value; for example --set sensor=T_bed")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), value.strip()
+
+
+def _needed(kind: type[Effect], arguments: dict[str, Any], model: Model, where: str) -> None:
+    """Name what is missing together with what the machine has to offer."""
+    machine = model.machine
+    offers = {"sensor": machine.sensor_names, "front": machine.sensor_names, "back": machine.sensor_names}
+    offers["axis"] = machine.axis_names
+    for key, field in kind.model_fields.items():
+        if key in arguments or not field.is_required() or key in ("effect", "component"):
+            continue
+        offer = f"; one of: {', '.join(offers[key])}" if key in offers else ""
+        raise ModelError(f"{where}: --set {key}=… is missing{offer}")
+    for key in ("sensor", "front", "back", "axis"):
+        if key in arguments and isinstance(arguments[key], str) and arguments[key] not in offers[key]:
+            raise ModelError(f"{where}: {key} {arguments[key]!r} is none{nearest(arguments[key], offers[key])}")
+
+
+def _number(key: str, value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ModelError(f"{where}: {key} is {value!r}, which is no number")
+    return float(value)

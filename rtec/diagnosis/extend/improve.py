@@ -4,8 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rtec.diagnosis.extend.add import Added, add, new_effect
-from rtec.diagnosis.extend.rivals import rivals_of, said
+from rtec.diagnosis.extend.add import Added, add, new_effect, rivals_of, said
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import ALPHA, DRAWS, diagnose
 from rtec.diagnosis.search.not_found import SURE

@@ -9,18 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.plan.gains import with_gains
-from rtec.diagnosis.plan.separating import fitted_to
+from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown, label_of
 from rtec.diagnosis.search import picture
 from rtec.diagnosis.search.candidates import Candidate, Untried
-from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine
+from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, fold
 from rtec.diagnosis.search.expressions import Typed, propose
-from rtec.diagnosis.search.folded import fold
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
+from rtec.diagnosis.search.refit import Prepared, Tried
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
-from rtec.diagnosis.search.tried import Prepared, Tried
 from rtec.diagnosis.search.unnamed import Shaped
 from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import Effect

@@ -18,9 +18,8 @@ from rtec.diagnosis.search.answer import Searched, answer
 from rtec.diagnosis.search.candidates import library
 from rtec.diagnosis.search.confounded import WITHIN
 from rtec.diagnosis.search.not_found import SURE
-from rtec.diagnosis.search.refit import BESIDE, Refits
+from rtec.diagnosis.search.refit import BESIDE, Refits, Tried, prepare
 from rtec.diagnosis.search.screen import Projected, Screen, screen
-from rtec.diagnosis.search.tried import Tried, prepare
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
 from rtec.estimation.noise import without_drift

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis import units, words
+from rtec.diagnosis import words
+from rtec.diagnosis import words as units
 from rtec.diagnosis.result import Picture
-from rtec.diagnosis.search.folded import period_mm
+from rtec.diagnosis.search.confounded import period_mm
 from rtec.effects import Effect
 from rtec.estimation import floor
 from rtec.estimation.gls import solve

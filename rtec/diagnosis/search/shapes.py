@@ -2,9 +2,12 @@
 
 They judge whether the best effect of the catalogue is good enough (adequacy), and where none is, they say on which
 variables the error depends, whether smoothly or periodically, and with which period. `shapes_search` weighs them.
+
+Weighs every shape without a name against the readings: curves, surfaces, waves, and waves that grow.
 """
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -13,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.search.candidates import real
+from rtec.diagnosis.search.screen import ABSORBED, Projected
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
@@ -166,3 +170,185 @@ def curve(value: Floats, count: int) -> Floats:
 def _ramp(u: Floats, knot: float, end: float) -> Floats:
     span = max(end - knot, 1e-9)
     return np.asarray((np.maximum(u - knot, 0.0) ** 3 - np.maximum(u - end, 0.0) ** 3) / span)
+
+
+LINE, FINE, PLANE, LEAN = 6, 14, 4, 2
+"""Basis functions of a curve over one variable, coarse and fine, and along each side of a surface over two, and of a
+lean one."""
+PAIRS = 8
+"""Pairs of variables, the best by their tilted planes, that get a lean surface."""
+DETAIL, BEND = 9, 2
+"""Basis functions of a fine curve along a position, and of how it changes with another variable."""
+OWN, OTHER = 2, 1
+"""Powers of its own place, or of another variable, that the height of a wave changes with."""
+PERIODS = 240
+CYCLES = (2.5, 0.2)
+"""A period must be seen so often at least; and be longer than this many typical steps."""
+LEADERS = 6
+"""Variables that go into surfaces over two."""
+CHUNK = 96
+"""Columns that are whitened together."""
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A shape and what it explains.
+
+    Attributes:
+        shape: which.
+        count: numbers that it has, once what the base absorbs is left out.
+        explained: sum of squares beyond chance, in units of the noise variance.
+        log_evidence: over the base alone.
+    """
+
+    shape: Shape
+    count: int
+    explained: float
+    log_evidence: float
+
+
+def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
+    """Every shape: curves, surfaces, waves, and waves that grow with another variable; best first."""
+    out: list[Weighed] = []
+    for group, mask in ground.groups.items():
+        lines = weigh_all(ground, projected, _lines(group, ground))
+        leaders = list(dict.fromkeys(w.shape.over[0] for w in lines))[:LEADERS]
+        moving = [
+            a.channel
+            for a in ground.readings.machine.axes
+            if a.channel in ground.known and np.ptp(ground.known[a.channel][mask]) > 0.0
+        ]
+        plain = weigh_all(ground, projected, _pairs(group, itertools.combinations(ground.known, 2), 1, 1))
+        rich = [
+            *_pairs(group, (w.shape.over for w in plain[:PAIRS]), LEAN, LEAN),
+            *_pairs(group, _leading(ground, leaders), PLANE, PLANE),
+            *_pairs(group, _along(ground, moving, leaders), DETAIL, BEND),
+        ]
+        out += [*lines, *plain, *weigh_all(ground, projected, rich), *_waves(ground, projected, group, moving)]
+    return sorted(out, key=lambda w: -w.log_evidence)
+
+
+def weigh(projected: Projected, columns: Floats, searched: int = 0) -> tuple[int, float, float] | None:
+    """Numbers, explained squares and log evidence of columns, (m, k); None where the base absorbs them.
+
+    Args:
+        projected: the readings, less the base.
+        columns: in the unit of the readings, (m, k).
+        searched: non-linear parameters that were searched for.
+    """
+    white = projected.whitener(columns)
+    found = _weigh(projected, white[None].transpose(0, 2, 1), projected.take_out(white)[None].transpose(0, 2, 1))
+    return found[0] and (found[0][0], found[0][1], found[0][2] - 0.5 * searched * float(np.log(len(white))))
+
+
+def weigh_all(ground: Ground, projected: Projected, shapes: Iterable[Shape]) -> list[Weighed]:
+    """Weigh shapes, whitening several at a time, and working out those of one width together; best first."""
+    out: list[Weighed] = []
+    for chunk in _chunks(shapes):
+        columns = [ground.columns(s) for s in chunk]
+        white = projected.whitener(np.concatenate(columns, axis=1))
+        left = projected.take_out(white)
+        widths = np.array([c.shape[1] for c in columns])
+        first = np.cumsum(widths) - widths
+        for width in np.unique(widths):
+            which = np.flatnonzero(widths == width)
+            at = first[which][:, None] + np.arange(width)
+            found = _weigh(projected, white.T[at], left.T[at])
+            out += (_weighed(projected, chunk[i], f) for i, f in zip(which, found, strict=True) if f is not None)
+    return sorted(out, key=lambda w: -w.log_evidence)
+
+
+def _weighed(projected: Projected, shape: Shape, found: tuple[int, float, float]) -> Weighed:
+    searched = 0.5 * np.log(len(projected.left)) if shape.period is not None else 0.0
+    return Weighed(shape, found[0], found[1], found[2] - float(searched))
+
+
+def _chunks(shapes: Iterable[Shape]) -> Iterator[list[Shape]]:
+    waiting: list[Shape] = []
+    width = 0
+    for shape in shapes:
+        waiting.append(shape)
+        width += int(np.prod([f + 1 for f in shape.fine])) * (1 if shape.period is None else 2)
+        if width >= CHUNK:
+            yield waiting
+            waiting, width = [], 0
+    if waiting:
+        yield waiting
+
+
+def _weigh(projected: Projected, white: Floats, left: Floats) -> list[tuple[int, float, float] | None]:
+    """Numbers, explained squares and log evidence of shapes of one width.
+
+    Args:
+        projected: the readings, less the base.
+        white: whitened columns, (shapes, k, m).
+        left: the same, less the base, (shapes, k, m).
+    """
+    before = np.linalg.norm(white, axis=2)
+    scaled = left / np.where(before > 0, before, 1.0)[:, :, None]
+    value, vector = np.linalg.eigh(scaled @ scaled.transpose(0, 2, 1))
+    keep = value > ABSORBED**2 * 25.0
+    along = (vector.transpose(0, 2, 1) @ (scaled @ projected.left)[:, :, None])[:, :, 0]
+    square = np.sum(np.where(keep, along**2 / np.where(keep, value, 1.0), 0.0), axis=1)
+    count = keep.sum(axis=1)
+    noise = projected.squares / projected.freedom
+    n, free = float(len(projected.left)), projected.freedom
+    share = np.maximum(1.0 - square / max(projected.squares, 1e-300), 1e-12)
+    found = 0.5 * (free - count) * np.log1p(n) - 0.5 * free * np.log1p(n * share)
+    return [
+        (int(c), float(q - c * noise), float(e)) if c else None for c, q, e in zip(count, square, found, strict=True)
+    ]
+
+
+def _lines(group: str, ground: Ground) -> Iterator[Shape]:
+    """A curve over every variable."""
+    return (Shape(group, (name,), (count,)) for name in ground.known for count in (LINE, FINE))
+
+
+def _pairs(group: str, pairs: Iterable[Sequence[str]], one: int, two: int) -> Iterator[Shape]:
+    """Surfaces over pairs of different channels."""
+    return (Shape(group, (a, b), (one, two)) for a, b in pairs if plain_name(a) != plain_name(b))
+
+
+def _leading(ground: Ground, leaders: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Pairs of those that lead, and of these with directions."""
+    directions = [n for n in ground.known if n.startswith("d_") and n not in leaders]
+    return itertools.combinations([*leaders, *directions], 2)
+
+
+def _along(ground: Ground, moving: Sequence[str], leaders: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Positions, each with what a fine curve along it may change with."""
+    with_it = {*leaders, "load_kg", "spindle_rpm", *moving, *(n for n in ground.known if n.startswith("|"))}
+    return ((a, b) for a in moving for b in ground.known if b in with_it)
+
+
+def _waves(ground: Ground, projected: Projected, group: str, moving: Sequence[str]) -> list[Weighed]:
+    """Waves along positions; the best of each also growing with another variable, or along its own place."""
+    out: list[Weighed] = []
+    mask = ground.groups[group]
+    for name in moving:
+        tried = (Shape(group, (name,), (0,), float(p)) for p in periods(ground.known[name][mask]))
+        found = weigh_all(ground, projected, tried)
+        grown = [
+            Shape(group, (name, other), (0, OWN if other == name else OTHER), w.shape.period)
+            for w in found[:1]
+            for other in ground.known
+        ]
+        out += [*found[:3], *weigh_all(ground, projected, grown)]
+    return out
+
+
+def periods(value: Floats) -> Floats:
+    """Periods worth trying over a variable."""
+    places = np.unique(np.round(value, 6))
+    span = float(np.ptp(value))
+    if len(places) < 6 or span <= 0:
+        return np.zeros(0)
+    step = float(np.median(np.diff(places)))
+    longest = span / CYCLES[0]
+    shortest = max(2.05 * step, span / (0.5 * PERIODS))
+    if shortest >= longest:
+        return np.zeros(0)
+    # Even in frequency: as fine as the span can tell.
+    count = min(int(3.0 * span * (1.0 / shortest - 1.0 / longest)) + 2, PERIODS)
+    return np.asarray(1.0 / np.linspace(1.0 / longest, 1.0 / shortest, count))

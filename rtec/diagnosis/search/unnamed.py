@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.search.screen import Projected
-from rtec.diagnosis.search.shapes import Ground, Shape
-from rtec.diagnosis.search.shapes_search import Weighed, all_shapes, weigh
+from rtec.diagnosis.search.shapes import Ground, Shape, Weighed, all_shapes, weigh
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
