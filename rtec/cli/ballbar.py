@@ -64,8 +64,7 @@ def ballbar(
 
     Example: `rtec ballbar flat-ccw.csv high-cw.csv high-ccw.csv --machine mill.toml --report out/ballbar`
     """
-    from rtec.cli.common import bar
-    from rtec.cli.show import show_page
+    from rtec.cli.common import bar, show_page
     from rtec.machine import load_machine
     from rtec.metrology.ball_bar.diagnosis import diagnose
     from rtec.metrology.files.load import load_measurements

@@ -21,8 +21,7 @@ def compare(
 
     Example: `rtec compare model.toml laser-x.csv drift.csv --report out/compare`
     """
-    from rtec.cli.common import stages
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page, stages
     from rtec.diagnosis.compare.compare import compare as against
     from rtec.diagnosis.machine_file import load_with_machine
     from rtec.metrology.files.load import load_measurements

@@ -1,15 +1,44 @@
-"""`rtec ctl`: orders to a running daemon."""
+"""`rtec ctl`: orders to a running daemon.
+
+`rtec status`: how a running daemon does.
+
+What `rtec status` shows.
+
+What `rtec status` and `rtec ctl` have in common: how a daemon is named.
+"""
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
-from rtec.cli.control_options import At, Config, Json, KeyFile
+from rtec.cli.common import PIPED_WIDTH
+from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles
 
 if TYPE_CHECKING:
+    from rtec.control.client import Client
+    from rtec.loop.clock import Clock
     from rtec.loop.orders import Order
+
+
+Config = Annotated[
+    Path | None,
+    typer.Argument(metavar="[CONFIG]", help="Run file of the daemon; without it, the only one.", show_default=False),
+]
+At = Annotated[
+    str | None, typer.Option("--at", metavar="HOST:PORT", help="A daemon on the network.", show_default=False)
+]
+KeyFile = Annotated[
+    Path | None, typer.Option("--key", help="For the network: this client's own file.", show_default=False)
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+
 
 app = typer.Typer(no_args_is_help=True, help="Order a running daemon about: enable, hold, fade, resume, reload, mark.")
 
@@ -94,4 +123,84 @@ def _give(name: str, text: str, config: Path | None, at: str | None, key: Path |
     else:
         typer.echo(outcome.text)
     if not outcome.done:
+        raise typer.Exit(1)
+
+
+PERIOD_NS: Final = 250_000_000
+PAGE_NS: Final = 1_000_000_000
+
+
+def show(found: dict[str, Any]) -> None:
+    """Print a status."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=PIPED_WIDTH)
+    console.print(page(found))
+
+
+def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
+    """Show the status again and again; with `as_json` a line each time; where no terminal is, page below page."""
+    console = Console(highlight=False)
+    while as_json or not console.is_terminal:
+        if as_json:
+            typer.echo(json.dumps(client.status(), ensure_ascii=False))
+        else:
+            show(client.status())
+        clock.sleep_until_ns(clock.now_ns() + (PERIOD_NS if as_json else PAGE_NS))
+    with Live(page(client.status()), console=console, auto_refresh=False) as live:
+        while True:
+            clock.sleep_until_ns(clock.now_ns() + PERIOD_NS)
+            live.update(page(client.status()), refresh=True)
+
+
+def page(found: dict[str, Any]) -> RenderableType:
+    """Everything in one piece."""
+    axes = _table(("axis", "requested, µm", "applied, µm", "left, µm", "output, units", "counts"), axis_rows(found))
+    inputs = _table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else [])
+    return Group(
+        *(Text(line) for line in headline(found)),
+        *(Text(line, style="bold red") for line in troubles(found)),
+        *(Text(f"why: {reason}", style="yellow") for reason in found["status"]["reasons"]),
+        axes,
+        inputs,
+        *(Text(line) for line in footer(found)),
+    )
+
+
+def _table(head: tuple[str, ...], rows: list[list[str]]) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for k, name in enumerate(head):
+        table.add_column(Text(name), justify="right" if k else "left")
+    for row in rows:
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def status(
+    config: Config = None,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Keep showing, until Ctrl-C.")] = False,
+    as_json: Json = False,
+    at: At = None,
+    key: KeyFile = None,
+) -> None:
+    """How a running daemon does: correction of each axis, inputs and their ages, what is wrong, missed deadlines.
+
+    Exit status 1 where a device is in trouble, rows do not reach the log now, or the loop does not move on.
+
+    Example: rtec status configs/turning-centre-sim.toml --watch
+    """
+    from rtec.control.client import Client, find
+    from rtec.control.facts import well
+    from rtec.loop.clock import RealClock
+
+    with Client(find(config, at, key)) as client:
+        if watch:
+            watched(client, RealClock(), as_json)
+            return
+        found = client.status()
+    if as_json:
+        typer.echo(json.dumps(found, indent=2, ensure_ascii=False))
+    else:
+        show(found)
+    if not well(found):
         raise typer.Exit(1)

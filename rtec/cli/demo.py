@@ -106,7 +106,7 @@ def _show(story: "Story", page: Path, model_out: Path | None) -> None:
 def _show_later(console: "Console", later: "Later") -> None:
     from rich.table import Table
 
-    from rtec.demo.later_page import TIP_HEAD, TITLE, later_words, tip_rows
+    from rtec.demo.second_story import TIP_HEAD, TITLE, later_words, tip_rows
 
     console.print(f"\n{TITLE}", style="bold")
     for sentence in later_words(later):

@@ -97,8 +97,7 @@ def add(
 
     `rtec add model.toml --refit --data laser-x.csv -o newer.toml`
     """
-    from rtec.cli.common import stages
-    from rtec.cli.stopping import told_when_stopped
+    from rtec.cli.common import stages, told_when_stopped
     from rtec.diagnosis.extend.add import add as add_effects
     from rtec.diagnosis.extend.add import check_one, refused
     from rtec.model import save_model
@@ -149,8 +148,7 @@ def improve(
 
     Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
     """
-    from rtec.cli.common import stages
-    from rtec.cli.stopping import kept, told_when_stopped
+    from rtec.cli.common import kept, stages, told_when_stopped
     from rtec.diagnosis.extend.improve import improve as go_on
     from rtec.model import save_model
     from rtec.report.additions import improved_page
@@ -241,7 +239,7 @@ def _asked(
 
 def _ask(choice: "Choice") -> "Finding | None":
     """Show what was found and ask; the number of another candidate may be given instead."""
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.report.diagnosis import diagnosis_page
 
     page = diagnosis_page(choice.diagnosis, figures=False)
@@ -262,7 +260,7 @@ def _ask(choice: "Choice") -> "Finding | None":
 
 def _ask_refit(made: "Added") -> bool:
     """Show what fitting the model's own numbers anew buys, and ask."""
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.report.additions import added_page
 
     page = added_page(made, False)
@@ -271,7 +269,7 @@ def _ask_refit(made: "Added") -> bool:
 
 
 def _tell(page: Any, facts: Any, report: Path | None, as_json: bool) -> None:
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.report.procedures import plain, write_page
 
     written = write_page(page(True), facts, report) if report else None

@@ -1,13 +1,48 @@
-"""`rtec doctor`: are the devices well, and is this computer fit for real time?"""
+"""`rtec doctor`: are the devices well, and is this computer fit for real time?
+
+The live table of `rtec doctor`: on standard error, if that is a terminal.
+"""
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
+from rich.console import Console
+from rich.live import Live
+
+from rtec.cli.common import grid
+from rtec.doctor.found import DeviceFound
+from rtec.report.doctor import doctor_table
 
 if TYPE_CHECKING:
     from rtec.doctor.found import Examination, PcFound
+
+
+class Screen:
+    """Shows what devices read while they are read; gone afterwards."""
+
+    def __init__(self, quiet: bool) -> None:
+        console = Console(stderr=True)
+        self._on = console.is_terminal and not quiet
+        self._live = Live(console=console, refresh_per_second=5, transient=True)
+
+    def __enter__(self) -> Self:
+        if self._on:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._on:
+            self._live.stop()
+
+    def update(self, devices: list[DeviceFound]) -> None:
+        """Show them."""
+        if self._on:
+            self._live.update(grid(doctor_table(devices)))
 
 
 def doctor(
@@ -42,8 +77,7 @@ def doctor(
 
 
 def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
-    from rtec.cli.doctor_screen import Screen
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.doctor.devices import examine
     from rtec.report.doctor import doctor_page
 
@@ -55,10 +89,9 @@ def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
 
 
 def _computer(config: Path | None, seconds: float, quiet: bool) -> "PcFound":
-    from rtec.cli.common import bar
-    from rtec.cli.show import show_page
+    from rtec.cli.common import bar, show_page
     from rtec.doctor.pc import look_at, wanted_of
-    from rtec.report.pc_page import pc_page
+    from rtec.report.doctor import pc_page
 
     with bar("measuring wake-ups") as tell:
         found = look_at(*wanted_of(config), seconds, tell)

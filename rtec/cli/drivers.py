@@ -18,7 +18,7 @@ def drivers(
 
     Example: rtec drivers serial_box
     """
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.loop.driver_info import all_drivers, driver_facts
     from rtec.report.drivers import driver_page, drivers_page
 

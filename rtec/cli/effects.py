@@ -22,7 +22,7 @@ def effects(
 
     Example: rtec effects lost_motion --figure lost-motion.png
     """
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.errors import ConfigError
     from rtec.report import effects as told
     from rtec.report.effects_figures import sketch_of, write_figure

@@ -54,7 +54,7 @@ def fit(
     known = load_machine(machine)
     _check_out(out, [machine, *files])
     wanted = read_wanted(effects, known) if effects else None
-    from rtec.cli.stopping import told_when_stopped
+    from rtec.cli.common import told_when_stopped
 
     with told_when_stopped(), _stages() as stage:
         stage("reading", 0, 1)
@@ -66,7 +66,7 @@ def fit(
         facts = {**result.facts(), "model_file": str(out), "report": str(page) if page else None}
         typer.echo(json.dumps(plain(facts), indent=2, ensure_ascii=False))
         return
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
 
     show_page(fit_page(result, figures=False))
     typer.echo(f"Model: {out}")

@@ -34,7 +34,7 @@ def grid(
 
     Example: `rtec grid yz-low.csv yz-high.csv --machine bridge.toml --magnification 10000 --report out/grid`
     """
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.machine import load_machine
     from rtec.metrology.files.load import load_measurements
     from rtec.report.grid import grid_facts, grid_page, grid_report

@@ -90,7 +90,7 @@ def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:
 def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
     """For long."""
     from rtec.cli.common import stages
-    from rtec.report.soak import soak_facts, soak_page
+    from rtec.report.hil import soak_facts, soak_page
 
     with stages() as stage:
         found = bench.soak(order, stage)
@@ -98,7 +98,7 @@ def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
 
 
 def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, passed: bool) -> None:
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.report.procedures import write_page
 
     path = write_page(page, facts, folder) if folder else None
@@ -114,7 +114,7 @@ def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, passed: 
 
 def _list(bench: "Bench", as_json: bool) -> None:
     """Tell all faults."""
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.report.page import Page, Section, Table
 
     known = bench.faults()

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from rtec.cli.control_options import Json
+from rtec.cli.control import Json
 
 app = typer.Typer(no_args_is_help=True, help="Keys for control over the network, and who is let in.")
 

@@ -32,9 +32,7 @@ from rtec.cli import (
     simulate,
 )
 from rtec.cli import control as ctl
-from rtec.cli import (
-    status as status_command,
-)
+from rtec.cli import control as status_command
 from rtec.errors import RtecError
 
 app = typer.Typer(

@@ -45,8 +45,7 @@ def plan(
 
     `rtec plan machine.toml laser-x.csv --rivals backlash:EXX,servo_lag:EXX`
     """
-    from rtec.cli.common import stages
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page, stages
     from rtec.diagnosis.plan.answer import Question, answer
     from rtec.diagnosis.plan.tests import load_test, thinned
     from rtec.machine import load_machine

@@ -50,7 +50,7 @@ def iso230(
     `rtec iso230 laser-x.csv --machine configs/machines/turning-centre.toml --json`
     """
     from rtec.metrology.procedures.iso230_2 import positioning
-    from rtec.report.procedures_iso230 import iso230_page
+    from rtec.report.procedures import iso230_page
 
     results, notes = [], _Notes()
     for file in files:
@@ -77,7 +77,7 @@ def straightness(
     Example: `rtec straightness z-arbor.csv --report out/z`
     """
     from rtec.metrology.procedures.tables import straightness_table
-    from rtec.report.procedures_straightness import straightness_page
+    from rtec.report.procedures import straightness_page
 
     notes = _Notes()
     if _is_measurement(table):
@@ -97,7 +97,7 @@ def parallelism(table: _Table, report: _Report = None, as_json: _Json = False) -
     Example: `rtec parallelism z-circles.csv --json`
     """
     from rtec.metrology.procedures.tables import parallelism_table
-    from rtec.report.procedures_straightness import parallelism_page
+    from rtec.report.procedures import parallelism_page
 
     axis, result = parallelism_table(table)
     _give(lambda figures: parallelism_page(table.name, axis, result, figures), result, report, as_json)
@@ -125,7 +125,7 @@ def drift(
     Example: `rtec drift spindle.csv --radial1 ch1_um --radial2 ch2_um --axial ch5_um --distance 100`
     """
     from rtec.metrology.procedures.tables import drift_table
-    from rtec.report.procedures_drift import drift_page
+    from rtec.report.procedures import drift_page
 
     columns = {n: c for n, c in (("radial1", radial1), ("radial2", radial2), ("axial", axial)) if c}
     notes = _Notes()
@@ -172,7 +172,7 @@ def _give(
     page_of: "Callable[[bool], Page]", facts: object, report: Path | None, as_json: bool, notes: _Notes | None = None
 ) -> None:
     """Write the report where wanted, then print tables or JSON; with them what was said of the measurements."""
-    from rtec.cli.show import show_page
+    from rtec.cli.common import show_page
     from rtec.report.procedures import plain, with_notes, write_page
 
     said = notes or {}

@@ -86,8 +86,7 @@ def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool
 
 
 def _capture(setup: "Setup", capture: Path, out: Path | None, as_json: bool) -> None:
-    from rtec.cli.common import bar
-    from rtec.cli.flags import flag_lines
+    from rtec.cli.common import bar, flag_lines
     from rtec.replay.capture import replay_capture
 
     target = out or capture.with_name(f"{capture.stem}.replay.sr")

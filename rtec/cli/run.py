@@ -1,15 +1,167 @@
-"""`rtec run`: the daemon."""
+"""`rtec run`: the daemon.
+
+What `rtec run` shows: a live table while it runs, a summary at the end.
+"""
 
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from rtec.cli.common import flag_lines
+from rtec.daemon.process import Aloud
+from rtec.daemon.supervisor import Report, Status
+from rtec.log.events import Event
+from rtec.loop.run_file import Setup
 
 if TYPE_CHECKING:
     from rtec.daemon.supervisor import Report
     from rtec.loop.run_file import Setup
+
+
+REFRESH_S = 0.2
+
+
+class Screen:
+    """A live table on a terminal; where there is none, a line when the loop begins. And a line for every event."""
+
+    def __init__(self, setup: Setup, duration_s: float | None, log: Path | None, quiet: bool) -> None:
+        self._setup, self._duration_s, self._log = setup, duration_s, log
+        console = Console(stderr=True)
+        self._live = Live(console=console, refresh_per_second=5, transient=True)
+        self._on = console.is_terminal and not quiet
+        self._shown_s = -1.0
+        self._aloud = Aloud(self._say)
+
+    def __enter__(self) -> Self:
+        self._aloud.__enter__()
+        if self._on:
+            self._live.start()
+            self._live.update(Text(f"{self._setup.machine.name}: starting (compiling the model, opening devices)…"))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._aloud.__exit__(kind, error, trace)
+        if self._on:
+            self._live.stop()
+
+    def started(self) -> None:
+        """Say that the loop runs."""
+        if not self._on:
+            where = f", log {self._log}" if self._log else ""
+            typer.echo(
+                f"{self._setup.machine.name}: running at {self._setup.file.run.rate_hz:g} Hz{where}",
+                err=True,
+            )
+
+    def event(self, event: Event) -> None:
+        """Say what happened; from any thread, and nobody waits for it."""
+        by = "" if event.who == "rtec" else f", by {event.who}"
+        text = event.text.removeprefix(f"{event.what}: ")
+        self._aloud.line(": ".join(part for part in (f"{event.utc} {event.what}{by}", text) if part))
+
+    def _say(self, line: str) -> None:
+        if self._on:
+            self._live.console.print(line, style="yellow", markup=False, highlight=False)
+        else:
+            typer.echo(line, err=True)
+
+    def update(self, status: Status) -> None:
+        """Show a status, not more often than eyes can follow."""
+        if self._on and status.cycles and abs(status.time_s - self._shown_s) >= REFRESH_S:
+            self._shown_s = status.time_s
+            self._live.update(Group(_axes(status), self._foot(status)))
+
+    def _foot(self, status: Status) -> Text:
+        of = f" of {self._duration_s:g}" if self._duration_s else ""
+        text = f"{status.time_s:.0f}{of} s   {status.cycles} cycles, {status.misses} deadlines missed   Ctrl-C ends"
+        why = "   ".join(status.reasons)
+        wrong = [f"device {name}: {'; '.join(texts)}" for name, texts in status.devices.items()]
+        lines = "".join(f"\n{line}" for line in (*wrong, status.reload, status.log) if line)
+        return Text.assemble(text, ("\n" + why if why else "", "bold yellow"), (lines, "bold red"))
+
+
+def show_report(setup: Setup, report: Report) -> None:
+    """Print the summary of a run."""
+    console = Console()
+    summary = report.summary
+    title = f"{setup.machine.name}: {summary['cycles']} cycles at {setup.file.run.rate_hz:g} Hz"
+    table = Table(title=title, title_justify="left")
+    for name in ("", "p50", "p99", "p99.9", "max"):
+        table.add_column(name, justify="left" if not name else "right")
+    for key, label in (("wake_up", "wake-up latency, µs"), ("compute", "cycle time, µs")):
+        times = summary[key]
+        table.add_row(label, *(f"{times[k]:.1f}" for k in ("p50_us", "p99_us", "p99_9_us", "max_us")))
+    console.print(table)
+    console.print(_axes(report.status, report.largest_um))
+    missed = summary["deadline_misses"]
+    console.print(f"deadlines missed: {missed}", style="bold red" if missed else "green", highlight=False)
+    for line in flag_lines(report.flags_seen):
+        console.print(line, style="yellow", highlight=False)
+    if summary["driver_errors"]:
+        for line in device_lines(summary["devices"]):
+            console.print(line, style="bold red", markup=False, highlight=False)
+    for warning in report.warnings:
+        console.print(f"note: {warning}", style="yellow", highlight=False)
+    if report.overruns:
+        console.print(f"rows that did not reach the log: {report.overruns}", style="bold red")
+    if report.interrupted:
+        console.print("interrupted: correction held, log flushed, devices closed")
+    if report.log:
+        console.print(f"log: {report.log}", highlight=False, soft_wrap=True)
+
+
+def device_lines(devices: dict[str, dict[str, Any]]) -> list[str]:
+    """One line a device: how often it failed, and the last reason of everything that it does."""
+    lines = []
+    for name, found in devices.items():
+        reasons = "; ".join(dict.fromkeys(found["last"].values()))
+        lines.append(f"device {name}: {found['times']} errors, the last: {reasons}")
+    return lines
+
+
+def show_dry_run(setup: Setup, found: dict[str, Any]) -> None:
+    """Print what a dry run read."""
+    console = Console()
+    console.print(f"{setup.machine.name}: dry run, nothing was commanded", highlight=False)
+    table = Table()
+    for name in ("input", "value", "age"):
+        table.add_column(name, justify="left" if name == "input" else "right")
+    for name, value, age in found["inputs"]:
+        table.add_row(name, value, age)
+    console.print(table)
+    for axis, um in found["requested_um"].items():
+        console.print(f"axis {axis}: the model would ask for {um + 0.0:+.2f} µm", highlight=False)  # no -0.00
+    for reason in found["reasons"]:
+        console.print(f"would hold: {reason}", style="yellow")
+    console.print("ready to run" if not found["reasons"] else "not ready: see above")
+
+
+def _axes(status: Status, largest_um: dict[str, float] | None = None) -> Table:
+    table = Table()
+    table.add_column("axis")
+    for name in ("requested, µm", "applied, µm", "output, units"):
+        table.add_column(name, justify="right")
+    if largest_um:
+        table.add_column("largest applied, µm", justify="right")
+    for axis in status.applied_um:
+        row = [
+            axis,
+            f"{status.requested_um[axis]:+.2f}",
+            f"{status.applied_um[axis]:+.2f}",
+            f"{status.output[axis]:+d}",
+        ]
+        table.add_row(*row, *([f"{largest_um[axis]:.2f}"] if largest_um else []))
+    return table
 
 
 def run(
@@ -49,7 +201,6 @@ def run(
     if dry_run:
         _dry_run(setup, as_json)
         return
-    from rtec.cli.run_screen import Screen, show_report
     from rtec.control.server import Control
     from rtec.daemon.run_log import new_log_path
     from rtec.daemon.supervisor import Supervisor
@@ -77,7 +228,6 @@ def _dry_run(setup: "Setup", as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(found, indent=2))
         return
-    from rtec.cli.run_screen import show_dry_run
 
     show_dry_run(setup, found)
 

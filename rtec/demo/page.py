@@ -6,9 +6,9 @@ import numpy as np
 
 from rtec import __version__
 from rtec.demo.day import CYLINDER, FACE, OTHER, Floats
-from rtec.demo.later_page import later_sections
 from rtec.demo.live import RATE_HZ
 from rtec.demo.residual_sources import WHY
+from rtec.demo.second_story import later_sections
 from rtec.demo.sizes import line
 from rtec.demo.story import FINER, Story
 from rtec.report import figures

@@ -1,4 +1,9 @@
-"""Report of ball-bar tests: what is wrong, how much of the circle each cause is, and how sure that is."""
+"""Report of ball-bar tests: what is wrong, how much of the circle each cause is, and how sure that is.
+
+What a ball-bar report says of causes beyond [BB]'s: found or not, not to be seen, and which test would show them.
+
+What a ball-bar report says of the servo phase: one angle in all tests or one time, and what hangs on it.
+"""
 
 from collections.abc import Sequence
 
@@ -7,16 +12,134 @@ from numpy.typing import NDArray
 
 from rtec import __version__
 from rtec.metrology.ball_bar.causes import feeds_of
-from rtec.metrology.ball_bar.design import SETTING_UP
+from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import LEFT, Diagnosis
 from rtec.metrology.ball_bar.iso230_4 import Harmonic
 from rtec.metrology.ball_bar.values import Value
 from rtec.report import ball_bar_figures as draw
-from rtec.report import ball_bar_figures_causes as draw_causes
-from rtec.report.ball_bar_beyond import UNITS, beyond_facts, beyond_section
-from rtec.report.ball_bar_phase import phase_facts, phase_lines
+from rtec.report import ball_bar_figures as draw_causes
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number
+
+UNITS = {
+    "um": "µm",
+    "um_per_m": "µm/m",
+    "urad": "µrad",
+    "per_km": "1/km",
+    "urad_per_m": "µrad/m",
+    "ms": "ms",
+    "um_s2_per_m": "µm per m/s²",
+    "um_per_m2": "µm/m²",
+    "deg": "°",
+    "mm": "mm",
+}
+RAREST = 1e-6
+SERVO = ("delay", "gain_")
+
+
+def beyond_section(d: Diagnosis) -> Section:
+    """The section of the page."""
+    return Section("Dynamic effects and the drive", [*_servo(d), *_left_out(d), *_wanted(d)], _table(d))
+
+
+def beyond_facts(d: Diagnosis) -> dict[str, object]:
+    """The same as plain data, for JSON."""
+    return {
+        "found": [
+            {
+                "name": p.candidate.name, "title": p.candidate.title, "group": p.candidate.group,
+                "effect": p.candidate.effect, "chance": p.chance,
+            }
+            for p in d.found.beyond.picks
+        ],
+        "not_found": [
+            {"name": n.candidate.name, "title": n.candidate.title, "effect": n.candidate.effect,
+             "would_be_found_from": n.limit, "unit": n.unit}
+            for n in d.found.not_found
+        ],
+        "not_looked_for": [
+            {"name": n.candidate.name, "title": n.candidate.title, "why": n.why, "not_separated_from": list(n.twins)}
+            for n in d.found.left_out
+        ],
+        "tests_to_add": [
+            {"test": w.test, "feed_mm_min": w.feed_mm_min, "separates": list(w.names)} for w in d.wanted
+        ],
+    }  # fmt: skip
+
+
+def _servo(d: Diagnosis) -> list[str]:
+    """That one feed does not tell a servo's part from scale and squareness, in words."""
+    open_ = [n for n in d.found.left_out if n.candidate.name.startswith(SERVO) and n.twins]
+    feeds = feeds_of(d.circles)
+    one = f"All tests were run at one feed, {feeds[0]:g} mm/min, which"
+    why = "These tests" if len(feeds) > 1 else one
+    told = "; ".join(f"{n.candidate.title} from {_titles(d, n)}" for n in open_)
+    return [f"{why} cannot tell {told}. What they do together stands above."] if open_ else []
+
+
+def _left_out(d: Diagnosis) -> list[str]:
+    """What these tests cannot show, other than the servo's."""
+    out: dict[str, list[str]] = {}
+    for n in d.found.left_out:
+        if not (n.candidate.name.startswith(SERVO) and n.twins):
+            why = f"not separated from {_titles(d, n)}" if n.twins else n.why
+            out.setdefault(why, []).append(n.candidate.title)
+    return [f"Not looked for: {', '.join(titles)}: {why}." for why, titles in out.items()]
+
+
+def _titles(d: Diagnosis, left: NotLookedFor) -> str:
+    known = {v.name: v.title for v in d.fitted.values}
+    return " and ".join(known.get(t, t) for t in left.twins)
+
+
+def _wanted(d: Diagnosis) -> list[str]:
+    title = {n.candidate.name: n.candidate.title for n in d.found.left_out}
+    return [f"To tell them apart: {w.test}; it shows {', '.join(title[n] for n in w.names)}." for w in d.wanted]
+
+
+def _table(d: Diagnosis) -> Table | None:
+    """What was looked for."""
+    rows = [[p.candidate.title, "yes", _chance(p.chance), "–", ""] for p in d.found.beyond.picks]
+    rows += [[n.candidate.title, "no", "–", f"{n.limit:.3g}", UNITS[n.unit]] for n in d.found.not_found]
+    head = ["looked for", "found", "as much by chance", "would be found from", "unit"]
+    return Table(head, rows, words=(0, 1, 4)) if rows else None
+
+
+def _chance(share: float) -> str:
+    return f"< {RAREST:.0e}" if share < RAREST else f"{share:.1g}"
+
+
+def phase_lines(d: Diagnosis) -> list[str]:
+    """Lines over the table of parameters; none where the question does not arise or nothing hangs on it."""
+    a, b, _ = d.circles[0].setup.letters
+    if d.phase.decided and d.phase.reason:
+        return [f"Servo phase {a}-{b}: taken as one {d.phase.taken} in all tests, because: {d.phase.reason}."]
+    if not d.if_time:
+        return []
+    then = "; ".join(f"{s.taken.title} {number(s.if_time)} {UNITS[s.taken.unit]}" for s in d.if_time)
+    return [
+        f"Servo phase {a}-{b}: taken as one angle in all tests [BB]. Feed over radius differs between them, and they "
+        f"do not tell whether it is one time, as a lag of an axis is. If it is (--phase time), then: {then}. Tests "
+        f"with feeds in proportion to their radii ({_feeds(d)}) leave nothing open."
+    ]
+
+
+def phase_facts(d: Diagnosis) -> dict[str, object]:
+    """The same as plain data, for JSON."""
+    return {
+        "taken_as": d.phase.taken,
+        "decided": d.phase.decided,
+        "reason": d.phase.reason,
+        "if_one_time": {s.taken.name: s.if_time for s in d.if_time},
+    }
+
+
+def _feeds(d: Diagnosis) -> str:
+    """The first test's feed, for every radius in proportion."""
+    first = d.circles[0].setup
+    radii = dict.fromkeys(c.setup.radius_mm for c in d.circles)
+    return ", ".join(f"radius {r:g} mm at {first.feed_mm_min * r / first.radius_mm:.4g} mm/min" for r in radii)
+
 
 Floats = NDArray[np.float64]
 FORMULAS = (

@@ -1,19 +1,123 @@
-"""Figures of a comparison: the map of what is left, and what each effect adds."""
+"""Figures of a comparison: the map of what is left, and what each effect adds.
 
-from collections.abc import Sequence
+Figures of a comparison that are lines: over position with both directions, and over time with temperatures.
+
+Ball-bar readings in a comparison: a polar figure, and the angle on the circle to draw the others over.
+
+What the effects of a model add, one on top of the other, along the channel that shows most of it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.compare_stack import Stack, colours, draw_stack
-from rtec.report.figures import GREY, OFF, _figure, _png, _styled
+from rtec.diagnosis.compare.bins import cut_into
+from rtec.estimation.readings import Readings, Series
+from rtec.metrology.instruments.ball_bar import BallBar
+from rtec.report.ball_bar_figures import MIDDLE, ROOM, Trace, around, arrow, frame
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, _figure, _png, _styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
 
+
 Floats = NDArray[np.float64]
+
+COLOURS, OTHERS = LINES[2:], "#A6A6A6"
+BINS, LEAST = 12, 3
+WIDE = 0.9
+"""Of a bin that its bars fill."""
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Means in stretches of a channel; where both directions were moved, each has bars of its own.
+
+    Attributes:
+        along: name of the channel, with its unit.
+        place, width: middle and width of each bar, (k,).
+        parts: mean of each effect there, largest effect first, µm or µrad, (k,) each.
+        measured: mean measured there, (k,).
+        shows: share of the mean square of what is predicted that these means hold.
+        ways: whether bars of both directions stand beside each other.
+    """
+
+    along: str
+    place: Floats
+    width: Floats
+    parts: Mapping[str, Floats]
+    measured: Floats
+    shows: float
+    ways: bool
+
+
+def stack_along(
+    channel: tuple[str, Floats], direction: Floats | None, parts: Mapping[str, Floats], measured: Floats
+) -> Stack | None:
+    """Means along one channel; None where it does not vary.
+
+    Args:
+        channel: name with unit, and value at each reading, (n,).
+        direction: -1 or +1, (n,), where bars of both are wanted.
+        parts: what each effect adds, (n,) each.
+        measured: (n,).
+    """
+    cut = cut_into("T_", channel[1], BINS)
+    if cut is None:
+        return None
+    ways = direction is not None and len(np.unique(direction)) == 2
+    side = (np.asarray(direction) > 0).astype(np.int64) if ways else np.zeros(len(measured), dtype=np.int64)
+    bars = 2 if ways else 1
+    code, size = bars * cut.code + side, bars * len(cut)
+    count = np.bincount(code, minlength=size)
+    full = count >= LEAST
+    if not full.any():
+        return None
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(np.bincount(code, weights=values, minlength=size)[full] / count[full])
+
+    predicted = np.sum(list(parts.values()), axis=0)
+    held = float(np.sum(mean(predicted) ** 2 * count[full])) / max(float(predicted @ predicted), 1e-30)
+    wide = np.repeat(cut.high - cut.low, bars) * WIDE / bars
+    middle = np.repeat(0.5 * (cut.low + cut.high), bars) + wide * (
+        np.tile(np.arange(bars), len(cut)) - 0.5 * (bars - 1)
+    )
+    return Stack(
+        channel[0], middle[full], wide[full], {k: mean(v) for k, v in parts.items()}, mean(measured),
+        held - full.sum() / len(measured), ways,
+    )  # fmt: skip
+
+
+def draw_stack(ax: "Axes", unit: str, stack: Stack) -> None:
+    """Stack the effects, those above and those below zero by themselves; dots are what was measured."""
+    above, below = np.zeros(len(stack.place)), np.zeros(len(stack.place))
+    for colour, values in zip(colours(len(stack.parts)), stack.parts.values(), strict=True):
+        foot = np.where(values > 0.0, above, below)
+        ax.bar(stack.place, values, stack.width, foot, color=colour, edgecolor="white", linewidth=0.5)
+        above, below = above + np.maximum(values, 0.0), below + np.minimum(values, 0.0)
+    ax.hlines(above + below, stack.place - 0.5 * stack.width, stack.place + 0.5 * stack.width, color="black",
+              linewidth=2.4, label="predicted: the bars' sum")  # fmt: skip
+    ax.plot(stack.place, stack.measured, linestyle="", marker="o", color="black", markersize=8, markeredgecolor="white",
+            label="measured")  # fmt: skip
+    ax.axhline(0.0, color="black", linewidth=1)
+    pairs = "; of two bars the left one moving −, the right one +" if stack.ways else ""
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.18 * (high - low))
+    ax.legend(loc="upper center", ncols=2, facecolor="white", edgecolor="none", framealpha=0.9, fontsize=13)
+    ax.set_ylabel(f"effects stacked,\nmean, {unit}")
+    ax.set_xlabel(f"{stack.along}{pairs}")
+
+
+def colours(count: int) -> Sequence[str]:
+    """A colour for each effect; grey where there are more than can be told apart."""
+    return [*COLOURS, *[OTHERS] * count][:count]
+
+
 MOST_BARS = 10
 STACK_IN = 4.8
 LONG = 22
@@ -124,3 +228,189 @@ def contributions(
 def _broken(name: str) -> str:
     """A long label on two lines."""
     return name.replace("(", "\n(", 1) if len(name) > LONG else name
+
+
+PLACES = 48
+MOST_DOTS = 6000
+
+
+@_styled
+def over_position(
+    title: str,
+    unit: str,
+    below: str,
+    place: Floats,
+    direction: Floats,
+    measured: Floats,
+    predicted: Floats,
+    floor: float,
+) -> bytes:
+    """Measured and predicted over position, both directions; below what is left, with the noise floor as a band.
+
+    Args:
+        title: of the figure.
+        unit: of the readings, for people.
+        below: name of the axis.
+        place: mm, (n,).
+        direction: -1, 0 or +1, (n,).
+        measured, predicted: (n,).
+        floor: noise, root mean square.
+    """
+    figure, (top, low) = _figure(2, 4.4)
+    low.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
+    for name, mask, colour, marker, line in _ways(direction):
+        at, mean, spread = _by_place(place[mask], measured[mask])
+        top.errorbar(at, mean, spread, color=colour, marker=marker, linestyle="", markersize=8, elinewidth=1.4,
+                     label=f"measured{name}")  # fmt: skip
+        there, said, _ = _by_place(place[mask], predicted[mask])
+        top.plot(there, said, color=colour, linestyle=line, linewidth=2.6, label=f"predicted{name}")
+        at, mean, spread = _by_place(place[mask], (measured - predicted)[mask])
+        # Beside each other, so that the bars of one direction do not hide those of the other.
+        aside = 0.004 * float(np.ptp(place)) * (1.0 if marker == "^" else -1.0)
+        low.errorbar(at + aside, mean, spread, color=colour, marker=marker, linestyle=":", linewidth=1.2, markersize=8,
+                     elinewidth=1.4, label=f"left{name}")  # fmt: skip
+    top.set_title(title)
+    for ax, what in ((top, "error"), (low, "left")):
+        ax.axhline(0.0, color="black", linewidth=1)
+        ax.set_ylabel(f"{what}, {unit}")
+        _legend_above(ax)
+    low.set_xlabel(f"{below}; mean of all runs, bars: standard deviation between them")
+    return _png(figure)
+
+
+def _ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str, str]]:
+    ways = [(", moving +", direction > 0, ON, "^", "-"), (", moving −", direction < 0, OFF, "v", "--")]
+    there = [w for w in ways if w[1].any()]
+    return there or [("", np.ones(len(direction), dtype=bool), ON, "o", "-")]
+
+
+def _by_place(place: Floats, value: Floats) -> tuple[Floats, Floats, Floats]:
+    """Place, mean and standard deviation at each target, or over stretches where there are too many, (k,) each."""
+    targets = np.round(place, 1)
+    levels = np.unique(targets)
+    if len(levels) > PLACES:
+        edges = np.linspace(float(place.min()), float(place.max()), PLACES + 1)
+        code = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, PLACES - 1)
+    else:
+        code = np.searchsorted(levels, targets)
+    parts = [np.flatnonzero(code == k) for k in np.unique(code)]
+    return (
+        np.array([float(place[p].mean()) for p in parts]),
+        np.array([float(value[p].mean()) for p in parts]),
+        np.array([float(value[p].std()) for p in parts]),
+    )
+
+
+def _legend_above(ax: "Axes") -> None:
+    handles, names = ax.get_legend_handles_labels()
+    room = ax.get_ylim()
+    ax.set_ylim(room[0], room[1] + 0.28 * (room[1] - room[0]))
+    ax.legend(handles, names, ncols=min(len(names), 4), loc="upper center", facecolor="white", edgecolor="none",
+              framealpha=0.9, fontsize=12, columnspacing=1.1, handlelength=1.5, handletextpad=0.5)  # fmt: skip
+
+
+@_styled
+def over_time(
+    title: str,
+    unit: str,
+    time_unit: str,
+    time: Floats,
+    left: Floats,
+    measured: Floats | None,
+    floor: float,
+    sensors: Sequence[tuple[str, Floats]],
+) -> bytes:
+    """What is left over time, with the temperatures below.
+
+    Args:
+        title: of the figure.
+        unit: of the readings; `time_unit` that of the times.
+        time: since the first reading, (n,).
+        left: measured minus predicted, (n,).
+        measured: drawn, too, where given, (n,): for an instrument at one place.
+        floor: noise, root mean square.
+        sensors: name and temperature, °C, (n,).
+    """
+    figure, axes = _figure(2 if sensors else 1, 4.2)
+    ax = axes[0]
+    ax.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
+    thin = slice(None, None, max(1, len(left) // MOST_DOTS))
+    if measured is not None:
+        ax.plot(time[thin], measured[thin], color=GREY, linestyle="", marker="+", markersize=5, label="measured")
+    ax.plot(time[thin], left[thin], color=ON, linestyle="", marker="o", markersize=3.5, alpha=0.5, label="left")
+    ax.axhline(0.0, color="black", linewidth=1)
+    ax.set_title(title)
+    ax.set_ylabel(f"left, {unit}")
+    _legend_above(ax)
+    if sensors:
+        for place, (name, value) in enumerate(sensors):
+            axes[1].plot(*_with_gaps(time, value), color=LINES[place % len(LINES)], label=name, linewidth=2.2)
+        axes[1].set_title("Temperatures")
+        axes[1].set_ylabel("°C")
+        axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
+        axes[1].set_xlim(axes[0].get_xlim())
+    axes[-1].set_xlabel(f"{time_unit} since the first reading")
+    return _png(figure)
+
+
+def _with_gaps(time: Floats, value: Floats) -> tuple[Floats, Floats]:
+    """A line is not drawn over a time in which nothing was read."""
+    if len(time) < 3:
+        return time, value
+    wide = np.flatnonzero(np.diff(time) > max(20.0 * float(np.median(np.diff(time))), 0.02 * float(np.ptp(time)))) + 1
+    return np.insert(time, wide, np.nan), np.insert(value, wide, np.nan)
+
+
+TURN_DEG = 360.0
+
+
+def angle_of(readings: Readings, s: Series) -> tuple[str, Floats, Floats] | None:
+    """Name, angle, degrees about the middle of the arc, and no direction, of a ball bar's readings; None for others."""
+    bar, angle = _bar(readings, s), readings.states[s.source].channels.get("angle_deg")
+    if bar is None or angle is None:
+        return None
+    middle = (bar.setup.start_deg + 0.5 * bar.setup.sense * bar.setup.arc_deg) % TURN_DEG
+    turned = middle + (angle[s.row] - middle + 0.5 * TURN_DEG) % TURN_DEG - 0.5 * TURN_DEG
+    return "angle on the circle, degrees", turned, np.zeros(len(turned))
+
+
+def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, predicted: Floats) -> bytes | None:
+    """Measured and predicted drawn outwards from the circle, and beside it what is left; None for other instruments.
+
+    Args:
+        readings: all of them.
+        s: the ball bar's.
+        title: of the figure.
+        measured, predicted: µm, (n,), without what the set-up cannot know (place of the ball on the table).
+    """
+    bar, angle = _bar(readings, s), readings.states[s.source].channels.get("angle_deg")
+    if bar is None or angle is None:
+        return None
+    turned = np.deg2rad(angle[s.row])
+    return _polar_pair(title, bar.setup.letters[:2], Trace("", bar.setup.sense, turned, measured, predicted))
+
+
+@_styled
+def _polar_pair(title: str, letters: tuple[str, str], trace: Trace) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH_IN, 0.56 * WIDTH_IN), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    both, left = figure.subplots(1, 2)
+    gain = frame(both, letters, max(float(np.abs(v).max()) for v in (trace.measured_um, trace.fitted_um)))
+    around(both, trace.angle_rad, MIDDLE + gain * trace.measured_um, GREY, "-", 3.0, 0.5, "measured")
+    around(both, trace.angle_rad, MIDDLE + gain * trace.fitted_um, ON, "-", 2.0, 1.0, "predicted")
+    arrow(both, trace, MIDDLE + 1.1 * ROOM, GREY)
+    rest = trace.measured_um - trace.fitted_um
+    gain = frame(left, letters, float(np.abs(rest).max()))
+    around(left, trace.angle_rad, MIDDLE + gain * rest, OFF, "-", 1.4, 1.0, "left")
+    for ax in (both, left):
+        ax.legend(loc="upper left", frameon=False, fontsize=13)
+    figure.suptitle(f"{title}: deviation from the circle, magnified", x=0.01, ha="left", fontweight="bold")
+    return _png(figure)
+
+
+def _bar(readings: Readings, s: Series) -> BallBar | None:
+    instrument = readings.measurements[s.source].instrument
+    return instrument if isinstance(instrument, BallBar) else None

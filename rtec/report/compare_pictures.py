@@ -11,9 +11,9 @@ from rtec.diagnosis.compare.bins import MOVES, REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.compare.result import Compared, Comparison
 from rtec.diagnosis.words import UNITS
 from rtec.estimation.readings import Readings, Series
-from rtec.report import compare_figures, compare_lines
-from rtec.report.compare_circle import angle_of, circle_picture
-from rtec.report.compare_stack import Stack, stack_along
+from rtec.report import compare_figures
+from rtec.report import compare_figures as compare_lines
+from rtec.report.compare_figures import Stack, angle_of, circle_picture, stack_along
 from rtec.report.page import Figure, Section
 
 Floats = NDArray[np.float64]

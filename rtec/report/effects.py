@@ -10,7 +10,7 @@ from rtec.effects import Effect, Parameter
 from rtec.effects.base import About
 from rtec.effects.registry import EFFECTS, FAMILIES, all_effects, effect_class, plug_in_faults
 from rtec.effects.time_data import NOT_EFFECTS
-from rtec.report.effects_shape import example_machine, example_of
+from rtec.report.effects_figures import example_machine, example_of
 from rtec.report.page import Page, Section, Table
 
 OTHERS = "of other packages"

@@ -1,25 +1,255 @@
 """Draws the shape of an effect: with braille dots for a terminal, as a PNG in the house style for a page.
 
 Curves after the first are dashed, so that they are told apart without colour.
+
+The shape of an effect: its error over what drives it, with usual sizes, on an example machine.
+
+Made from the effect's own basis functions, so a plug-in has a shape too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
-from rtec.effects import all_effects
-from rtec.errors import ConfigError
-from rtec.report.effects_shape import Curve, Shape, shape_of
+from rtec.diagnosis.words import spoken
+from rtec.effects import Effect, State, all_effects
+from rtec.effects.base import Surroundings
+from rtec.errors import ConfigError, ModelError
+from rtec.machine import Machine
+from rtec.machine.machine import Axis, Link, Sensor
 from rtec.report.figures import GREY, LINES, STYLE, WIDTH_IN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+
 Floats = NDArray[np.float64]
+
+POINTS = 481
+REFERENCE_DEGC = 20.0
+SENSORS = ("T_front", "T_back", "T_spindle", "T_air", "T_coolant")
+TRAVEL_MM = (0.0, 400.0)
+FIRST = ("EXX", "EYX", "EBX", "EAX", "EYZ", "EC0Y", "EA0Z", "EZ0spindle", "EB0spindle")
+"""Components in the order in which an effect is asked whether it feeds them."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line: what is held the while, in words ("" where nothing is), and the error (n,)."""
+
+    held: str
+    error: Floats
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Curves of an effect.
+
+    Attributes:
+        component: error that the example feeds.
+        unit: of the error, "µm" or "µrad".
+        over: what the error is drawn over, with its unit.
+        x: (n,).
+        curves: one or more.
+        sizes: the parameters that it was drawn with, in words.
+    """
+
+    component: str
+    unit: str
+    over: str
+    x: Floats
+    curves: tuple[Curve, ...]
+    sizes: str
+
+
+def example_machine() -> Machine:
+    """A three-axis machine with a spindle and five sensors, for pictures only."""
+    axes = tuple(Axis(n, n, TRAVEL_MM, 1000.0, pitch_mm=10.0) for n in ("X", "Y", "Z"))
+    links = {n: Link(n) for n in ("spindle", "tool", "workpiece")}
+    return Machine(
+        "example", ("Z", "spindle", "tool"), ("Y", "X", "workpiece"), axes, links, tuple(Sensor(s) for s in SENSORS)
+    )
+
+
+def shape_of(kind: type[Effect]) -> Shape | None:
+    """Give the shape of an effect; None where it has none of its own, as the user's expression has not."""
+    machine = example_machine()
+    effect = example_of(kind, machine)
+    if effect is None:
+        return None
+    theta = {p.name: p.start for p in effect.nonlinear(machine)}
+    view = _view(effect, machine, theta)
+    curves = tuple(Curve(held, _error(effect, machine, theta, view.x, channels)) for held, channels in view.curves)
+    if not all(np.isfinite(c.error).all() for c in curves):
+        return None
+    unit = "µrad" if effect.unit == "urad" else "µm"
+    return Shape(effect.component, unit, view.over, view.x, curves, _sizes(effect, machine))
+
+
+def example_of(kind: type[Effect], machine: Machine) -> Effect | None:
+    """An instance on the example machine; None where its arguments have no usual values, as an expression's."""
+    return next(_instances(kind, machine), None)
+
+
+def _instances(kind: type[Effect], machine: Machine) -> Iterator[Effect]:
+    """What it suggests where everything varies; then the plainest that it takes."""
+    everything = dict.fromkeys(machine.channel_names, TRAVEL_MM)
+    for component in (*FIRST, *machine.components):
+        axis = next((a for a in machine.axes if component[2:] == a.name), None)
+        around = Surroundings(machine, component, axis, SENSORS, everything, 5 * 86400.0, 10.0)
+        yield from (e for e in kind.suggest(around) if _stands(e, machine))
+    given = {"effect": kind.model_fields["effect"].default, "component": "EXX", "axis": "X"}
+    given |= {"other": "Z", "sensor": SENSORS[0], "front": SENSORS[0], "back": SENSORS[1]}
+    try:
+        effect = kind.model_validate({k: v for k, v in given.items() if k in kind.model_fields})
+    except (ValidationError, ModelError):
+        return
+    if _stands(effect, machine):
+        yield effect
+
+
+def _stands(effect: Effect, machine: Machine) -> bool:
+    try:
+        effect.check(machine, "shape")
+    except ModelError:
+        return False
+    return True
+
+
+@dataclass(frozen=True)
+class _View:
+    """What runs along the drawing, and for each curve what is held, in words, and the channels (n,)."""
+
+    over: str
+    x: Floats
+    curves: tuple[tuple[str, Mapping[str, Floats]], ...]
+
+
+def _view(effect: Effect, machine: Machine, theta: Mapping[str, float]) -> _View:
+    """What the effect is drawn over: the quickest thing that drives it; the next one is held at two or three values."""
+    names = effect.channels(machine)
+    if "tau" in theta and not set(names) & set(machine.moving_channels) - {a.channel for a in machine.axes}:
+        return _over_time(names, machine, 4.0 * theta["tau"] / 3600.0)
+    own = next((a for a in machine.axes if set(names) & set(a.moving_channels)), machine.axes[0])
+    if "time_s" in names:
+        hours = 48.0 if not theta else 2.0 * theta.get("t0", 14400.0) / 3600.0
+        return _View("time, hours", np.linspace(0.0, hours, POINTS), _both_ways(own, names) or (("", {}),))
+    for over, x, channel in _runs(own, names, theta, effect):
+        held = _held(own, names, machine, channel)
+        return _View(over, x, tuple((words, {**_still(names, machine), **more, channel: x}) for words, more in held))
+    x = np.linspace(*TRAVEL_MM, POINTS)
+    return _View(f"position of {own.name}, mm", x, _both_ways(own, names) or (("", {}),))
+
+
+def _runs(
+    own: Axis, names: tuple[str, ...], theta: Mapping[str, float], effect: Effect
+) -> Iterator[tuple[str, Floats, str]]:
+    """What may run along the drawing, best first: words, values, channel."""
+    wave = theta.get("pitch") or theta.get("period") or getattr(effect, "lambda_mm", None)
+    far = 3.0 * wave if wave else TRAVEL_MM[1]
+    v_s = theta.get("v_s")
+    speed = np.linspace(0.0, 5.0 * v_s, POINTS) if v_s else np.linspace(-200.0, 200.0, POINTS)
+    temperatures = [n for n in names if n in SENSORS]
+    degc = REFERENCE_DEGC + np.linspace(-5.0, 15.0, POINTS)
+    what = "temperature above the reference, K" if len(temperatures) < 2 else "temperature difference, K"
+    for over, x, channel in (
+        (f"distance since {own.name} turned round, mm", 5.0 * theta.get("s0", 2.0) * np.linspace(0, 1, POINTS),
+         own.since_reversal_channel),
+        (f"velocity of {own.name}, mm/s", speed, own.velocity_channel),
+        (f"acceleration of {own.name}, mm/s²", np.linspace(-5000.0, 5000.0, POINTS), own.acceleration_channel),
+        (f"position of {own.name}, mm", np.linspace(0.0, far, POINTS), own.channel),
+        ("spindle speed, 1/min", np.linspace(0.0, 6000.0, POINTS), "spindle_rpm"),
+        ("load, kg", np.linspace(0.0, 500.0, POINTS), "load_kg"),
+        ("force, N", np.linspace(-1000.0, 1000.0, POINTS), "force_n"),
+        *((what, degc, t) for t in temperatures[:1]),
+    ):  # fmt: skip
+        if channel in names:
+            yield over, x, channel
+
+
+def _held(own: Axis, names: tuple[str, ...], machine: Machine, running: str) -> list[tuple[str, Mapping[str, Floats]]]:
+    """Curves: what else drives the effect, held at a few values."""
+    temperatures = [n for n in names if n in SENSORS and n != running]
+    other = next((a for a in machine.axes if a is not own and a.channel in names), None)
+    if own.direction_channel in names:
+        return list(_both_ways(own, names))
+    if other is not None:
+        return [(f"{other.name} at {at:g} mm", {other.channel: _full(at)}) for at in (0.0, 100.0, 200.0)]
+    fast = next((a for a in machine.axes if a is not own and a.velocity_channel in names), None)
+    if fast is not None:
+        return [(f"{fast.name} at {v:g} mm/s", {fast.velocity_channel: _full(v)}) for v in (50.0, 100.0, 150.0)]
+    if temperatures and running not in SENSORS:
+        word = "K warmer" if len(temperatures) == 1 else "K between the two"
+        return [(f"{k:g} {word}", {temperatures[0]: _full(REFERENCE_DEGC + k)}) for k in (5.0, 10.0)]
+    if "load_kg" in names and running != "load_kg":
+        return [(f"{kg:g} kg", {"load_kg": _full(kg)}) for kg in (250.0, 500.0)]
+    return [("", {})]
+
+
+def _both_ways(own: Axis, names: tuple[str, ...]) -> tuple[tuple[str, Mapping[str, Floats]], ...]:
+    if own.direction_channel not in names:
+        return ()
+    warm = {n: _full(REFERENCE_DEGC + 10.0) for n in names if n in SENSORS}
+    loaded = {"load_kg": _full(250.0)} if "load_kg" in names else {}
+    return tuple(
+        (f"moving {sign}", {own.direction_channel: _full(d), **warm, **loaded}) for sign, d in (("+", 1.0), ("-", -1.0))
+    )
+
+
+def _over_time(names: tuple[str, ...], machine: Machine, hours: float) -> _View:
+    """The cause is switched on at a tenth of the time and off after the half: a lag shows."""
+    x = np.linspace(0.0, 2.0 * hours, POINTS)
+    on = np.where((x > 0.1 * x[-1]) & (x < 0.55 * x[-1]), 1.0, 0.0)
+    channels = {**_still(names, machine), "spindle_rpm": 3000.0 * on}
+    channels |= {n: REFERENCE_DEGC + 10.0 * on for n in names if n in SENSORS}
+    channels |= {a.channel: _full(TRAVEL_MM[1]) for a in machine.axes}
+    on_off = "10 K warmer" if any(n in SENSORS for n in names) else "3000 1/min"
+    return _View("time, hours", x, ((f"{on_off} from {x[-1] * 0.1:.1f} to {x[-1] * 0.55:.1f} h", channels),))
+
+
+def _still(names: tuple[str, ...], machine: Machine) -> dict[str, Floats]:
+    """Every channel that the effect reads, at rest."""
+    return {n: _full(REFERENCE_DEGC if n in machine.sensor_names else 0.0) for n in names if n != "time_s"}
+
+
+def _full(value: float) -> Floats:
+    return np.full(POINTS, value)
+
+
+def _factors(n: int) -> Floats:
+    """Sizes of several coefficients against the usual one: all of that order, no two alike, so that none hides."""
+    return np.asarray(np.cos(2.4 * np.arange(n)))
+
+
+def _error(
+    effect: Effect, machine: Machine, theta: Mapping[str, float], x: Floats, channels: Mapping[str, Floats]
+) -> Floats:
+    hours = x * 3600.0
+    state = State(machine, hours, dict(channels), REFERENCE_DEGC)
+    usual = np.array([p.typical for p in effect.coefficients(machine)])
+    basis = effect.basis(machine, state, theta)
+    sizes = usual * _factors(len(usual))
+    out: Floats = np.zeros(POINTS)
+    for size, value in zip(sizes, basis, strict=True):
+        out += float(size) * np.asarray(value)
+    return out
+
+
+def _sizes(effect: Effect, machine: Machine) -> str:
+    coefficients = effect.coefficients(machine)
+    parts = [f"{p.name} = {p.start:g} {spoken(p.unit)}".rstrip() for p in effect.nonlinear(machine)]
+    if len(coefficients) == 1:
+        parts.insert(0, f"{coefficients[0].name} = {coefficients[0].typical:g} {spoken(coefficients[0].unit)}")
+    elif coefficients:
+        parts.insert(0, f"{', '.join(p.name for p in coefficients)} of the usual size")
+    return ", ".join(parts)
+
 
 DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """Bits of a braille character's dots, by row and column."""

@@ -1,4 +1,9 @@
-"""What `rtec hil` tells: accuracy beside the all-simulated run, timing, what each fault did, what must be so."""
+"""What `rtec hil` tells: accuracy beside the all-simulated run, timing, what each fault did, what must be so.
+
+What a long run against simulated hardware tells.
+
+The figure of `rtec hil`: tip error over time, with the faults; style and colours as in `figures`.
+"""
 
 import dataclasses
 import math
@@ -7,10 +12,51 @@ from functools import partial
 from operator import attrgetter
 from typing import Any
 
-from rtec.hil import Accuracy, FaultFound, HilResult
-from rtec.report.hil_figure import tip_errors
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
+from rtec.report.figures import GREY, KINDS, _figure, _png, _styled
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number, plain
+
+Floats = NDArray[np.float64]
+MOST_DOTS = 4000
+FAULT = "#F0E442"
+
+
+@_styled
+def tip_errors(
+    time_s: Floats, panels: Sequence[tuple[str, Floats, Floats]], faults: Sequence[tuple[str, float, float]]
+) -> bytes:
+    """One panel a direction, uncorrected and corrected; a band for every fault, with its name in the first panel.
+
+    Args:
+        time_s: (n,).
+        panels: direction, then uncorrected and corrected error, µm, (n,); NaN where there is none.
+        faults: name, begin, end, s.
+    """
+    figure, axes = _figure(len(panels), 4.2)
+    thin = slice(None, None, max(1, len(time_s) // MOST_DOTS))
+    for place, (ax, (direction, *both)) in enumerate(zip(axes, panels, strict=True)):
+        for name, begin_s, end_s in faults:
+            ax.axvspan(begin_s, end_s, color=FAULT, alpha=0.45, linewidth=0, zorder=0)
+            if place == 0:
+                ax.text(begin_s, 0.99, f" {name}", rotation=90, va="top", ha="left", color=GREY, fontsize=12,
+                        transform=ax.get_xaxis_transform(),
+                        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
+        for values, style, name in zip(both, KINDS, ("uncorrected", "corrected"), strict=True):
+            ax.plot(time_s[thin], values[thin], color=style["color"], linestyle=style["linestyle"], label=name)
+        ax.axhline(0.0, color="black", linewidth=1)
+        ax.set_title(f"Tool-tip error in {direction}, behind real buses")
+        ax.set_ylabel("error, µm")
+        ax.set_xlim(0.0, float(time_s[-1]))
+        ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=12, loc="best")
+    axes[-1].set_xlabel(
+        "seconds since the machine began; yellow: a fault is on" if faults else "seconds since the machine began"
+    )
+    return _png(figure)
+
 
 NOT_YET = "never"
 
@@ -38,7 +84,7 @@ def hil_page(found: HilResult, figures: bool = True) -> Page:
     if found.warnings:
         sections.append(Section("Said by the system", found.warnings))
     if figures:
-        sections.insert(0, _figure(found))
+        sections.insert(0, _accuracy_figure(found))
     numbers = [
         ("uncorrected, rms", f"{found.buses.off.rms_um:.1f} µm"),
         ("corrected, rms", f"{found.buses.on.rms_um:.1f} µm"),
@@ -132,7 +178,7 @@ def _checks(found: HilResult) -> Section:
     return Section("What must be so", (), Table(("is so", "what", "found"), rows, words=(0, 1, 2)))
 
 
-def _figure(found: HilResult) -> Section:
+def _accuracy_figure(found: HilResult) -> Section:
     course = found.course
     png = tip_errors(
         course.time_s,
@@ -141,3 +187,64 @@ def _figure(found: HilResult) -> Section:
     )
     shows = "Tool-tip error over time, uncorrected and corrected, behind real buses; faults shaded."
     return Section("Tool-tip error over time", (), None, Figure("tip-error.png", png, shows))
+
+
+def soak_facts(found: SoakResult) -> Any:
+    """The result as JSON holds it."""
+    facts = plain({f.name: getattr(found, f.name) for f in dataclasses.fields(found) if f.name != "log"})
+    return facts | {"passed": found.passed, "log": str(found.log) if found.log else None}
+
+
+def soak_page(found: SoakResult) -> Page:
+    """The report."""
+    times = sum(f.times for f in found.faults)
+    failed = [c.name for c in found.checks if not c.passed]
+    verdict = f"NOT SO: {', '.join(failed)}" if failed else "all that must be so is so"
+    lead = (
+        f"{found.machine}: {found.duration_s / 60.0:.3g} minutes at {found.rate_hz:g} Hz behind real buses, "
+        f"{times} faults (seed {found.seed}): {verdict}."
+    )
+    sections = [_resources(found), _soak_timing(found), _soak_faults(found), _soak_checks(found)]
+    if found.warnings:
+        sections.append(Section("Said by the system", found.warnings))
+    numbers = [
+        ("faults", str(times)),
+        ("deadlines lost", f"{found.deadlines.lost} of {found.timing['cycles']}"),
+        ("checks passed", f"{sum(c.passed for c in found.checks)} of {len(found.checks)}"),
+    ]
+    return Page("Long run against simulated hardware", lead, numbers, sections)
+
+
+def _resources(found: SoakResult) -> Section:
+    rows = [
+        (r.process, f"{r.what}, {r.unit}" if r.unit else r.what, *(f"{v:.4g}" for v in (r.first, r.middle, r.last)))
+        for r in found.resources
+    ]
+    head = ("process", "what", "first third", "second", "last")
+    text = ("The largest in each third of the run. Memory is what belongs to the process alone.",)
+    return Section("Memory, files, threads", text, Table(head, rows, words=(0, 1)))
+
+
+def _soak_timing(found: SoakResult) -> Section:
+    timing, lost = found.timing, found.deadlines
+    rows = [
+        (name, *(f"{timing[key][p]:.0f}" for p in ("p50_us", "p99_us", "p99_9_us", "max_us")))
+        for key, name in (("wake_up", "wake-up, µs"), ("compute", "cycle, µs"))
+    ]
+    text = (
+        f"Deadlines lost: {lost.lost} of {timing['cycles']}. {lost.own} of them while the loop itself used more "
+        f"processor time than usual ({lost.usual_cpu_us:.0f} µs a cycle), {lost.taken_away} while another process or "
+        f"the host had its processor, {lost.behind_worker} while a thread of its process had none and may have held "
+        "the interpreter; at the others it waited for the host or for the box.",
+    )
+    return Section("Timing", text, Table(("", "p50", "p99", "p99.9", "max"), rows))
+
+
+def _soak_faults(found: SoakResult) -> Section:
+    rows = [(f.name, str(f.times), str(f.told), number(f.latest_s)) for f in found.faults]
+    return Section("Faults", (), Table(("fault", "times", "told", "at the latest after, s"), rows))
+
+
+def _soak_checks(found: SoakResult) -> Section:
+    rows = [("yes" if c.passed else "NO", c.name, c.found) for c in found.checks]
+    return Section("What must be so", (), Table(("is so", "what", "found"), rows, words=(0, 1, 2)))

@@ -14,9 +14,8 @@ from rtec.cli.main import status
 from rtec.demo import second_story as later_story
 from rtec.demo.day import Plan
 from rtec.demo.hidden import FAULTS, Here, draw, with_fault, with_play
-from rtec.demo.later_page import later_sections, later_words
 from rtec.demo.live import corrected
-from rtec.demo.second_story import Later, by_part_um, tell_later, tip_rms_um
+from rtec.demo.second_story import Later, by_part_um, later_sections, later_words, tell_later, tip_rms_um
 from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, config_folder
 from rtec.errors import ConfigError
 from rtec.loop.records import MODE_OFF

@@ -9,7 +9,7 @@ from rtec.errors import MeasurementError
 from rtec.metrology.ball_bar.circle import circle_of
 from rtec.metrology.ball_bar.iso230_4 import both_ways, roundness
 from rtec.metrology.measurement import Measurement
-from rtec.report.ball_bar_figures_causes import shown_deg
+from rtec.report.ball_bar_figures import shown_deg
 from tests.unit.ball_bar_examples import bar, gantry, recorded
 
 

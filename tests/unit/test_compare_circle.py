@@ -7,7 +7,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.compare.result import Comparison
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.report.compare import compare_page
-from rtec.report.compare_circle import angle_of, circle_picture
+from rtec.report.compare_figures import angle_of, circle_picture
 from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
 from tests.unit.diagnosis_examples import laser, small_machine

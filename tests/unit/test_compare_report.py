@@ -7,7 +7,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.report.compare import compare_page
-from rtec.report.compare_stack import COLOURS, OTHERS, colours, stack_along
+from rtec.report.compare_figures import COLOURS, OTHERS, colours, stack_along
 from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
 from tests.unit.diagnosis_examples import NOISE_UM, QUICK, effects, laser, small_machine

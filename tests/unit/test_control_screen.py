@@ -14,8 +14,8 @@ from typing import Any, cast
 
 import pytest
 
+from rtec.cli.control import show, watched
 from rtec.cli.main import status
-from rtec.cli.status_screen import show, watched
 from rtec.control.client import Client
 from rtec.control.desk import Desk
 from rtec.loop.clock import VirtualClock

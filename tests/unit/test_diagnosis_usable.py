@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtec.cli.common import kept, told_when_stopped
 from rtec.cli.main import status
-from rtec.cli.stopping import kept, told_when_stopped
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add, clean_readings, new_effect, refused
 from rtec.diagnosis.extend.improve import improve

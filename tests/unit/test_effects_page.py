@@ -17,7 +17,7 @@ from rtec.effects.time_data import NOT_EFFECTS
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.report import effects as effects_page
 from rtec.report import effects_figures as effects_figure
-from rtec.report.effects_shape import POINTS, Curve, Shape, example_machine, example_of, shape_of
+from rtec.report.effects_figures import POINTS, Curve, Shape, example_machine, example_of, shape_of
 
 ABOUTS = {**{name: kind.about for name, kind in EFFECTS.items()}, **NOT_EFFECTS}
 OWN = {"expression"}

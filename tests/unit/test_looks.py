@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
+from rtec.cli.common import grid
 from rtec.cli.main import status
-from rtec.cli.show import grid
 from rtec.diagnosis import words
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.search.diagnose import diagnose
