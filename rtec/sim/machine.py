@@ -9,12 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtec.machine import Machine
 from rtec.sim import controller as c
-from rtec.sim.blocks import END, POSITIONS
+from rtec.sim.controller import at_rest, program_table, servo_parameters, table_nodes_mm
 from rtec.sim.geometry import Geometry
 from rtec.sim.lines import lines_between
-from rtec.sim.program import Reader
+from rtec.sim.program import END, POSITIONS, Reader
 from rtec.sim.recording import Recording, recording_of
-from rtec.sim.servo import at_rest, program_table, servo_parameters, table_nodes_mm
 from rtec.sim.thermal import ThermalNetwork
 from rtec.sim.truth import Truth, check_truth
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.machine import Machine, machine_from
-from rtec.sim.chain import ExactChain
+from rtec.sim.geometry import ExactChain
 from rtec.sim.machine import SimulatedMachine
 from tests.unit.sim_example import plain, plain_machine, plain_truth, shipped
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from rtec.errors import ConfigError
-from rtec.sim.blocks import END, table_of
 from rtec.sim.controller import place_on
-from rtec.sim.program import Reader
+from rtec.sim.program import END, Reader, table_of
 from tests.unit.sim_example import MS, S, plain
 
 
