@@ -16,8 +16,7 @@ from rtec.errors import DriverFault
 from rtec.loop.clock import RealClock
 from rtec.machine import Machine
 from rtec.tomlfile import validated
-from rtec_drivers.modbus.driver import ModbusDriver
-from rtec_drivers.modbus.modbus_options import ModbusOptions
+from rtec_drivers.modbus.driver import ModbusDriver, ModbusOptions
 from tests import machines
 
 CLOCK = RealClock()

@@ -15,7 +15,7 @@ import pytest
 from rtec.correction.sinks import FollowingErrorSink
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.tomlfile import validated
-from rtec_drivers.can import can_box_frames as frames
+from rtec_drivers.can import box_session as frames
 from rtec_drivers.can.box import CanBoxDriver, CanBoxOptions
 from rtec_drivers.can.box_session import CanBoxSession
 from tests.drivers.can_peer import BASE, CLOCK, MS, FakeBox, box_bytes, crc8, new_channel

@@ -20,7 +20,7 @@ from rtec_drivers.ascii.options import AsciiOptions
 from rtec_drivers.ascii.readings import ReadingBook
 from rtec_drivers.ascii.text import LineParser
 from rtec_drivers.box import protocol as box
-from rtec_drivers.can import can_box_frames
+from rtec_drivers.can import box_session as can_box_frames
 from rtec_drivers.can.signals import Dbc, ObjectType, SignalOptions
 from rtec_drivers.modbus import frame as modbus_frame
 from rtec_drivers.modbus.map import Register

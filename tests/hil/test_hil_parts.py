@@ -35,8 +35,8 @@ from rtec_drivers.hil.soak import RECOVER_S, draw_faults
 from rtec_drivers.hil.track import Track, accuracy
 from rtec_drivers.hil.watch import AFTER_S, Watch
 from rtec_drivers.hil.wiring import read_wiring
+from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.modbus.frame import HOLDING, INPUT, Request, find_rtu
-from rtec_drivers.modbus.modbus_options import ModbusOptions
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.wire_faults import WireFaults
 from tests import setups

@@ -14,7 +14,7 @@ from rtec.doctor.ports import Holder, PortHere
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import CanTemperatureOptions
-from rtec_drivers.modbus.modbus_options import ModbusOptions
+from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.serial_line import PortOptions
 from tests.unit.doctor_rig import plain_port, usb_port
 

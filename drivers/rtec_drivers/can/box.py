@@ -15,7 +15,7 @@ from rtec.machine import Machine
 from rtec_drivers.box.ledger import BoxLedger
 from rtec_drivers.box.options import axis_order, max_counts_per_s
 from rtec_drivers.box.protocol import NOT_RESUMED, BoxState
-from rtec_drivers.can import can_box_frames as frames
+from rtec_drivers.can import box_session as frames
 from rtec_drivers.can.box_session import CanBoxSession, Latched
 from rtec_drivers.can.bus import CanOptions, CanPort
 from rtec_drivers.count_tracker import CountTracker

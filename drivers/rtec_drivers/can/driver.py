@@ -14,8 +14,7 @@ from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailab
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec_drivers.can.bus import CanOptions, CanPort
-from rtec_drivers.can.can_nodes import NMT, NodeOptions, NodeWatch
-from rtec_drivers.can.signals import Dbc, SignalOptions, Source
+from rtec_drivers.can.signals import NMT, Dbc, NodeOptions, NodeWatch, SignalOptions, Source
 from rtec_drivers.thermocouple import Conversion, Readings, open_code_faults
 
 Timeout = Annotated[float, Field(gt=0, le=3600)]

@@ -13,8 +13,7 @@ from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.tomlfile import nearest
 from rtec_drivers.can.bus import CanOptions, CanPort
-from rtec_drivers.can.can_nodes import NodeOptions, NodeWatch
-from rtec_drivers.can.signals import Dbc, SignalOptions
+from rtec_drivers.can.signals import Dbc, NodeOptions, NodeWatch, SignalOptions
 from rtec_drivers.count_tracker import CountTracker
 
 SYNC = 0x080

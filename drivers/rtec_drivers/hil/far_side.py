@@ -30,7 +30,7 @@ from rtec_drivers.hil.injector import Injector, Switch, box_switches, can_switch
 from rtec_drivers.hil.plant import InBoxOrder, MachinePlant, Recorder, Sensed
 from rtec_drivers.hil.slaves import slave_line
 from rtec_drivers.hil.wiring import SENSED, TRACK, Wiring, read_wiring
-from rtec_drivers.modbus.modbus_options import ModbusOptions
+from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.sim import SimDriver
 

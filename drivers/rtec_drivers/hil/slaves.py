@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rtec.errors import ConfigError
+from rtec_drivers.modbus.driver import ModbusOptions, SlaveOptions
 from rtec_drivers.modbus.map import Register, load_profile
-from rtec_drivers.modbus.modbus_options import ModbusOptions, SlaveOptions
 
 FUNCTIONS = {3: "holding", 4: "input"}
 FORMATS = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f", "float64": ">d"}

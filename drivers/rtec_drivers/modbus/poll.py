@@ -17,10 +17,9 @@ from dataclasses import dataclass, field
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import Clock
 from rtec_drivers.link_worker import NS, Backoff, Worker
-from rtec_drivers.modbus.frame import ERRORS, frames_of_slaves, why_not
+from rtec_drivers.modbus.frame import ERRORS, LONGEST_NOISE, Exchange, frames_of_slaves, why_not
 from rtec_drivers.modbus.line import Line
 from rtec_drivers.modbus.map import Block
-from rtec_drivers.modbus.modbus_exchange import LONGEST_NOISE, Exchange
 from rtec_drivers.thermocouple import Readings
 
 STARVED_NS = 5 * NS
