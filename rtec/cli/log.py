@@ -152,7 +152,6 @@ def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: _Json = Fal
 
     Example: rtec log list logs --from 2026-03-09T06:00 --to 2026-03-09T14:00
     """
-
     segments = _segments(logs, from_, to)
     if as_json:
         typer.echo(json.dumps([_segment_facts(s) for s in segments]))

@@ -1,0 +1,1 @@
+"""Asking and controlling a running daemon: sockets, requests, keys, telemetry (`docs/control.md`)."""

@@ -1,0 +1,1 @@
+"""Are the devices well, and is this computer fit for real time?"""

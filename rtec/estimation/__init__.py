@@ -1,0 +1,1 @@
+"""What every fit stands on: readings, noise, whitening, outliers, held-out runs."""

@@ -255,7 +255,7 @@ def flatten(samples: Samples, commands: Commands) -> Columns:
     return flat
 
 
-def chunks(log: Log) -> Iterator[list[Block]]:
+def chunks(log: "Log") -> Iterator[list[Block]]:
     """Blocks of a log in lists of some `CHUNK_ROWS` rows, so that a table does not depend on the flushes of the log."""
     waiting: list[Block] = []
     n = 0
@@ -461,7 +461,6 @@ def open_log(path: Path) -> Log:
     Raises:
         LogError: it is missing, or no log.
     """
-
     if path.is_dir():
         raise LogError(f"log {path}: is a folder; `rtec log list {path}` shows the logs in it")
     return PackedReader(path) if path.suffix == PACKED else LogReader(path)

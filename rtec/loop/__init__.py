@@ -1,0 +1,1 @@
+"""One cycle: clock, records, step, loop, and the state that outlives the process."""

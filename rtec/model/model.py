@@ -160,7 +160,6 @@ class Model:
         Where turning round makes a correction that moves the axis back, never less than that jump (and a quarter):
         an axis that its own correction turns round would be turned back again, for ever.
         """
-
         jumps = reversal_um(self)
         return {
             a.name: max(a.dead_band_mm, 1.25e-3 * jumps[a.name] + (a.dead_band_mm if jumps[a.name] else 0.0))

@@ -1,0 +1,1 @@
+"""Logs and captures through the same step."""

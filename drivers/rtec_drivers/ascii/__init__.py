@@ -1,0 +1,1 @@
+"""Devices that print lines of text on a serial port."""

@@ -1,0 +1,1 @@
+"""Devices on a CAN bus (`docs/can.md`)."""

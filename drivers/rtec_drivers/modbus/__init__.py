@@ -1,0 +1,1 @@
+"""Modbus modules, RTU and TCP (`docs/modbus.md`)."""

@@ -1,0 +1,1 @@
+"""Another process as a device, by ZeroMQ (`docs/zmq-link.md`)."""

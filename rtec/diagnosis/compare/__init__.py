@@ -1,0 +1,1 @@
+"""How wrong a model is, against the noise floor, and where."""

@@ -1,0 +1,1 @@
+"""Which tests separate which effects, before anything is measured."""

@@ -1,0 +1,1 @@
+"""Measurement files: a table and the TOML beside it (`docs/measurements.md`)."""

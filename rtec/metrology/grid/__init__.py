@@ -1,0 +1,1 @@
+"""Paths on a grid plate: set-ups, directions, speeds [XT]."""

@@ -1,1 +1,0 @@
-"""The running side: clock, records, step, loop, log, replay."""
