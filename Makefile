@@ -53,11 +53,11 @@ discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many a
 	$(BIN)/python -m tests.discovery
 
 proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines
-	$(BIN)/python -m tests.unit.ball_bar_proof
+	$(BIN)/python -m tests.ball_bar.ball_bar_proof
 
 figures: $(STAMP)  ## the figures of the documentation, made by the commands of the tutorial
-	$(BIN)/python -m tests.replay.tutorial docs/figures
-	$(BIN)/python -m tests.replay.campaign docs/figures
+	$(BIN)/python -m tests.tutorial.tutorial docs/figures
+	$(BIN)/python -m tests.tutorial.campaign docs/figures
 
 format: $(STAMP)  ## rewrite the code in the project's format
 	$(BIN)/ruff format .

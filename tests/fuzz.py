@@ -30,8 +30,8 @@ from rtec.loop.run_file import RunFile, Setup, load_setup
 from rtec.machine import Machine, load_machine
 from rtec.model import FittedEffect, Model, load_model, save_model
 from rtec.tomlfile import read_toml, validated
-from tests import setups
-from tests.unit.control_rig import FakeDaemon
+from tests.support import setups
+from tests.support.control_rig import FakeDaemon
 
 LONGEST_S: Final = 20
 COUNT: Final = 1_000_000

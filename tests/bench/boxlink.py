@@ -23,7 +23,7 @@ from rtec.tomlfile import validated
 from rtec_drivers.box.driver import SerialBoxDriver
 from rtec_drivers.box.options import BoxOptions
 from tests.bench.table import Row
-from tests.machines import turning_centre
+from tests.support.machines import turning_centre
 
 CYCLES = 5000
 WARM_UP = 200

@@ -20,8 +20,8 @@ from rtec.control.places import STATUS, socket_path
 from rtec.daemon.supervisor import Supervisor
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup
-from tests import setups
 from tests.bench.table import Row
+from tests.support import setups
 
 SECONDS = 10.0
 DISTURBED_S = 5.0

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 from rtec.daemon.supervisor import Supervisor
-from tests import setups
 from tests.bench.table import Row
+from tests.support import setups
 
 SECONDS = 10
 PRIORITY = 80

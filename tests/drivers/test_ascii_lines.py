@@ -20,7 +20,7 @@ from rtec_drivers.ascii.driver import AsciiLinesDriver
 from rtec_drivers.ascii.options import AsciiOptions
 from rtec_drivers.ascii.text import LineParser, LineReader
 from rtec_drivers.pty_peer import PtyPeer
-from tests.drivers.conformance import MACHINE, DriverLaws, Rig, open_files, soon
+from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files, soon
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 MS = 1_000_000

@@ -18,9 +18,9 @@ from rtec.tomlfile import validated
 from rtec_drivers.can import box_session as frames
 from rtec_drivers.can.box import CanBoxDriver, CanBoxOptions
 from rtec_drivers.can.box_session import CanBoxSession
-from tests.drivers.can_peer import BASE, CLOCK, MS, FakeBox, box_bytes, crc8, new_channel
-from tests.drivers.conformance import MACHINE, DriverLaws, Rig, open_files
-from tests.drivers.modbus_peer import until
+from tests.support.can_peer import BASE, CLOCK, MS, FakeBox, box_bytes, crc8, new_channel
+from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files
+from tests.support.modbus_peer import until
 
 SPEED = {"X": 400.0, "Z": 400.0}
 

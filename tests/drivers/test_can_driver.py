@@ -15,9 +15,9 @@ import pytest
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import CanDriver, CanTemperatureOptions
-from tests.drivers.can_peer import CLOCK, MS, Repeater, SlcanAdapter, bus_on, frame, new_channel
-from tests.drivers.conformance import DriverLaws, Rig, open_files
-from tests.drivers.modbus_peer import MACHINE, SENSORS, until
+from tests.support.can_peer import CLOCK, MS, Repeater, SlcanAdapter, bus_on, frame, new_channel
+from tests.support.conformance import DriverLaws, Rig, open_files
+from tests.support.modbus_peer import MACHINE, SENSORS, until
 
 DBC = """
 VERSION ""

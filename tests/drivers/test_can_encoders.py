@@ -12,9 +12,9 @@ import pytest
 from rtec.errors import ConfigError, DriverFault, DriverTimeout
 from rtec.tomlfile import validated
 from rtec_drivers.can.encoders import CanEncoderOptions, CanEncodersDriver
-from tests.drivers.can_peer import CLOCK, MS, frame, new_channel
-from tests.drivers.conformance import MACHINE, DriverLaws, Rig
-from tests.drivers.modbus_peer import until
+from tests.support.can_peer import CLOCK, MS, frame, new_channel
+from tests.support.conformance import MACHINE, DriverLaws, Rig
+from tests.support.modbus_peer import until
 
 
 class FakeEncoders:

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from rtec.errors import ConfigError, DriverTimeout
-from tests.drivers.can_peer import CLOCK, MS, SlcanAdapter, bus_on, frame, new_channel
-from tests.drivers.conformance import open_files
-from tests.drivers.modbus_peer import until
 from tests.drivers.test_can_driver import BED, driver, pdo, table, value
 from tests.drivers.test_can_encoders import driver as encoder_driver
+from tests.support.can_peer import CLOCK, MS, SlcanAdapter, bus_on, frame, new_channel
+from tests.support.conformance import open_files
+from tests.support.modbus_peer import until
 
 LINES = (
     b"t18\r",

@@ -26,7 +26,7 @@ from rtec_drivers.modbus import frame as modbus_frame
 from rtec_drivers.modbus.map import Register
 from rtec_drivers.thermocouple import Conversion, Readings
 from rtec_drivers.zmq import message as zmq_message
-from tests.drivers.conformance import MACHINE
+from tests.support.conformance import MACHINE
 
 ROUNDS = int(os.environ.get("ROUNDS", "4000"))
 MS = 1_000_000

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from rtec.replay.sigrok import read
 from rtec_drivers.modbus.frame import Request, find_rtu, frames_of_slaves, good_crc
 from rtec_drivers.modbus.map import Register
-from tests.drivers.modbus_peer import crc
-from tests.real_data import real_file
+from tests.support.modbus_peer import crc
+from tests.support.real_data import real_file
 
 BAUD = 9600
 FILES = (

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import pytest
 
 from rtec_drivers.modbus.driver import ModbusDriver
-from tests.drivers.conformance import DriverLaws, Rig
-from tests.drivers.modbus_peer import FakeSlave, line, serial, slave_table
+from tests.support.conformance import DriverLaws, Rig
+from tests.support.modbus_peer import FakeSlave, line, serial, slave_table
 
 
 class TestModbus(DriverLaws):

@@ -11,7 +11,7 @@ import pytest
 
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.ports import Actuator, CountSource, TemperatureSource
-from tests.drivers.modbus_peer import CLOCK, MS, SENSORS, FakeSlave, Seen, crc, driver, line, serial, slave_table, until
+from tests.support.modbus_peer import CLOCK, MS, SENSORS, FakeSlave, Seen, crc, driver, line, serial, slave_table, until
 
 
 def open_files() -> int:

@@ -19,9 +19,9 @@ from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from rtec.errors import DriverUnavailable
-from tests.drivers.modbus_peer import CLOCK, MS, Seen, driver, until
+from tests.support.modbus_peer import CLOCK, MS, Seen, driver, until
 
-SOURCE = Path(__file__).with_name("modbus_slave.c")
+SOURCE = Path(__file__).parents[1] / "support" / "modbus_slave.c"
 FLOAT = {"address": 100, "type": "float32"}
 
 

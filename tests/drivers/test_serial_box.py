@@ -12,8 +12,8 @@ import pytest
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 from rtec_drivers.box.driver import SerialBoxDriver
-from tests.drivers.box_rig import MS, MemoryBench, in_memory, options
-from tests.drivers.conformance import MACHINE
+from tests.support.box_rig import MS, MemoryBench, in_memory, options
+from tests.support.conformance import MACHINE
 
 TIMEOUT_NS = 600_000
 
@@ -391,8 +391,8 @@ def test_the_wrong_box(monkeypatch: pytest.MonkeyPatch, box: Any, more: Any, wor
 def test_a_silent_port_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody answers the greeting within `open_timeout_s`, and no longer is waited."""
     clock = VirtualClock()
-    monkeypatch.setattr("tests.drivers.box_rig.BoxSimulator.receive", lambda *_: b"")
-    monkeypatch.setattr("tests.drivers.box_rig.VirtualClock", lambda _: clock)
+    monkeypatch.setattr("tests.support.box_rig.BoxSimulator.receive", lambda *_: b"")
+    monkeypatch.setattr("tests.support.box_rig.VirtualClock", lambda _: clock)
     with pytest.raises(DriverTimeout, match="no encoder box answers within 3 s"), in_memory(monkeypatch):
         pass
     assert clock.now_ns() == pytest.approx(3e9, rel=0.01)

@@ -19,8 +19,8 @@ from rtec.loop.clock import RealClock
 from rtec_drivers.box.driver import SerialBoxDriver
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.serial_line import Ports, SerialLine
-from tests.drivers.box_rig import SPEED, box_on_pty, options
-from tests.drivers.conformance import MACHINE, DriverLaws, Rig, open_files, soon
+from tests.support.box_rig import SPEED, box_on_pty, options
+from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files, soon
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 CLOCK = RealClock()

@@ -5,7 +5,7 @@ import threading
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec_drivers.reopen import Reopener
-from tests.drivers.conformance import soon
+from tests.support.conformance import soon
 
 MS = 1_000_000
 

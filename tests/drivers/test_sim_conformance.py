@@ -5,7 +5,7 @@ import pytest
 from rtec.correction.sinks import FollowingErrorSink
 from rtec.loop.clock import VirtualClock
 from rtec_drivers.sim import SimDriver
-from tests.drivers.conformance import MACHINE, DriverLaws, Rig
+from tests.support.conformance import MACHINE, DriverLaws, Rig
 
 
 class TestSim(DriverLaws):

@@ -11,7 +11,7 @@ from rtec_drivers.can.bus import CanLink, CanOptions
 from rtec_drivers.link_worker import Backoff, Worker
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.serial_line import PortFinder, PortOptions
-from tests.drivers.conformance import soon
+from tests.support.conformance import soon
 
 CLOCK = RealClock()
 MS = 1_000_000

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from rtec.loop.driver_info import CAN_BE
-from tests import setups
+from tests.support import setups
 
 PAGE = (Path(__file__).parents[2] / "docs" / "write-a-driver.md").read_text(encoding="utf-8")
 pytestmark = pytest.mark.xdist_group("real-clock")

@@ -27,9 +27,9 @@ from rtec_drivers.zmq.driver import ZmqLinkDriver
 from rtec_drivers.zmq.message import KEYS, Answer, StateMessage, read_answer, read_state
 from rtec_drivers.zmq.message import command as command_text
 from rtec_drivers.zmq.options import ZmqOptions, leaves_computer
-from tests.drivers.box_rig import SPEED
-from tests.drivers.conformance import CONFIGS, MACHINE, DriverLaws, Rig, gives_back, open_files, soon
-from tests.drivers.zmq_rig import Cell, ipc_cell
+from tests.support.box_rig import SPEED
+from tests.support.conformance import CONFIGS, MACHINE, DriverLaws, Rig, gives_back, open_files, soon
+from tests.support.zmq_rig import Cell, ipc_cell
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 MS = 1_000_000

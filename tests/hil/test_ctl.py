@@ -25,9 +25,9 @@ from rtec.control.places import ORDERS, STATUS, answers, socket_path
 from rtec.correction.guard import Flag
 from rtec.log.reader import LogReader
 from rtec.loop.clock import RealClock
-from tests import setups
 from tests.hil.test_run import rtec
-from tests.unit.control_rig import free_place, lock
+from tests.support import setups
+from tests.support.control_rig import free_place, lock
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 PERIOD_NS = 20_000_000

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from tests.hil import hil_rig
-from tests.setups import CONFIGS
+from tests.support import hil_rig
+from tests.support.setups import CONFIGS
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 

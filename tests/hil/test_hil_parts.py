@@ -39,8 +39,7 @@ from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.modbus.frame import HOLDING, INPUT, Request, find_rtu
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.wire_faults import WireFaults
-from tests import setups
-from tests.hil import hil_rig
+from tests.support import hil_rig, setups
 
 KNOWN = load_bench().faults()
 NS = 1_000_000_000

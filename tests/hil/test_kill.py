@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from rtec.loop.records import MODE_HOLD, MODE_ON
-from tests import setups
-from tests.hil import faulty
 from tests.hil.test_run import faulty_run, only_log
+from tests.support import faulty, setups
 
 KILLS = 200
 SLEW_UM_S, COUNTS_PER_UM = 50.0, 2.0
@@ -25,7 +24,7 @@ pytestmark = pytest.mark.xdist_group("real-clock")
 
 
 def killed(folder: Path, kind: str) -> dict[str, Any]:
-    command = [sys.executable, "-m", "tests.hil.kill_rig", str(folder), str(KILLS), "1", kind]
+    command = [sys.executable, "-m", "tests.support.kill_rig", str(folder), str(KILLS), "1", kind]
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=300, check=False, cwd=Path(__file__).parents[2]
     )

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from rtec.correction.insertion import Corrected, InsertionSettings, PulseInserter, correct_capture
 from rtec.correction.quadrature import encode
 from rtec.replay.sigrok import read
-from tests.hil import linuxcnc
-from tests.real_data import real_file
+from tests.support import linuxcnc
+from tests.support.real_data import real_file
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]

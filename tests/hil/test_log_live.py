@@ -14,7 +14,7 @@ import pytest
 from rtec.log.folder import log_files
 from rtec.log.reader import open_log
 from rtec.log.tidy import tidy
-from tests import setups
+from tests.support import setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 

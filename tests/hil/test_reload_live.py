@@ -20,7 +20,7 @@ from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup, load_setup
 from rtec.model import Model, save_model
 from rtec.replay.replay import replay_log
-from tests import setups
+from tests.support import setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 SLEW_UM_S = 50.0

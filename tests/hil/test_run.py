@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from rtec.log.reader import LogReader
-from tests import setups
-from tests.hil import faulty
+from tests.support import faulty, setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 

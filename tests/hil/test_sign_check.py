@@ -19,8 +19,7 @@ from rtec.daemon.status import Status
 from rtec.daemon.supervisor import Supervisor
 from rtec.log.reader import LogReader
 from rtec.loop.run_file import load_setup
-from tests import setups
-from tests.hil import faulty
+from tests.support import faulty, setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 LONGEST_S = 60.0

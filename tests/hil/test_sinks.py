@@ -16,8 +16,8 @@ from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports
 from rtec.loop.run_file import load_setup
 from rtec_drivers.sim import SimDriver
-from tests import setups
-from tests.unit.test_loop import run
+from tests.loop.test_loop import run
+from tests.support import setups
 
 Floats = NDArray[np.float64]
 RANGE_MM, BITS = 0.1, 8

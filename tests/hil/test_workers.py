@@ -23,8 +23,8 @@ from rtec.log.events import Event
 from rtec.log.reader import LogReader
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state_files import read_memory, state_places
-from tests import setups
-from tests.drivers.modbus_peer import FakeLine, FakeSlave, line, serial
+from tests.support import setups
+from tests.support.modbus_peer import FakeLine, FakeSlave, line, serial
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 LONGEST_NS = 90_000_000_000

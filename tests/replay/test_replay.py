@@ -18,9 +18,9 @@ from rtec.loop.step import Step
 from rtec.replay import sigrok
 from rtec.replay.capture import replay_capture
 from rtec.replay.replay import replay_log
-from tests import setups
-from tests.real_data import real_file
-from tests.unit.test_loop import run
+from tests.loop.test_loop import run
+from tests.support import setups
+from tests.support.real_data import real_file
 
 GRAY = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
 

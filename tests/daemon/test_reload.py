@@ -1,0 +1,249 @@
+"""Reload of limits, model and run file: without a jump, or not at all.
+
+Oracles: the slew limit; a step that had the new numbers from the start; a lag that was never interrupted.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+
+from rtec.correction.guard import Flag, Limits
+from rtec.daemon.reload import MOST_BYTES, Reader, read_again
+from rtec.errors import RtecError
+from rtec.loop.orders import OrderRefused
+from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Samples
+from rtec.loop.run_file import Setup, load_setup
+from rtec.loop.step import Step, StepSettings, lags_of, slots_to_carry
+from rtec.model import Model, save_model
+from tests.support import setups
+
+MS = 1_000_000
+SLEW_UM_S = 50.0
+
+
+def samples(step: Step, first_ms: int, n: int, degc: Callable[[float], float] = lambda _: 27.0) -> Samples:
+    """X and Z stand still after a little way; temperatures once a second, by `degc` of the time in s."""
+    out = Samples.empty(step.layout, n)
+    time_ms = first_ms + np.arange(n)
+    out.time_ns[:] = out.counts_time_ns[:] = time_ms * MS
+    out.mode[:] = MODE_ON
+    out.counts[:] = np.clip(time_ms[:, None], 0, 400) * [10, 10] + [50_000, 100_000]
+    seconds = time_ms // 1000
+    out.degc[:] = np.array([degc(float(s)) for s in seconds])[:, None]
+    out.degc_time_ns[:] = (seconds * 1000 * MS)[:, None]
+    out.spindle_rpm[:] = 900.0
+    return out
+
+
+@pytest.fixture
+def setup(tmp_path: Path) -> Setup:
+    return setups.setup(tmp_path)
+
+
+def limited(settings: StepSettings, **x: float) -> StepSettings:
+    """Other limits for X."""
+    limits = dict(settings.limits)
+    limits["X"] = Limits(**{**limits["X"].model_dump(), **x})
+    return replace(settings, limits=limits)
+
+
+def other_model(settings: StepSettings, keep: Callable[[str], bool]) -> StepSettings:
+    """The model without some of its effects."""
+    model = settings.model
+    return replace(settings, model=Model(model.machine, tuple(e for e in model.effects if keep(e.effect.effect))))
+
+
+def in_steps(before: Commands, after: Commands) -> float:
+    """Largest change of the applied correction in one cycle, over both and the seam between them, µm."""
+    applied = np.concatenate([before.applied_um[-1:], after.applied_um])
+    return float(np.abs(np.diff(applied, axis=0)).max())
+
+
+def test_other_limits_go_on_from_the_same_correction(setup: Setup) -> None:
+    step = Step(setup.step_settings())
+    before = step.run(samples(step, 0, 1500))
+    step.take_numbers(*Step(limited(setup.step_settings(), slew_um_s=5.0)).all_numbers())
+    after = step.run(samples(step, 1500, 500))
+    assert after.applied_um[0].tolist() == pytest.approx(before.applied_um[-1].tolist(), abs=0.05)
+    fresh = Step(limited(setup.step_settings(), slew_um_s=5.0))
+    assert step.all_numbers()[0].tobytes() == fresh.all_numbers()[0].tobytes()
+    assert in_steps(before, after) <= SLEW_UM_S * 1e-3 * (1 + 1e-9)
+
+
+def test_other_coefficients_count_at_once(setup: Setup) -> None:
+    """Not only when the next temperature comes. Oracle: a step that had them from the start."""
+    settings = setup.step_settings()
+    model = settings.model
+    scale = replace(model.effects[0], values={"k": 60.0})
+    other = replace(settings, model=replace(model, effects=(scale, *model.effects[1:])))
+    step, alone = Step(settings), Step(other)
+    assert step.source.text == alone.source.text
+    first, later = samples(step, 0, 1200), samples(step, 1200, 10)
+    step.run(first)
+    alone.run(first)
+    step.take_numbers(*alone.all_numbers())
+    requested = step.run(later).requested_um
+    np.testing.assert_allclose(requested, alone.run(later).requested_um, atol=1e-9)
+    assert abs(requested[0, 0] - Step(settings).run(later).requested_um[0, 0]) > 1.0
+
+
+@pytest.mark.parametrize("stop_um", [3.0, 8.0])
+@pytest.mark.parametrize("mode", [MODE_ON, MODE_HOLD])
+def test_a_lower_stop_limit_is_approached_at_the_slew_limit(setup: Setup, stop_um: float, mode: int) -> None:
+    """The correction stands at more than the new limit: it moves there, never jumps, and never goes further away."""
+    step = Step(setup.step_settings())
+    before = step.run(samples(step, 0, 1500))
+    assert abs(before.applied_um[-1, 0]) > 10.0
+    step.take_numbers(*Step(limited(setup.step_settings(), stop_um=stop_um, warning_um=2.0)).all_numbers())
+    held = samples(step, 1500, 2000)
+    held.mode[:] = mode
+    after = step.run(held)
+    size = np.abs(after.applied_um[:, 0])
+    assert in_steps(before, after) <= SLEW_UM_S * 1e-3 * (1 + 1e-9)
+    assert (np.diff(size[5:]) <= 1e-12).all()
+    assert size[-1] == pytest.approx(stop_um, abs=0.1)
+    assert size[-1] <= stop_um
+    assert after.flags[-1] & Flag.OVER_STOP_LIMIT
+
+
+def test_another_model_is_reached_at_the_slew_limit(setup: Setup) -> None:
+    """Oracle: a step that had the other model from the start, over the same samples: where both must end."""
+    settings = setup.step_settings()
+    without = other_model(settings, lambda name: name != "backlash")
+    step, new, alone = Step(settings), Step(without), Step(without)
+    first, later = samples(step, 0, 1500), samples(step, 1500, 3000)
+    before = step.run(first)
+    alone.run(first)
+    new.adopt(step, first.rows(1499, 1500))
+    after = new.run(later)
+    expected = alone.run(later)
+    assert np.abs(after.applied_um[0] - before.applied_um[-1]).max() <= SLEW_UM_S * 1e-3
+    assert in_steps(before, after) <= SLEW_UM_S * 1e-3 * (1 + 1e-9)
+    np.testing.assert_allclose(after.requested_um[-1], expected.requested_um[-1], atol=1e-9)
+    assert np.abs(after.output[-1] - expected.output[-1]).max() <= 1  # each side of the ledger's dead band
+    # It started from rest and from the same ledger.
+    assert np.abs(after.output[0] - before.output[-1]).max() <= 1
+
+
+def test_what_a_lag_remembers_goes_over_to_the_other_model(setup: Setup) -> None:
+    """The bed warms up; a lag of 15 min must not begin again. Oracle: the lag of a step that was never interrupted."""
+    settings = setup.step_settings()
+    without = other_model(settings, lambda name: name != "scale")
+    step, new, alone = Step(settings), Step(without), Step(without)
+
+    def warming(s: float) -> float:
+        return 20.0 + 0.5 * s
+
+    first, later = samples(step, 0, 20_000, warming), samples(step, 20_000, 2000, warming)
+    step.run(first)
+    alone.run(first)
+    new.adopt(step, first.rows(19_999, 20_000))
+    slots = slots_to_carry(step.lags, new.lags)
+    assert len(slots) == 2
+    np.testing.assert_allclose(new._memory[:2], alone._memory[:2], rtol=1e-12)
+    requested, expected = new.run(later).requested_um, alone.run(later).requested_um
+    np.testing.assert_allclose(requested, expected, atol=1e-9)
+    # It matters: begun again the lag would be at the temperature itself, 0.4 µm/K off by degrees.
+    cold = Step(without)
+    cold.run(first.rows(19_999, 20_000))
+    assert np.abs(cold.run(later).requested_um[-1] - expected[-1]).max() > 1.0
+
+
+def test_which_lag_goes_on_as_which(setup: Setup) -> None:
+    lags = lags_of(setup.model)
+    assert lags == [(lags[0][0], 900.0)]
+    assert "T_bed" in lags[0][0].lower() or "t_bed" in lags[0][0].lower()
+    old = [("a", 100.0), ("a", 900.0), ("b", 900.0)]
+    assert slots_to_carry(old, [("b", 800.0), ("a", 800.0), ("a", 10.0), ("c", 900.0)]) == [
+        (4, 0),
+        (5, 1),
+        (2, 2),
+        (3, 3),
+    ]
+    assert slots_to_carry([], [("a", 1.0)]) == []
+    assert slots_to_carry([("a", 0.0)], [("a", 0.0)]) == [(0, 0), (1, 1)]
+
+
+def test_a_reload_before_any_temperature_was_read(setup: Setup) -> None:
+    """Nothing is known yet, before and after: it holds, and begins as at a start when the first temperature comes."""
+    settings = setup.step_settings()
+    step, new = Step(settings), Step(other_model(settings, lambda name: name != "backlash"))
+    first = samples(step, 0, 100)
+    first.degc[:] = np.nan
+    step.run(first)
+    new.adopt(step, first.rows(99, 100))
+    after = new.run(samples(step, 100, 2000))
+    assert not after.flags[-1] & Flag.HELD
+    alone = Step(new.settings)
+    expected = alone.run(samples(alone, 100, 2000))
+    np.testing.assert_allclose(after.requested_um[-1], expected.requested_um[-1])
+
+
+def rewrite(setup: Setup, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the run file."""
+    content = setups.tables(setup.base)
+    change(content)
+    setup.path.write_text(tomli_w.dumps(content), encoding="utf-8")
+
+
+def test_what_changed_is_said(setup: Setup) -> None:
+    assert read_again(setup).changed == []
+    rewrite(setup, lambda t: t["limits"]["X"].update(slew_um_s=20.0))
+    found = read_again(setup)
+    assert found.changed == ["limits of X"]
+    assert len(found.message) < MOST_BYTES
+    model = setup.model
+    save_model(Model(model.machine, model.effects[:-1]), setup.base / "model.toml")
+    assert read_again(setup).changed == ["model", "limits of X"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t["run"].update(rate_hz=500.0), "[run] rate_hz changed; it is taken up at a start only"),
+        (lambda t: t["device"]["box"].update(seed=4), "[device] changed; it is taken up at a start only"),
+        (lambda t: t["role"].pop("spindle"), "[role] changed"),
+        (lambda t: t["limits"].pop("Z"), "[limits.Z] is missing"),
+        (lambda t: t["limits"]["X"].update(warning_um=500.0), "warning_um 500 is above stop_um 100"),
+        (lambda t: t["run"].update(model="absent.toml"), "absent.toml: no such file"),
+    ],
+)
+def test_what_cannot_be_reloaded_is_refused_with_the_reason(setup: Setup, change: Any, message: str) -> None:
+    rewrite(setup, change)
+    with pytest.raises(RtecError) as e:
+        read_again(setup)
+    assert message in str(e.value)
+
+
+@pytest.mark.parametrize("cut", [0, 1, 40, 200])
+def test_a_file_that_was_cut_off_changes_nothing(setup: Setup, cut: int) -> None:
+    for path in (setup.path, setup.base / "model.toml"):
+        whole = path.read_bytes()
+        path.write_bytes(whole[:cut])
+        with pytest.raises(RtecError):
+            read_again(setup)
+        path.write_bytes(whole)
+    assert read_again(setup).changed == []
+
+
+def test_an_older_model_file_is_refused_and_the_reader_tells(setup: Setup) -> None:
+    """Through the thread that the supervisor uses: a text that says that the old one stays."""
+    path = setup.base / "model.toml"
+    path.write_text(path.read_text(encoding="utf-8").replace("[model]", "[model]\nformat = 0"), encoding="utf-8")
+    reader = Reader(setup)
+    reader.begin(setup)
+    with pytest.raises(OrderRefused, match="an earlier order"):
+        reader.begin(setup)
+    found = reader._results.get(timeout=60)
+    assert isinstance(found, str)
+    assert found.startswith("not reloaded, the old one stays in force: ")
+    assert "model.toml" in found
+    reader.done()
+    assert load_setup.__name__ == "load_setup"
+    reader.begin(setup)
+    reader._results.get(timeout=60)

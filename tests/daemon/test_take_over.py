@@ -1,0 +1,102 @@
+"""An actuator that cannot tell its ledger when the run begins: nothing is commanded until it does.
+
+Oracle: the actuator's own list of commands.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.correction.sinks import Sink
+from rtec.errors import DriverUnavailable
+from rtec.loop.clock import VirtualClock
+from rtec.loop.devices import Ports
+from rtec.loop.loop import Loop, bind_rows
+from rtec.loop.records import MODE_HOLD, MODE_ON, MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.step import Step
+from tests.support import setups
+
+Ints = NDArray[np.int64]
+MS = 1_000_000
+CYCLES = 1000
+
+
+class LateBox:
+    """Plugged in at some cycle, with a ledger from before; counts and temperatures from elsewhere are there at once."""
+
+    def __init__(self, clock: VirtualClock, has: tuple[int, int], at_cycle: int) -> None:
+        self.clock, self.has, self.at_cycle, self.reads = clock, list(has), at_cycle, 0
+        self.told: list[tuple[int, list[int]]] = []
+
+    def read_counts(self, counts: Ints) -> int:
+        self.reads += 1
+        counts[:] = [50_000, 100_000]
+        return self.clock.now_ns()
+
+    def read_temperatures(self, degc: NDArray[np.float64], time_ns: Ints) -> None:
+        degc[:], time_ns[:] = 27.0, self.clock.now_ns()
+
+    def read_spindle(self) -> float:
+        return 900.0
+
+    def refuses(self, sink: Sink) -> str:
+        del sink
+        return ""
+
+    def apply(self, output: Ints) -> None:
+        self._there()
+        self.has = output.tolist()
+        self.told.append((self.reads, self.has))
+
+    def read_output(self, output: Ints) -> None:
+        self._there()
+        output[:] = self.has
+
+    def hold(self) -> None:
+        pass
+
+    def _there(self) -> None:
+        if self.reads < self.at_cycle:
+            raise DriverUnavailable("/dev/ttyUSB7: no such port; trying again")
+
+
+def start(tmp_path: Path, has: tuple[int, int], expected: Ints | None) -> tuple[LateBox, Loop, Samples, Commands]:
+    clock = VirtualClock(10**12)
+    box, step = LateBox(clock, has, 200), Step(setups.setup(tmp_path).step_settings())
+    samples, commands = Samples.empty(step.layout, CYCLES), Commands.empty(step.layout, CYCLES)
+    rows = bind_rows(step, list(zip(samples.singles(), commands.singles(), strict=True)))
+    loop = Loop(step, Ports(box, (box,), box, box, {"output": ("box",)}), clock, MS, rows, MODE_ON)
+    loop.take_over(expected, np.array([5, 5]))
+    loop.run(CYCLES, lambda _: True)
+    return box, loop, samples, commands
+
+
+@pytest.mark.parametrize("expected", [None, np.array([42, -31])])
+def test_a_port_that_appears_later(tmp_path: Path, expected: Ints | None) -> None:
+    box, loop, samples, commands = start(tmp_path, (40, -30), expected)
+    assert (samples.mode[:199] == MODE_HOLD).all()
+    assert samples.mode[199] == MODE_TAKEN_OVER
+    assert (samples.mode[200:] == MODE_ON).all()
+    assert commands.output[199].tolist() == [40, -30]
+    first, output = box.told[0]
+    assert first == 201
+    assert np.abs(np.array(output) - [40, -30]).max() <= 1
+    steps = np.abs(np.diff([told for _, told in box.told], axis=0))
+    assert steps.max() == 1
+    assert loop.stats.cycles == CYCLES
+    assert loop.stats.misses == 0
+    assert not loop.waits
+    assert loop.stats.failures()["box"]["last"] == {"output": "/dev/ttyUSB7: no such port; trying again"}
+
+
+def test_one_that_lost_its_ledger_meanwhile_is_waited_with(tmp_path: Path) -> None:
+    box, loop, samples, _ = start(tmp_path, (0, 0), np.array([42, -31]))
+    assert (samples.mode[200:] == MODE_HOLD).all()
+    assert {tuple(told) for _, told in box.told} == {(0, 0)}
+    assert loop.waits
+    (reason,) = loop.stats.reasons()["box"]
+    assert "the actuator has [0, 0], the run before left [42, -31]" in reason
+    loop.order_resume()
+    assert loop.stats.reasons() == {}

@@ -1,0 +1,196 @@
+"""Adding effects and refitting; oracles: least squares written down here, and the true effects of a simulation."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.diagnosis.extend.add import add, new_effect
+from rtec.errors import ModelError
+from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect, Model
+from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
+
+Floats = NDArray[np.float64]
+SCALE = "scale,component=EXX,axis=X,k=12"
+SCALE_Z = "scale,component=EZZ,axis=Z,k=-7"
+BACKLASH = "backlash,component=EXX,axis=X,B=3"
+SEEDS = (3, 4)
+
+
+def model_of(*texts: str, error: float | None = None) -> Model:
+    """A model with these numbers; all standard errors alike where given."""
+    fitted = effects(*texts)
+    if error is not None:
+        fitted = tuple(
+            FittedEffect(f.effect, f.values, f.theta, dict.fromkeys((*f.values, *f.theta), error)) for f in fitted
+        )
+    return Model(small_machine(), fitted, name="test")
+
+
+def blank(text: str, model: Model) -> FittedEffect:
+    """The effect of a text, as one that is to be added: without its numbers."""
+    return new_effect(effects(text)[0].effect, model)
+
+
+def by_hand(measurements: list[Measurement]) -> tuple[Floats, Floats]:
+    """Scale and backlash of X by least squares with a zero for each laser: numbers and standard errors.
+
+    White noise of known size; position in m, half the direction; written without the library's columns.
+    """
+    blocks = []
+    for i, m in enumerate(measurements):
+        zeros = np.zeros((len(m), len(measurements)))
+        zeros[:, i] = 1.0
+        blocks.append(np.column_stack([1e-3 * m.channels["x"], 0.5 * m.state().value("d_x"), zeros]))
+    design, reading = np.concatenate(blocks), np.concatenate([m.readings["reading_um"] for m in measurements])
+    found: Floats = np.linalg.lstsq(design, reading, rcond=None)[0]
+    errors: Floats = NOISE_UM * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    return found[:2], errors[:2]
+
+
+def numbers(model: Model) -> dict[str, tuple[float, float]]:
+    """Every number of a model with its standard error, by effect and name."""
+    return {f"{f.label} {n}": (v, f.errors[n]) for f in model.effects for n, v in {**f.values, **f.theta}.items()}
+
+
+@pytest.fixture(scope="module")
+def measured() -> list[Measurement]:
+    return [laser([SCALE, BACKLASH], seed) for seed in SEEDS]
+
+
+def test_refit_is_least_squares_of_the_true_effects(measured: list[Measurement]) -> None:
+    """Oracle: least squares here; the noise is white, so the weights of the two differ by what noise was found."""
+    model = model_of("scale,component=EXX,axis=X,k=0")
+    added = add(model, [blank(BACKLASH, model)], measured)
+    value, error = by_hand(measured)
+    found = numbers(added.model)
+    for name, v, e, true in zip(("scale(EXX, X) k", "backlash(EXX, X) B"), value, error, (12.0, 3.0), strict=True):
+        assert found[name][0] == pytest.approx(v, abs=0.5 * e)
+        assert found[name][1] == pytest.approx(e, rel=0.2)
+        assert found[name][0] == pytest.approx(true, abs=4.0 * found[name][1])
+
+
+def test_errors_fall_to_the_noise(measured: list[Measurement]) -> None:
+    """Oracle: half of 3 µm either way is what is missing before, noise alone after."""
+    model = model_of(SCALE)
+    added = add(model, [blank(BACKLASH, model)], measured)
+    assert added.before.held_out == pytest.approx(np.hypot(1.5, NOISE_UM), rel=0.05)
+    assert added.after.held_out == pytest.approx(NOISE_UM, rel=0.1)
+    assert added.floor == pytest.approx(NOISE_UM, rel=0.1)
+    assert added.better
+    entry = added.model.history[-1]
+    assert entry["rms_before"] == added.before.held_out
+    assert entry["rms_after"] == added.after.held_out
+    assert entry["effects"] == ["backlash(EXX, X)"]
+    assert list(entry["measurements"]) == [m.name for m in measured]
+
+
+def test_what_is_not_seen_stays(measured: list[Measurement]) -> None:
+    """Oracle: a laser along X says nothing of Z: number and standard error as they were, bit for bit or nearly."""
+    model = model_of(SCALE, SCALE_Z, "cyclic_pole,component=EZZ,axis=Z,s=1,c=0.5,period=37", error=0.25)
+    added = add(model, [blank(BACKLASH, model)], measured)
+    before, after = numbers(model), numbers(added.model)
+    for name, (value, error) in before.items():
+        if "EZZ" in name:
+            assert after[name][0] == pytest.approx(value, rel=1e-9), name
+            assert after[name][1] == pytest.approx(error, rel=1e-6), name
+    assert after["scale(EXX, X) k"][0] == pytest.approx(12.0, abs=0.5)
+
+
+def test_what_is_seen_may_move_far() -> None:
+    """Oracle: the true scale, 36 µm/m from where the model, sure of itself, believed it."""
+    model = model_of("scale,component=EXX,axis=X,k=48", error=2.0)
+    refitted = add(model, [], [laser([SCALE], 5)])
+    assert numbers(refitted.model)["scale(EXX, X) k"][0] == pytest.approx(12.0, abs=0.3)
+    assert refitted.model.history[-1]["change"] == "refit"
+    assert refitted.before.as_given is not None
+    # 36 µm/m over the travel, less the mean of each run: that of a straight line of this length.
+    assert refitted.before.as_given == pytest.approx(36e-3 * 192.0 / np.sqrt(12.0), rel=0.08)
+
+
+def test_a_poor_new_measurement_does_not_undo_a_good_model() -> None:
+    """Oracle: the mean of what was known and what is read now, each weighted by one over its variance."""
+    known, sure = 12.4, 0.5
+    poor = laser([SCALE], 21, noise={"white_um": 4.0}, protocol="cold", cycles=3)
+    values, errors = by_hand([poor])
+    value, error = float(values[0]), float(errors[0]) * 4.0 / NOISE_UM
+    assert error > 2.0 * sure
+    expected = (known / sure**2 + value / error**2) / (1.0 / sure**2 + 1.0 / error**2)
+    refitted = add(model_of(f"scale,component=EXX,axis=X,k={known}", error=sure), [], [poor])
+    found, spread = numbers(refitted.model)["scale(EXX, X) k"]
+    assert found == pytest.approx(expected, abs=0.1)
+    assert spread == pytest.approx(1.0 / np.sqrt(1.0 / sure**2 + 1.0 / error**2), rel=0.1)
+
+
+def test_the_same_readings_again_make_nothing_surer() -> None:
+    """Oracle: the first fit; counted twice, the same readings would halve the variance."""
+    once = dataclasses.replace(laser([SCALE], 22), sha256="a" * 64)
+    first = add(model_of("scale,component=EXX,axis=X,k=0"), [], [once]).model
+    again = add(first, [], [once]).model
+    for name, (value, error) in numbers(first).items():
+        assert numbers(again)[name][0] == pytest.approx(value, abs=0.02 * error)
+        assert numbers(again)[name][1] == pytest.approx(error, rel=0.02)
+
+
+def test_an_effect_that_is_not_there_does_not_look_better() -> None:
+    """Oracle: noise alone; a straight line and twelve shapes more are fitted to it."""
+    model = model_of("scale,component=EXX,axis=X,k=0")
+    more = "polynomial_position,component=EXX,axis=X,degrees=[2,3,4,5,6,7,8],c2=0,c3=0,c4=0,c5=0,c6=0,c7=0,c8=0"
+    added = add(model, [blank(more, model)], [laser([SCALE], 11)])
+    assert not added.better
+    assert added.after.inside < added.before.inside
+    assert added.after.held_out > added.before.held_out
+
+
+def test_periods_are_searched_for() -> None:
+    """Oracle: the true period of the wave; the search begins 5 % away."""
+    wave = "cyclic_pole,component=EXX,axis=X,s=2,c=-1,period=37.3"
+    model = model_of(SCALE)
+    start = new_effect(effects(wave)[0].effect, model, {"period": 39.0})
+    added = add(model, [start], [laser([SCALE, wave], 3, targets={"step_mm": 4.1}, protocol="cold", cycles=6)])
+    found = numbers(added.model)["cyclic_pole(EXX, X) period"]
+    assert found[0] == pytest.approx(37.3, abs=4.0 * found[1])
+    assert found[1] < 0.5
+
+
+def test_ranges_grow_and_never_shrink(measured: list[Measurement]) -> None:
+    """Oracle: a range that the model knew before, wider than what was measured now."""
+    model = Model(small_machine(), effects(SCALE), name="test", valid_range={"x": (-50.0, 100.0)})
+    added = add(model, [blank(BACKLASH, model)], measured)
+    low, high = added.model.valid_range["x"]
+    assert low == -50.0
+    assert high >= max(float(m.channels["x"].max()) for m in measured)
+
+
+def test_measurements_that_are_not_given_are_named(measured: list[Measurement]) -> None:
+    model = Model(small_machine(), effects(SCALE), name="test", measurements={"old-laser-z": "0" * 64})
+    assert "old-laser-z" in " ".join(add(model, [], measured).notes)
+
+
+def test_what_nothing_moves_is_refused(measured: list[Measurement]) -> None:
+    """Oracle: Z stands still under a laser along X."""
+    model = model_of(SCALE)
+    with pytest.raises(ModelError, match=r"no reading shows scale\(EZZ, Z\)"):
+        add(model, [blank(SCALE_Z, model)], measured)
+
+
+def test_what_the_instrument_takes_up_is_refused() -> None:
+    """Oracle: Z stands still at 130 mm, so its scale adds one and the same length to all readings: the laser's zero."""
+    model = model_of(SCALE, error=0.1)
+    aside = laser([SCALE], 3, targets={"step_mm": 13.7, "at_mm": {"Z": [130.0]}})
+    with pytest.raises(ModelError, match=r"no reading shows scale\(EXX, Z\)"):
+        add(model, [blank("scale,component=EXX,axis=Z,k=1", model)], [aside])
+
+
+def test_twice_is_refused(measured: list[Measurement]) -> None:
+    model = model_of(SCALE, BACKLASH)
+    with pytest.raises(ModelError, match="backlash"):
+        add(model, [blank(BACKLASH, model)], measured)
+
+
+def test_a_number_that_it_does_not_have() -> None:
+    model = model_of(SCALE)
+    with pytest.raises(ModelError, match="no number 'thickness'"):
+        new_effect(effects(BACKLASH)[0].effect, model, values={"thickness": 1.0})

@@ -1,0 +1,119 @@
+"""What the answer says beside the name: more is missing, out of date, folded waves, what hardly shows.
+
+Oracles: the effects that were put in; trigonometry of samples at equal steps.
+"""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtec.diagnosis import words
+from rtec.diagnosis.search.confounded import aliases_mm, fold, step_mm
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.columns import spikes
+from rtec.estimation.readings import read
+from rtec.model import Model
+from tests.support.diagnosis_examples import effects, laser, small_machine
+
+BACKLASH = "backlash,component=EXX,axis=X,B=6"
+SCREW = "cyclic_screw,component=EXX,axis=X,harmonics=1,s1=1.2,c1=0.5,pitch=5"
+EVEN: dict[str, Any] = {"targets": {"step_mm": 9.6}}
+
+
+def model(*texts: str) -> Model:
+    return Model(small_machine(), effects(*texts), name="base")
+
+
+def test_what_stands_behind_the_first_is_not_called_absent() -> None:
+    """Both are true; the larger is named, and the smaller is told to speak up beside it."""
+    d = diagnose(model(), [laser([BACKLASH, SCREW], 3)], explain=True)
+    assert d.findings[0].effect.effect == "backlash"
+    assert "cyclic_screw" not in {a.effect for a in d.absent}
+    assert any("more is missing" in note and "cyclic_screw(EXX, X)" in note for note in d.notes), d.notes
+
+
+def test_nothing_more_is_said_where_nothing_more_is() -> None:
+    d = diagnose(model(), [laser([BACKLASH], 4)], explain=True)
+    assert d.findings[0].effect.effect == "backlash"
+    assert not any("more is missing" in note for note in d.notes)
+
+
+def test_numbers_that_no_longer_fit_are_told() -> None:
+    """A model fitted to 6 µm of play, readings with 9: no effect is missing, and a refit would cure it."""
+    known = model(BACKLASH)
+    d = diagnose(known, [laser(["backlash,component=EXX,axis=X,B=9"], 5)], explain=True)
+    assert d.verdict == "nothing_missing"
+    assert d.out_of_date
+    assert d.facts()["out_of_date"] is True
+    assert d.refit == pytest.approx(0.3, rel=0.1)
+    assert "no longer fit" in d.sentence
+    still = diagnose(known, [laser([BACKLASH], 5)])
+    assert not still.out_of_date
+    assert "no longer fit" not in still.sentence
+
+
+def test_aliases_are_one_wave_at_the_targets() -> None:
+    """Cosines of all of them agree at every multiple of the step, up to the sign of the sine."""
+    at = 9.6 * np.arange(30)
+    others = aliases_mm(5.0, 9.6)
+    assert max(others) == pytest.approx(120.0)
+    for other in others:
+        np.testing.assert_allclose(np.cos(2 * np.pi * at / other), np.cos(2 * np.pi * at / 5.0), atol=1e-9)
+
+
+def test_a_wave_folded_by_equal_steps_is_not_named_alone() -> None:
+    """The screw's own period fits, and so does any that equal steps fold onto it."""
+    d = diagnose(model(), [laser([SCREW], 6, **EVEN)])
+    assert d.findings[0].effect.effect == "cyclic_screw"
+    assert d.verdict == "ambiguous"
+    assert "unequal steps along X" in d.sentence
+    (longest,) = re.findall(r"looks like one of ([0-9.]+)", d.findings[0].confused_with[-1].why)
+    assert float(longest) == pytest.approx(1.0 / (2.0 / 9.6 - 1.0 / 5.0), rel=0.01)
+
+
+def test_steps_that_are_not_equal_fold_nothing() -> None:
+    m = laser([SCREW], 7, **EVEN)
+    x_mm = m.channels["x"]
+    readings = read([replace(m, channels={**m.channels, "x": x_mm + 1.3 * np.sin(x_mm)})])
+    assert step_mm(readings, "x", "EXX") is None
+    (screw,) = effects(SCREW)
+    assert fold(readings, screw.effect, screw.theta) is None
+    even = read([laser([SCREW], 7, targets={"step_mm": 2.0})])
+    assert step_mm(even, "x", "EXX") == pytest.approx(2.0)
+    assert fold(even, screw.effect, screw.theta) is None, "2.5 readings a period are enough"
+
+
+def test_a_machine_that_errs_in_the_same_places_has_no_spikes() -> None:
+    """A slope and a coarse wave under little noise: neighbours differ, nothing is wrong. Wrong readings are found."""
+    m = laser([SCREW, "scale,component=EXX,axis=X,k=60"], 8, **EVEN)
+    readings = read([m])
+    assert not spikes(readings, readings.values).any()
+    wrong = np.array([40, 111, 205])
+    values = readings.values.copy()
+    values[wrong] += [15.0, -15.0, 15.0]
+    assert np.flatnonzero(spikes(readings, values)).tolist() == wrong.tolist()
+
+
+def test_what_hardly_moved_is_not_called_absent() -> None:
+    """Temperatures that hardly rose show no expansion; a day of warming up does."""
+    m = laser([BACKLASH], 9)
+    warm = diagnose(model(), [m])
+    assert "axis_expansion" in {a.effect for a in warm.absent}
+    cold = {n: 20.0 + 0.1 * (v - v.mean()) if n.startswith("T_") else v for n, v in m.channels.items()}
+    d = diagnose(model(), [replace(m, channels=cold)])
+    assert d.findings[0].effect.effect == "backlash"
+    assert "axis_expansion" not in {a.effect for a in d.absent}
+    (why,) = {n.why for n in d.not_testable if n.effect == "axis_expansion"}
+    assert "hardly changed" in why
+
+
+@pytest.mark.parametrize(("size", "said"), [(1.35, "1.4 µm of the 1.4 µm that are left"), (1.7, "taken up a part")])
+def test_an_effect_makes_no_more_of_what_is_left_than_there_is(size: float, said: str) -> None:
+    """Oracle: sums. 1.7 of 1.4 µm would be nonsense, and is what a model leaves that follows the effect in part."""
+    d = diagnose(model(), [laser([SCREW], 6)])
+    finding = replace(d.findings[0], size_um=size)
+    told = words.with_sentence(replace(d, verdict="missing_effect", findings=(finding,), rms_residual=1.4), 1.0)
+    assert said in told.sentence

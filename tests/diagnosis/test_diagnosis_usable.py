@@ -1,0 +1,216 @@
+"""Refits, ranges of own expressions, refusals and histories; oracles: what a simulation made true, and plain sums."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtec.cli.common import kept, told_when_stopped
+from rtec.cli.main import status
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.extend.add import add, clean_readings, new_effect, refused
+from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.extend.joint import joint_fit
+from rtec.diagnosis.extend.parameter_scan import ranged
+from rtec.diagnosis.usable import apart, share
+from rtec.effects.expression import expression_from_text
+from rtec.errors import MeasurementError, ModelError
+from rtec.estimation import floor
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model, save_model
+from rtec.report.additions import improved_page
+from rtec.report.history import rescaled, steps_of
+from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
+
+SCALE = "scale,component=EXX,axis=X,k=12"
+OLD, NEW = "backlash,component=EXX,axis=X,B=5", "backlash,component=EXX,axis=X,B=9"
+WAVE = "cyclic_pole,component=EXX,axis=X,s=2,c=-1,period=5"
+
+
+def model_of(*texts: str) -> Model:
+    return Model(small_machine(), effects(*texts), name="test")
+
+
+def test_improve_fits_numbers_that_are_out_of_date_anew() -> None:
+    """Oracle: the play of 9 µm that was made true; as it stood the model left half of the difference, 2 µm."""
+    kept_models: list[Model] = []
+    result = improve(model_of(SCALE, OLD), [laser([SCALE, NEW], 3)], step=lambda a: kept_models.append(a.model))
+    assert result.refit is not None
+    assert result.refit.before.held_out == pytest.approx(np.hypot(2.0, NOISE_UM), rel=0.05)
+    assert result.refit.after.held_out == pytest.approx(NOISE_UM, rel=0.1)
+    assert result.model.effects[1].values["B"] == pytest.approx(9.0, abs=0.15)
+    assert result.model.history[0]["change"] == "refit"
+    assert not result.steps
+    assert kept_models == [result.refit.model]
+    assert steps_of(result.model)[0]["name"] == "refit"
+
+
+def test_improve_leaves_good_numbers_alone() -> None:
+    """Oracle: nothing changed since the model was made."""
+    result = improve(model_of(SCALE, OLD), [laser([SCALE, OLD], 3)])
+    assert result.refit is None
+    assert result.model.history == ()
+
+
+def test_the_whole_range_is_looked_through() -> None:
+    """Oracle: the true period of 5 mm, far from the start; targets at unequal steps tell it from its aliases."""
+    measured = [laser([SCALE, WAVE], 4, targets={"step_mm": 1.13}, protocol="cold", cycles=3)]
+    model = model_of(SCALE)
+    effect = expression_from_text("A*sin(2*pi*x/p + phi)", ["p=150:3..200"], "EXX", small_machine())
+    added = add(model, [new_effect(effect, model)], measured)
+    assert added.model.effects[-1].theta["p"] == pytest.approx(5.0, rel=0.002)
+    assert added.after.held_out < 1.2 * NOISE_UM
+
+
+def test_aliases_are_told_and_the_start_decides() -> None:
+    """Oracle: waves of period p and of 1 / |1 / step - 1 / p| read alike at targets one step apart."""
+    step = 13.7
+    measured = [laser([SCALE, WAVE], 4)]
+    model = model_of(SCALE)
+    alias = 1.0 / abs(1.0 / 5.0 - 2.0 / step)
+    for start, expected in ((5.1, 5.0), (alias * 1.02, alias)):
+        effect = expression_from_text("A*sin(2*pi*x/p + phi)", [f"p={start}:3..200"], "EXX", small_machine())
+        readings = clean_readings(model, measured)
+        found, words = ranged(new_effect(effect, model), joint_fit(model.effects, readings), readings)
+        assert found.theta["p"] == pytest.approx(expected, rel=0.01)
+        assert "equal steps" in words[0]
+
+
+def test_what_buys_nothing_is_not_better() -> None:
+    """Oracle: a machine without play; the play that is found in its noise is less than two standard errors."""
+    model = model_of(SCALE)
+    added = add(model, [new_effect(effects(OLD)[0].effect, model)], [laser([SCALE], 6)])
+    b = added.model.effects[-1]
+    assert abs(b.values["B"]) < 2.0 * b.errors["B"]
+    assert not added.better
+    assert any("may be chance" in n for n in added.notes)
+    first, second = refused(added).split("from ")[1].split(" to ")[:2]
+    assert first != second.split(",")[0]
+
+
+def test_differences_show() -> None:
+    assert apart(0.30612, 0.30631) == ("0.3061", "0.3063")
+    assert apart(2.0, 2.0) == ("2", "2")
+    assert share(0.97) == "97%"
+    assert share(-0.0004) == "0.04%"
+
+
+@pytest.mark.parametrize("text", ["A*x/0", "A*log(x-100)"])
+def test_an_expression_that_is_not_finite(text: str) -> None:
+    """Oracle: below 100 mm the logarithm is none; a division by zero is none anywhere."""
+    model, measured = model_of(SCALE), laser([SCALE], 6)
+    effect = expression_from_text(text, [], "EXX", small_machine())
+    bad = len(measured) if "/" in text else int((measured.channels["x"] <= 100.0).sum())
+    with pytest.raises(ModelError, match=f"not finite at {bad} of {len(measured)} readings"):
+        add(model, [new_effect(effect, model)], [measured])
+
+
+def few(n: int) -> Measurement:
+    """A laser of which only the first n readings are there."""
+    m = laser([SCALE], 6)
+    readings = {k: np.where(np.arange(len(v)) < n, v, np.nan) for k, v in m.readings.items()}
+    return dataclasses.replace(m, readings=readings)
+
+
+def test_too_few_readings() -> None:
+    model = model_of(SCALE)
+    with pytest.raises(MeasurementError, match="too few readings: 9"):
+        improve(model, [few(9)])
+    with pytest.raises(MeasurementError, match="too few readings: 9"):
+        add(model, [], [few(9)])
+    with pytest.raises(MeasurementError, match="too few readings: 2"):
+        compare(model, [few(2)])
+    assert compare(model, [few(5)]).items[0].n == 5
+
+
+def test_a_display_that_is_stuck() -> None:
+    """Oracle: every reading set to the same value."""
+    m = laser([SCALE], 6)
+    m.readings["reading_um"][:] = 1.5
+    assert "does not move" in compare(model_of(SCALE), [m]).notes[0]
+
+
+def test_the_floor_is_that_of_compare() -> None:
+    """Oracle: `compare` of the same model with the same readings; the fitted noise would hold the missing play."""
+    measured, model = [laser([SCALE, NEW], 3)], model_of("scale,component=EXX,axis=X,k=0")
+    added = add(model, [], measured)
+    assert added.floor == pytest.approx(compare(added.model, measured).items[0].floor, rel=0.02)
+    assert added.floor_from in ("repeats", "fitted noise model")
+    assert added.facts()["noise_floor_um"] == added.floor == added.model.history[-1]["noise_floor"]
+
+
+def test_the_floor_of_a_series_without_repeats_is_fitted() -> None:
+    """Oracle: one run only has no repeats; the noise that was simulated is an upper bound with some room."""
+    readings = clean_readings(model_of(SCALE), [laser([SCALE], 3, protocol="cold", cycles=1)])
+    values, sources = floor.as_compared(readings, floor.cleaned(readings, readings.values), readings.setup)
+    assert sources == ("fitted noise model",)
+    assert values[0] <= np.std(readings.values)
+
+
+def entry(change: str, before: float | None, after: float, **more: object) -> dict[str, object]:
+    known = {} if before is None else {"rms_before": before}
+    return {"change": change, "rms_after": after, "unit": "noise", **known, **more}
+
+
+def test_history_in_multiples_of_the_noise_has_one_yardstick() -> None:
+    """Oracle: 1 times a noise that is found to be 7.5 times too large is 7.5."""
+    history = (entry("fit", None, 1.0), entry("add", 7.5, 1.0, same_measurements=True, measurements=["a"]))
+    model = Model(small_machine(), effects(SCALE), name="t", measurements={"a": "0" * 64}, history=history)
+    steps = steps_of(model)
+    assert not steps[1]["other_data"]
+    assert rescaled(steps) == pytest.approx([7.5, 1.0])
+
+
+def test_history_says_other_measurements_only_where_they_are() -> None:
+    """Oracle: names of the measurements."""
+    for names, other in ((["a"], False), (["b"], True)):
+        history = (entry("fit", None, 1.0), entry("add", 2.0, 1.0, measurements=names))
+        model = Model(small_machine(), effects(SCALE), name="t", measurements={"a": "0" * 64}, history=history)
+        assert steps_of(model)[1]["other_data"] == other
+
+
+def test_what_was_passed_over_is_told() -> None:
+    """Oracle: along one line of light, play and a turn of the slide at each reversal look alike."""
+    result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
+    first = result.steps[0]
+    rivals = [r.label for r in first.passed_over]
+    assert any("angular_reversal" in label for label in rivals)
+    assert "cannot tell it from" in first.notes[0]
+    told = first.model.history[-1]["passed_over"]
+    assert [r["effect"] for r in told] == rivals
+    assert any(r.get("separating_test") for r in told)
+
+
+def test_what_is_seen_and_not_worth_an_effect_is_told_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: no fall of the error is worth an effect here, so that what is named is not what ought to be added."""
+    monkeypatch.setattr("rtec.diagnosis.extend.improve.LITTLE", 2.0)
+    result = improve(model_of(SCALE), [laser([SCALE, NEW], 3)])
+    assert (result.reason, result.steps, result.diagnoses[-1].findings[0].accepted) == ("no_gain", (), True)
+    page = improved_page(result, figures=False)
+    for said in (page.lead, *page.sections[-1].text):
+        assert "Seen, and too little to be added: " in said
+
+
+def test_ctrl_c_says_what_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    assert kept(Path("m.toml"), []) == "nothing was written"
+    assert kept(Path("m.toml"), ["refit", "step", "step"]) == "m.toml holds the refit and 2 steps"
+    with pytest.raises(KeyboardInterrupt), told_when_stopped():
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == "rtec: stopped; nothing was written\n"
+
+
+def test_words_for_slips(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_machine(tmp_path)
+    model, table = tmp_path / "m.toml", tmp_path / "laser.csv"
+    save_model(model_of(SCALE), model)
+    table.write_text("run,time_s\n")
+    out = ["--component", "EXX", "--data", str(table), "-o", str(tmp_path / "o.toml")]
+    assert status(["diagnose", str(table), str(table)]) == 2
+    assert "a model file is expected first" in capsys.readouterr().err
+    assert status(["add", str(model), "backlash", "--expr", "A*x", *out]) == 2
+    assert "either a name, or --expr" in capsys.readouterr().err
+    with pytest.raises(ModelError, match="did you mean 'x'"):
+        expression_from_text("A*X", [], "EXX", small_machine())
+    assert status(["add", "--help"]) == 0
+    assert "A*sin(2*pi*x/p + phi)" in capsys.readouterr().out

@@ -1,0 +1,185 @@
+"""Words, units and figures of the diagnosis: what a first-time user stumbled over."""
+
+import csv
+import json
+import math
+import re
+import shlex
+from collections import Counter
+from collections.abc import Callable
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rich.console import Console
+
+from rtec.cli.common import grid
+from rtec.cli.main import status
+from rtec.diagnosis import words
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.words import named, spoken, titled
+from rtec.machine import load_machine
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.model import Model, save_model
+from rtec.report.compare import compare_page
+from rtec.report.diagnosis import diagnosis_page
+from rtec.report.page import Table
+from rtec.sim.campaign.campaign import simulate
+from rtec.sim.campaign.settings import Settings
+from tests.diagnosis.test_compare import SCALE, model
+from tests.report.test_compare_report import TILT, angular
+from tests.support.diagnosis_examples import QUICK, effects, laser, small_machine, write_laser, write_machine
+
+Floats = NDArray[np.float64]
+TURN = "angular_reversal,component=EBX,axis=X,theta=12"
+PLAY = "backlash,component=EXX,axis=X,B=5"
+
+
+@pytest.mark.parametrize(
+    ("channel", "said"),
+    [
+        ("x", "X, mm"),
+        ("s_y", "distance since Y turned round, mm"),
+        ("v_x", "velocity of X, mm/s"),
+        ("T_bed", "T_bed, °C"),
+        ("spindle_rpm", "spindle speed, rpm"),
+    ],
+)
+def test_axes_of_figures_are_named_for_people(channel: str, said: str) -> None:
+    """Oracle: by hand."""
+    assert titled(channel) == said
+
+
+def test_units_and_names_for_people() -> None:
+    """Oracle: by hand; a sensor may have any name where its unit is known."""
+    assert [spoken(u) for u in ("um_per_m_degc", "degC", "mm/s2", "1")] == ["µm/(m·K)", "°C", "mm/s²", ""]
+    assert (named("x"), named("T_bed"), titled("bed", "degC")) == ("X", "T_bed", "bed, °C")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("backlash(EXX, X) is missing", "backlash(EXX, X) is missing."),
+        ("ccw reading_um: 3 single readings", "ccw reading_um: 3 single readings."),
+        ("one of backlash(EXX, X), scale(EXX) is missing", "One of backlash(EXX, X), scale(EXX) is missing."),
+        ("temperatures are smoothed.", "Temperatures are smoothed."),
+    ],
+)
+def test_names_keep_their_case_at_the_head_of_a_sentence(text: str, said: str) -> None:
+    """Oracle: by hand."""
+    assert words.sentence(text) == said
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (1.1, "about as likely as rank 1"),
+        (43.0, "43 times less likely than rank 1"),
+        (3.4e6, "over a million times less likely than rank 1"),
+        (1e40, "over a million times less likely than rank 1"),
+    ],
+)
+def test_odds_in_words(times: float, said: str) -> None:
+    """Oracle: by hand."""
+    assert words.why_not(0.0, math.log(times), 1.0, same=False) == said
+
+
+def test_nothing_of_a_table_is_cut() -> None:
+    """Oracle: the letters of the cells themselves; where there is room, words stay whole."""
+    name, why = "backlash_temperature(EXX, X, T_spindle_front)", "over a million times less likely than rank 1"
+    row = ["1", name, "k 0.39 ± 0.02 µm/K; tau 3 s", "1.4", why]
+    for width in (60, 80, 110):
+        console = Console(width=width, file=StringIO())
+        console.print(grid(Table(("", "effect", "numbers", "size", "why"), [row], words=(1, 2, 4)), width))
+        shown = console.file.getvalue()  # type: ignore[attr-defined]
+        assert max(map(len, shown.splitlines())) <= width
+        letters = Counter("".join("".join(row).split()))
+        assert not letters - Counter(shown)
+    assert "backlash_temperature(EXX," in shown
+
+
+def test_both_ways_apart_everywhere_is_said_plainly() -> None:
+    """Oracle: the play put in, 5 µm; no list of places."""
+    c = compare(model(SCALE), [laser([SCALE, PLAY], 7)])
+    (region,) = c.items[0].worst
+    assert region.apart is not None
+    # Going + the slide stays behind or runs ahead as the effect defines it: the size is what was put in.
+    assert abs(region.apart) == pytest.approx(5.0, abs=0.15)
+    assert re.search(
+        r"moving \+ and moving − lie (4\.9\d?|5(\.0\d?)?) µm apart everywhere", compare_page(c, figures=False).lead
+    )
+
+
+def test_play_that_changes_along_the_way_is_no_gap_everywhere() -> None:
+    """Oracle: a play of 5 µm on half of the way, put in by hand."""
+    m = laser([SCALE], 8)
+    half = np.where(m.channels["x"] > 100.0, 2.5, 0.0) * m.state().value("d_x")
+    m.readings["reading_um"][:] += half
+    c = compare(model(SCALE), [m])
+    assert c.items[0].worst
+    assert all(r.apart is None for r in c.items[0].worst)
+
+
+def test_every_measurement_has_its_line_and_the_worst_comes_first() -> None:
+    """Oracle: a model whose tilt has the wrong sign is worse than none; the scale of the other one is right."""
+    tilted = angular(3)
+    wrong = Model(small_machine(), effects(TILT.replace("k=30", "k=-30"), SCALE), name="wrong")
+    lead = compare_page(compare(wrong, [laser([SCALE], 4), tilted]), figures=False).lead.splitlines()
+    assert len(lead) == 2
+    assert lead[0].startswith("tilt: the model makes it worse than no model")
+    assert lead[1].startswith("laser-x-4: ")
+
+
+TRUE = {
+    "hump": lambda x: 8.0 * np.exp(-(((x - 120.0) / 20.0) ** 2)),
+    "wave": lambda x: 4.0 * np.sin(2.0 * np.pi * x / 63.0 + 0.7) * (x / 100.0),
+}
+
+
+@pytest.mark.parametrize("kind", list(TRUE))
+def test_the_printed_command_runs_and_lowers_the_error(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the shape put in by hand, and what `rtec add` says of the error on runs left out."""
+    write_machine(tmp_path)
+    table = write_laser(tmp_path, [SCALE], 5, targets={"step_mm": 9.3})
+    with_shape(table, TRUE[kind])
+    first = tmp_path / "first.toml"
+    save_model(model(SCALE, machine=load_machine(tmp_path / "machine.toml")), first)
+    capsys.readouterr()
+    assert status(["diagnose", str(first), str(table), "--only", "scale"]) == 0
+    printed = capsys.readouterr().out
+    command = next(line.strip() for line in printed.splitlines() if line.startswith("  rtec add"))
+    if kind == "hump":
+        assert re.search(r"hump at X ≈ 1(19|20|21)(\.\d|) mm, about 3[2-5] mm\s+wide", " ".join(printed.split()))
+    assert status([*shlex.split(command)[1:], "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["after"]["held_out"] < 0.5 * facts["before"]["held_out"]
+
+
+def with_shape(table: Path, shape: Callable[[Floats], Floats]) -> None:
+    """Add a shape to the readings in a table."""
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        row["reading_um"] = str(float(row["reading_um"]) + float(shape(np.array(float(row["x_mm"])))))
+    with table.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def test_figures_of_several_measurements_show_each() -> None:
+    """Oracle: a tilt that an angular laser reads directly and a linear one through its offset beam: two panels."""
+    beside = laser([TURN], 9, setup={"beam_offset_mm": [0.0, 0.0, 300.0]})
+    about = make_instrument("laser_angular", {}, "X", "EBX", small_machine(), "test")
+    tilt = simulate(model(TURN), about, Settings.model_validate(QUICK), 10, "tilt")
+    d = diagnose(Model(small_machine(), name="empty"), [tilt, beside])
+    assert d.picture is not None
+    titles = [p.title for p in (d.picture, *d.picture.others)]
+    assert {t.rsplit(", in ", 1)[1] for t in titles} == {"tilt", "laser-x-9"}
+    page = diagnosis_page(d)
+    assert any(s.figure is not None and s.figure.name == "evidence.png" for s in page.sections)

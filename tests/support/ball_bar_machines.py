@@ -1,0 +1,176 @@
+"""Machines drawn at random for ball bars, their readings worked out without rtec, and how the diagnosis does on them.
+
+Kinds of machine:
+    bb        [BB]'s parameters only, three tests at one feed; half of them with straight guides
+    wander    the same with a noise that wanders along the circle
+    mixed     each cause beyond [BB]'s with one chance in two; a fourth test at three times the feed
+    all       every cause beyond [BB]'s; those four tests
+    sine      the same, and the spikes are half-waves in time, which no shape of the catalogue is
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
+from rtec.metrology.measurement import Measurement
+from tests.support.ball_bar_dynamic import DEG, PITCH_MM, THREE, TWO_FEEDS, random_static, run_tests
+
+Floats = NDArray[np.float64]
+Numbers = dict[str, float]
+KINDS = ("bb", "wander", "mixed", "all", "sine")
+PER_RHO = {"yaw_x": "rho_yaw_x", "yaw_y": "rho_yaw_y", "pitch_x": "rho_pitch_x", "pitch_y": "rho_pitch_y"}
+SPIKE_WIDTH = 2.446386
+"""Of `u exp(1 - u)` at half its height, by bisection."""
+RANGES = {
+    # cause: from, to (either sign where True); each between what is seldom noticed and what is repaired
+    "delay": (0.05, 1.0, True), "gain": (100.0, 600.0, False), "spike": (2.0, 12.0, False), "way": (0.05, 0.5, False),
+    "ms": (150.0, 700.0, False), "play": (0.5, 3.0, True), "cyclic": (0.5, 2.0, False), "gamma": (1.5, 4.0, False),
+    "change_over": (0.05, 0.3, False), "slope": (2.0, 15.0, True),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What was made true."""
+
+    static: Numbers
+    dynamic: Numbers
+    noise_um: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How the diagnosis of one machine did.
+
+    Attributes:
+        kind, seed, noise_um: the machine.
+        within: parameters within three standard errors, of `count`.
+        inside: those whose 95 % interval holds the truth.
+        off: the parameters that are not within three standard errors, with how many they are off.
+        explained, explained_bb: share of the variance above noise, by everything and by [BB]'s parameters alone.
+        false_names: causes beyond [BB]'s that are named and are not there.
+        missed: those that are there and are not named.
+    """
+
+    kind: str
+    seed: int
+    noise_um: float
+    count: int
+    within: int
+    inside: int
+    off: tuple[tuple[str, float], ...]
+    explained: float
+    explained_bb: float
+    false_names: tuple[str, ...]
+    missed: tuple[str, ...]
+
+
+def drawn(kind: str, seed: int) -> Machine:
+    """A machine of a kind."""
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    noise = float(np.exp(rng.uniform(np.log(0.1), np.log(1.0))))
+    static = random_static(rng, bent=kind not in ("bb", "wander") or seed % 2 == 0)
+    dynamic: Numbers = {}
+    for name in ("delay", "change_over", *(f"{n}_{a}" for n in ("gain", "spike", "play", "cyclic", "gamma", "slope")
+                                           for a in "xy")):  # fmt: skip
+        size = _within(rng, name.removesuffix("_x").removesuffix("_y"))
+        there = rng.random() < {"bb": 0.0, "wander": 0.0, "mixed": 0.5}.get(kind, 1.0)
+        if there:
+            dynamic[name] = size
+            if name.startswith("spike"):
+                dynamic[f"{name}_ms" if kind == "sine" else f"{name}_way"] = _within(
+                    rng, "ms" if kind == "sine" else "way"
+                )
+    return Machine(static, dynamic, noise)
+
+
+def _within(rng: np.random.Generator, what: str) -> float:
+    low, high, either = RANGES[what]
+    size = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return -size if either and rng.random() < 0.5 else size
+
+
+def measured(kind: str, seed: int) -> tuple[Machine, list[Measurement], list[Floats], list[Floats]]:
+    """A machine, its recordings, their readings without noise, and those of a ball that is on the centre."""
+    m = drawn(kind, seed)
+    tests = THREE if kind in ("bb", "wander") else TWO_FEEDS
+    more = m.noise_um if kind == "wander" else 0.0
+    out, clean = run_tests(tests, m.static, m.dynamic, m.noise_um, seed, wander_um=more)
+    centred = run_tests(tests, {**m.static, "ex": 0.0, "ey": 0.0}, m.dynamic)[1]
+    return m, out, clean, centred
+
+
+def judge(kind: str, seed: int) -> Judged:
+    """Draw, measure, diagnose with and without what goes beyond [BB], compare with the truth."""
+    machine, recordings, clean, centred = measured(kind, seed)
+    found, bb = diagnose(recordings), diagnose(recordings, dynamic=False, phase="angle")
+    truth, count, within, inside, off = truth_of(machine), 0, 0, 0, []
+    for v in found.fitted.values:
+        if np.isfinite(v.value) and not v.with_ and _by_feed(v.name) in truth:
+            far = v.value - truth[_by_feed(v.name)]
+            far = (far + 180.0) % 360.0 - 180.0 if v.unit == "deg" else far
+            count += 1
+            within += abs(far) <= 3.0 * v.se
+            inside += abs(far) <= v.high - v.value
+            if abs(far) > 3.0 * v.se:
+                off.append((v.name, far / v.se))
+    named = {_by_feed(p.candidate.name) for p in found.found.beyond.picks}
+    there = there_are(machine)
+    return Judged(
+        kind, seed, machine.noise_um, count, within, inside, tuple(off), explained(found, clean, centred),
+        explained(bb, clean, centred), tuple(sorted(named - there)), tuple(sorted(there - named)),
+    )  # fmt: skip
+
+
+def explained(d: Diagnosis, clean: list[Floats], centred: list[Floats]) -> float:
+    """Share of the variance of the readings without noise and without centre offset, each about its test's mean."""
+    rest = sum(float(np.var(c - d.fitted.fitted_um(i))) for i, c in enumerate(clean))
+    return 1.0 - rest / sum(float(np.var(c)) for c in centred)
+
+
+def there_are(machine: Machine) -> set[str]:
+    """Names of the program for the causes beyond [BB]'s that are there."""
+    names = {"play_x": "play_x_y", "play_y": "play_y_x", "gamma_x": "indexing_x", "gamma_y": "indexing_y",
+             "slope_x": "clearance_slope_x", "slope_y": "clearance_slope_y"}  # fmt: skip
+    return {names.get(n, n) for n in machine.dynamic if not n.endswith(("_way", "_ms"))}
+
+
+def truth_of(machine: Machine) -> Numbers:
+    """The truth by the program's names and in its units; without those of a spike that is a half-wave in time."""
+    s, d = machine.static, machine.dynamic
+    out = {f"centre_{a}": s[f"e{a}"] for a in "xy"} | {f"clearance_{a}": s[f"d{a}"] for a in "xy"}
+    out |= {f"scale_{a}": 1e6 * (s[f"S{a}"] - 1.0) for a in "xy"}
+    out |= {f"perpendicularity_{a}": 1e6 * s[f"phi{a}"] for a in "xy"}
+    out |= {"squareness": 1e6 * s["thetax"], "phase": 1e6 * s["psi"], "twist": 1e6 * s.get("kappa", 0.0)}
+    out |= {name: 1e3 / s[rho] if rho in s else 0.0 for name, rho in PER_RHO.items()}
+    out |= {n: d.get(n, 0.0) for n in ("delay", "gain_x", "gain_y", "change_over")}
+    out |= {"play_x_y": d.get("play_x", 0.0), "play_y_x": d.get("play_y", 0.0), "play_x_z": 0.0, "play_y_z": 0.0}
+    for a in "xy":
+        out |= _of_axis(a, d)
+    return out
+
+
+def _of_axis(a: str, d: Mapping[str, float]) -> Numbers:
+    # [BB 21] taken to its Fourier series: -tan²(γ/2) sin 2θ, and the next term is a thousandth of it.
+    joint = np.tan(0.5 * d.get(f"gamma_{a}", 0.0) * DEG) ** 2 * PITCH_MM / (2.0 * np.pi) * 1e3
+    out = {
+        f"clearance_slope_{a}": d.get(f"slope_{a}", 0.0), f"clearance_bow_{a}": 0.0,
+        f"cyclic_{a}_amplitude": d.get(f"cyclic_{a}", 0.0), f"indexing_{a}_amplitude": float(joint),
+    }  # fmt: skip
+    if f"cyclic_{a}" in d:
+        out[f"cyclic_{a}_phase"] = 0.7 / DEG
+    if f"gamma_{a}" in d:
+        out[f"indexing_{a}_phase"] = 180.0
+    if f"spike_{a}_ms" not in d:
+        out |= {f"spike_{a}_{end}": d.get(f"spike_{a}", 0.0) for end in ("plus", "minus")}
+    if f"spike_{a}_way" in d:
+        out[f"spike_{a}_width"] = SPIKE_WIDTH * d[f"spike_{a}_way"]
+    return out
+
+
+def _by_feed(name: str) -> str:
+    """A spike's name without its feed."""
+    return name.replace("_f1000", "").replace("_f3000", "")
