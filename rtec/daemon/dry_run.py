@@ -43,13 +43,14 @@ def dry_run(setup: Setup) -> dict[str, Any]:
     commands = step.run(sample)
     flags = int(commands.flags[0]) & HOLD_REASONS
     return {
-        "inputs": _inputs(setup, sample),
+        "inputs": input_rows(setup, sample),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
         "reasons": [text for flag, text in REASONS.items() if flag & Flag(flags)],
     }
 
 
-def _inputs(setup: Setup, sample: Samples) -> list[tuple[str, str, str]]:
+def input_rows(setup: Setup, sample: Samples) -> list[tuple[str, str, str]]:
+    """Name, value and age of every input."""
     now = int(sample.time_ns[0])
     counts_age = f"{(now - int(sample.counts_time_ns[0])) * NS * 1e3:.1f} ms"
     out = [

@@ -265,7 +265,7 @@ class _Mean:
         return f.log_det + log_det + self.freedom * math.log(variance), variance
 
 
-def _bounds(series: Series) -> Floats:
+def noise_bounds(series: Series) -> Floats:
     """Lowest, highest, centre and spread of the prior of the logarithms of drift, memory and offset, (3, 4)."""
     times = series.time_s
     span, apart = max(float(times[-1] - times[0]), 1.0), np.diff(times)
@@ -298,7 +298,7 @@ def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: 
     part, share = data, len(few) / len(left)
     if share < 1.0:
         part = (series.time_s[few], series.run[few], np.ascontiguousarray(series.nuisance[few]), wide, data[4][few])
-    found = np.exp(walk(*part, freedom * share, np.array(start), _bounds(series), steps))
+    found = np.exp(walk(*part, freedom * share, np.array(start), noise_bounds(series), steps))
     offset = float(found[2]) if len(found) > 2 else 0.0
     _, square = likelihood(*data, float(found[0]), float(found[1]), offset)
     return Noise(math.sqrt(max(square, 1e-12) / freedom), float(found[0]), float(found[1]), offset)
@@ -328,7 +328,7 @@ def _search(cost: Any, start: Noise, steps: int) -> Noise:
     """Nelder-Mead in the logarithms of drift, time constant and offset."""
     from scipy.optimize import minimize
 
-    (low_d, high_d, *_), (low, high, *_), _ = _bounds(cost.series).tolist()
+    (low_d, high_d, *_), (low, high, *_), _ = noise_bounds(cost.series).tolist()
 
     def noise(x: Floats) -> Noise:
         drift, tau = min(max(float(x[0]), low_d), high_d), min(max(float(x[1]), low), high)

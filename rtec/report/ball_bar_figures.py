@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, _figure, _png, _styled
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, new_figure, png_of, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,7 @@ class Trace:
     fitted_um: Floats
 
 
-@_styled
+@styled
 def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> bytes:
     """Deviations drawn outwards from the circle, magnified; a bar tells how much one of them is.
 
@@ -60,7 +60,7 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
     ax.text(0, -0.16, "thin: measured\nthick: fitted", ha="center", va="top", fontsize=13, color=GREY)
     ax.set_title(title)
     ax.legend(loc="upper left", frameon=False, fontsize=12)
-    return _png(figure)
+    return png_of(figure)
 
 
 def frame(ax: "Axes", letters: tuple[str, str], largest: float) -> float:
@@ -91,14 +91,14 @@ def frame(ax: "Axes", letters: tuple[str, str], largest: float) -> float:
     return gain
 
 
-@_styled
+@styled
 def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> bytes:
     """Harmonics of each test, measured and fitted.
 
     Args:
         tests: name, amplitudes measured and fitted, µm, (orders,), from order 1.
     """
-    figure, axes = _figure(len(tests), 3.4)
+    figure, axes = new_figure(len(tests), 3.4)
     for ax, (name, measured, fitted) in zip(axes, tests, strict=True):
         order = np.arange(1, len(measured) + 1)
         ax.bar(order - 0.2, measured, 0.4, color=ON, label="measured")
@@ -110,7 +110,7 @@ def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> bytes:
         ax.legend(frameon=False, ncols=2, loc="upper right")
         _cut_first(ax, measured, fitted)
     axes[-1].set_xlabel("waves in one turn (one wave: mostly where the ball was set up)")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _cut_first(ax: "Axes", measured: Floats, fitted: Floats) -> None:
@@ -163,7 +163,7 @@ PANEL_IN = 2.7
 SHADE = "#ECECEC"
 
 
-@_styled
+@styled
 def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) -> bytes:
     """Deviation against angle, one panel a test: measured, fitted, and what is left over.
 
@@ -172,7 +172,7 @@ def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) ->
         window_deg: about each quadrant, shaded.
         used: readings there are used in the fit.
     """
-    figure, axes = _figure(len(traces), 4.6)
+    figure, axes = new_figure(len(traces), 4.6)
     for ax, trace in zip(axes, traces, strict=True):
         deg = shown_deg(trace.angle_rad)
         order = np.argsort(deg, kind="stable")
@@ -186,10 +186,10 @@ def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) ->
         ax.set_ylabel("bar longer, µm")
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
     axes[-1].set_xlabel(f"angle on the circle, degrees; grey: near a quadrant{'' if used else ', not used in the fit'}")
-    return _png(figure)
+    return png_of(figure)
 
 
-@_styled
+@styled
 def causes(traces: Sequence[Trace], curves: Sequence[tuple[str, Sequence[Floats]]], window_deg: float) -> bytes:
     """Each cause by itself against angle, one small panel a cause with all tests in it; all panels have one scale.
 
@@ -223,7 +223,7 @@ def causes(traces: Sequence[Trace], curves: Sequence[tuple[str, Sequence[Floats]
             ax.set_xlabel("angle on the circle, degrees")
             ax.tick_params(labelbottom=True)
     figure.legend(loc="outside upper left", frameon=False, ncols=min(2, len(traces)), fontsize=13)
-    return _png(figure)
+    return png_of(figure)
 
 
 def shown_deg(angle_rad: Floats) -> Floats:

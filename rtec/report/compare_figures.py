@@ -18,7 +18,7 @@ from rtec.diagnosis.compare.bins import cut_into
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.report.ball_bar_figures import MIDDLE, ROOM, Trace, around, arrow, frame
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, _figure, _png, _styled
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, new_figure, png_of, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,7 +124,7 @@ LONG = 22
 """Letters; longer names stand on two lines."""
 
 
-@_styled
+@styled
 def residual_map(
     title: str,
     unit: str,
@@ -142,13 +142,13 @@ def residual_map(
         means: what each panel shows, and the means, (up, across); NaN where there are few readings.
         floor: noise; colours are never stronger than it deserves.
     """
-    figure, axes = _figure(len(means), 5.6)
+    figure, axes = new_figure(len(means), 5.6)
     most = max(floor, *(float(np.abs(mean[np.isfinite(mean)]).max(initial=0.0)) for _, mean in means), 1e-9)
     for ax, (name, mean) in zip(axes, means, strict=True):
         _panel(figure, ax, unit, across, up, mean, most)
         ax.set_title(f"{title}{name}: mean left in each cell, {unit}")
     axes[-1].set_xlabel(f"{across[0]}   (hatched: fewer than 3 readings)")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _panel(
@@ -181,7 +181,7 @@ def _short(value: float) -> str:
     return text.replace("-0.0", "0.0").replace("-", "−")
 
 
-@_styled
+@styled
 def contributions(
     title: str,
     unit: str,
@@ -204,7 +204,7 @@ def contributions(
     effects = [(name, rms, colour, "") for (name, rms, _), colour in zip(shown, colours(len(shown)), strict=True)]
     bars = [("measured", measured, GREY, ""), *effects, ("left", left, OFF, "//")]
     high = 0.7 * len(bars) + 1.6
-    figure, axes = _figure(2 if stack else 1, 0.5 * (high + STACK_IN) if stack else high)
+    figure, axes = new_figure(2 if stack else 1, 0.5 * (high + STACK_IN) if stack else high)
     if stack and (grid := axes[0].get_gridspec()):
         grid.set_height_ratios([high, STACK_IN])
         draw_stack(axes[1], unit, stack)
@@ -222,7 +222,7 @@ def contributions(
     figure.suptitle(f"{title}: what each effect adds", x=0.01, ha="left", fontsize=17, fontweight="bold")
     ax.set_xlabel(f"root mean square, {unit} (grey band: noise {floor:.2g} {unit})")
     ax.grid(visible=False, axis="y")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _broken(name: str) -> str:
@@ -234,7 +234,7 @@ PLACES = 48
 MOST_DOTS = 6000
 
 
-@_styled
+@styled
 def over_position(
     title: str,
     unit: str,
@@ -256,7 +256,7 @@ def over_position(
         measured, predicted: (n,).
         floor: noise, root mean square.
     """
-    figure, (top, low) = _figure(2, 4.4)
+    figure, (top, low) = new_figure(2, 4.4)
     low.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
     for name, mask, colour, marker, line in _ways(direction):
         at, mean, spread = _by_place(place[mask], measured[mask])
@@ -275,7 +275,7 @@ def over_position(
         ax.set_ylabel(f"{what}, {unit}")
         _legend_above(ax)
     low.set_xlabel(f"{below}; mean of all runs, bars: standard deviation between them")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str, str]]:
@@ -309,7 +309,7 @@ def _legend_above(ax: "Axes") -> None:
               framealpha=0.9, fontsize=12, columnspacing=1.1, handlelength=1.5, handletextpad=0.5)  # fmt: skip
 
 
-@_styled
+@styled
 def over_time(
     title: str,
     unit: str,
@@ -331,7 +331,7 @@ def over_time(
         floor: noise, root mean square.
         sensors: name and temperature, °C, (n,).
     """
-    figure, axes = _figure(2 if sensors else 1, 4.2)
+    figure, axes = new_figure(2 if sensors else 1, 4.2)
     ax = axes[0]
     ax.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
     thin = slice(None, None, max(1, len(left) // MOST_DOTS))
@@ -350,7 +350,7 @@ def over_time(
         axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
         axes[1].set_xlim(axes[0].get_xlim())
     axes[-1].set_xlabel(f"{time_unit} since the first reading")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _with_gaps(time: Floats, value: Floats) -> tuple[Floats, Floats]:
@@ -390,7 +390,7 @@ def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, 
     return _polar_pair(title, bar.setup.letters[:2], Trace("", bar.setup.sense, turned, measured, predicted))
 
 
-@_styled
+@styled
 def _polar_pair(title: str, letters: tuple[str, str], trace: Trace) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -408,7 +408,7 @@ def _polar_pair(title: str, letters: tuple[str, str], trace: Trace) -> bytes:
     for ax in (both, left):
         ax.legend(loc="upper left", frameon=False, fontsize=13)
     figure.suptitle(f"{title}: deviation from the circle, magnified", x=0.01, ha="left", fontweight="bold")
-    return _png(figure)
+    return png_of(figure)
 
 
 def _bar(readings: Readings, s: Series) -> BallBar | None:

@@ -62,7 +62,7 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
         p = d.picture
         from rtec.report import diagnosis_figures
 
-        png = diagnosis_figures.against_drivers(_panels(p))
+        png = diagnosis_figures.against_drivers(panels(p))
         shows = "What the model leaves against what drives it, with what the finding says of it."
         out.append(
             Section("What is left, and what the finding says of it", [], None, Figure("evidence.png", png, shows))
@@ -96,7 +96,7 @@ def _to_type(d: Diagnosis, files: Sequence[Path]) -> list[Section]:
     return [Section("To add it without a name", words)]
 
 
-def _panels(p: Picture) -> "list[Panel]":
+def panels(p: Picture) -> "list[Panel]":
     """Of one reading column all that drives it, of several the first driver each."""
     if not p.others:
         return [_panel(p, k) for k in range(len(p.drivers[:MOST_PANELS]))]

@@ -40,7 +40,7 @@ WIDTH_IN = 11.0
 P = ParamSpec("P")
 
 
-def _styled(draw: Callable[P, bytes]) -> Callable[P, bytes]:
+def styled(draw: Callable[P, bytes]) -> Callable[P, bytes]:
     """Draw in this file's style, and leave matplotlib's own as it was."""
 
     @functools.wraps(draw)
@@ -53,7 +53,7 @@ def _styled(draw: Callable[P, bytes]) -> Callable[P, bytes]:
     return styled
 
 
-@_styled
+@styled
 def over_time(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]], night_from_h: float) -> bytes:
     """Errors over the day, one panel a kind, uncorrected and corrected.
 
@@ -63,7 +63,7 @@ def over_time(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]], night
             over the places as a band.
         night_from_h: from here on the machine stands and cools.
     """
-    figure, axes = _figure(len(panels), 3.9)
+    figure, axes = new_figure(len(panels), 3.9)
     for ax, (title, *both) in zip(axes, panels, strict=True):
         _night(ax, hours, night_from_h)
         for values, style in zip(both, KINDS, strict=True):
@@ -75,10 +75,10 @@ def over_time(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]], night
         ax.set_ylabel("error, µm")
         _names(ax, hours, [v.reshape(len(hours), -1).mean(axis=1) for v in both])
     axes[-1].set_xlabel("hours since the cold start")
-    return _png(figure)
+    return png_of(figure)
 
 
-@_styled
+@styled
 def straightness_bars(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]]) -> bytes:
     """One bar a part, uncorrected and corrected side by side.
 
@@ -86,7 +86,7 @@ def straightness_bars(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]
         hours: when the part was cut, (n,).
         panels: title, then uncorrected and corrected, µm, (n,).
     """
-    figure, axes = _figure(len(panels), 3.6)
+    figure, axes = new_figure(len(panels), 3.6)
     place = np.arange(len(hours))
     for ax, (title, *both) in zip(axes, panels, strict=True):
         for shift, values, style, name in zip((-0.2, 0.2), both, KINDS, ("uncorrected", "corrected"), strict=True):
@@ -99,17 +99,17 @@ def straightness_bars(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]
         ax.set_ylim(0, 1.25 * max(float(v.max()) for v in both))
         ax.legend(ncols=2, frameon=False, loc="upper right", borderaxespad=0.0)
     axes[-1].set_xlabel("part cut at, hours since the cold start")
-    return _png(figure)
+    return png_of(figure)
 
 
-@_styled
+@styled
 def profiles(panels: Sequence[tuple[str, str, Floats, Floats, Floats]]) -> bytes:
     """The line of a surface, uncorrected and corrected, about its best-fit line.
 
     Args:
         panels: title, name of the axis below, place, mm, (n,), uncorrected and corrected, µm, (n,).
     """
-    figure, axes = _figure(len(panels), 3.6)
+    figure, axes = new_figure(len(panels), 3.6)
     for ax, (title, below, place, *both) in zip(axes, panels, strict=True):
         for values, style in zip(both, KINDS, strict=True):
             ax.plot(place, values, color=style["color"], linestyle=style["linestyle"])
@@ -118,13 +118,13 @@ def profiles(panels: Sequence[tuple[str, str, Floats, Floats, Floats]]) -> bytes
         ax.set_xlabel(below)
         ax.set_ylabel("error, µm")
         _names(ax, place, both)
-    return _png(figure)
+    return png_of(figure)
 
 
-@_styled
+@styled
 def temperatures(hours: Floats, degc: Mapping[str, Floats], night_from_h: float) -> bytes:
     """Temperatures over the day, °C, (n,) by name, named in the order of their highest."""
-    figure, (ax,) = _figure(1, 5.5)
+    figure, (ax,) = new_figure(1, 5.5)
     _night(ax, hours, night_from_h)
     hottest_first = sorted(enumerate(degc.items()), key=lambda item: -float(item[1][1].max()))
     for place, (name, values) in hottest_first:
@@ -133,13 +133,13 @@ def temperatures(hours: Floats, degc: Mapping[str, Floats], night_from_h: float)
     ax.set_title("Temperatures that the sensors read")
     ax.set_ylabel("°C")
     ax.set_xlabel("hours since the cold start")
-    return _png(figure)
+    return png_of(figure)
 
 
-@_styled
+@styled
 def shares(title: str, rows: Sequence[tuple[str, float, float]]) -> bytes:
     """Horizontal bars, largest on top: name, root mean square and largest size, µm."""
-    figure, (ax,) = _figure(1, 0.62 * len(rows) + 1.4)
+    figure, (ax,) = new_figure(1, 0.62 * len(rows) + 1.4)
     for place, (name, rms, largest) in enumerate(reversed(rows)):
         ax.barh(place, largest, 0.72, color="#9FC5E8")
         ax.barh(place, rms, 0.36, color=ON)
@@ -150,10 +150,11 @@ def shares(title: str, rows: Sequence[tuple[str, float, float]]) -> bytes:
     ax.set_title(title)
     ax.set_xlabel("µm at the tool tip: dark bar root mean square, light bar largest")
     ax.grid(visible=False, axis="y")
-    return _png(figure)
+    return png_of(figure)
 
 
-def _figure(panels: int, height_in: float) -> "tuple[Figure, Sequence[Axes]]":
+def new_figure(panels: int, height_in: float) -> "tuple[Figure, Sequence[Axes]]":
+    """Give an empty figure of the usual width, and its panels from the top down."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -162,7 +163,8 @@ def _figure(panels: int, height_in: float) -> "tuple[Figure, Sequence[Axes]]":
     return figure, list(figure.subplots(panels, 1, squeeze=False)[:, 0])
 
 
-def _png(figure: "Figure") -> bytes:
+def png_of(figure: "Figure") -> bytes:
+    """Give the figure as PNG."""
     out = BytesIO()
     figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
     return out.getvalue()

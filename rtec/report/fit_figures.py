@@ -1,12 +1,11 @@
 """Figures of a characterisation; style and colours as in `figures`. Only arrays come in, PNG goes out."""
 
 from collections.abc import Sequence
-from io import BytesIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import LINES, OFF, ON, STYLE, WIDTH_IN
+from rtec.report.figures import LINES, OFF, ON, STYLE, WIDTH_IN, png_of
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +29,7 @@ def falling(inside: Floats, held_out: Floats) -> bytes:
         ax.set_ylabel("% of that of nothing")
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.legend(frameon=False)
-        return _png(figure)
+        return png_of(figure)
 
 
 def residuals(panels: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
@@ -54,10 +53,4 @@ def residuals(panels: Sequence[tuple[str, str, Floats, Floats]]) -> bytes:
             ax.set_title(name)
             ax.set_ylabel(f"left, {unit}")
         axes[-1].set_xlabel("hours")
-        return _png(figure)
-
-
-def _png(figure: object) -> bytes:
-    out = BytesIO()
-    figure.savefig(out, format="png", dpi=100, metadata={"Software": None})  # type: ignore[attr-defined]
-    return out.getvalue()
+        return png_of(figure)

@@ -133,7 +133,7 @@ def _compared(c: Comparison, found: Sequence[Item]) -> Table:
     return Table(head, rows, words=(0, 1, 2, 5, 6))
 
 
-def _pieces(edges: Sequence[Edge], family: int, level: dict[int, float], turn: float) -> list[draw.Piece]:
+def drawn_pieces(edges: Sequence[Edge], family: int, level: dict[int, float], turn: float) -> list[draw.Piece]:
     """Edges without their plane's mean and the plate's turn: how a plate lies is no fault of the machine."""
     middle = {k: float(np.mean([np.ptp(e.place_mm) / 2 + e.place_mm.min() for e in edges if e.along == k] or [0.0]))
               for k in (0, 1)}  # fmt: skip
@@ -147,7 +147,7 @@ def _pieces(edges: Sequence[Edge], family: int, level: dict[int, float], turn: f
     return out
 
 
-def _turn(s: GridSetup, edges: Sequence[Edge]) -> float:
+def plate_turn(s: GridSetup, edges: Sequence[Edge]) -> float:
     """How the sides along the first letter lean, µm per mm, 0 where the plate is known: [XT] draws them level."""
     first = [e for e in edges if e.along == 0]
     if s.setup.alignment == "none" or not first:
@@ -174,8 +174,10 @@ def _contour(s: GridSetup, number_: int, magnification: float | None) -> Figure:
     chosen = outside or slow
     runs = sorted({e.run for e in chosen})[:2]
     level = _level([e for e in chosen if e.run in runs])
-    turn = _turn(s, [e for e in chosen if e.run in runs])
-    pieces = [p for k, run in enumerate(runs) for p in _pieces([e for e in chosen if e.run == run], k, level, turn)]
+    turn = plate_turn(s, [e for e in chosen if e.run in runs])
+    pieces = [
+        p for k, run in enumerate(runs) for p in drawn_pieces([e for e in chosen if e.run == run], k, level, turn)
+    ]
     gain = magnification or draw.usual_magnification(pieces)
     png = draw.contour(f"{s.name}, {s.setup.plane}", s.lean.letters, pieces, [f"run {r}" for r in runs], gain, _how(s))
     return Figure(f"contour-{number_ + 1}.png", png, "path with its deviation drawn normal to it, magnified")
@@ -226,9 +228,9 @@ def _laid_over(
     chosen = {k: [e for e in v if e.run == min(x.run for x in v)] for k, v in families.items() if v}
     if len(chosen) < 2:
         return None
-    lies = [(_level(v), _turn(s, v)) for v in chosen.values()]
+    lies = [(_level(v), plate_turn(s, v)) for v in chosen.values()]
     lies = [lies[0]] * len(lies) if still else lies
-    pieces = [p for k, v in enumerate(chosen.values()) for p in _pieces(v, k, *lies[k])]
+    pieces = [p for k, v in enumerate(chosen.values()) for p in drawn_pieces(v, k, *lies[k])]
     gain = magnification or draw.usual_magnification(pieces)
     png = draw.contour(f"Plane {s.setup.plane}", s.lean.letters, pieces, list(chosen), gain, _how(s))
     return Figure(name, png, "two paths laid over each other, deviations drawn normal to them, magnified")

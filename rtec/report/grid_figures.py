@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, _png, _styled
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, png_of, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,7 @@ class Piece:
     family: int
 
 
-@_styled
+@styled
 def contour(
     title: str,
     letters: tuple[str, str],
@@ -75,7 +75,7 @@ def contour(
     ax.set_ylabel(f"{letters[1]}, mm")
     ax.set_title(f"{title}; deviation {f'{magnification:,.0f}'.replace(',', chr(0x2009))} times")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=min(3, len(names)), frameon=False)
-    return _png(figure)
+    return png_of(figure)
 
 
 def usual_magnification(pieces: Sequence[Piece]) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
-from rtec.report.figures import GREY, KINDS, _figure, _png, _styled
+from rtec.report.figures import GREY, KINDS, new_figure, png_of, styled
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.report.procedures import number, plain
 
@@ -25,7 +25,7 @@ MOST_DOTS = 4000
 FAULT = "#F0E442"
 
 
-@_styled
+@styled
 def tip_errors(
     time_s: Floats, panels: Sequence[tuple[str, Floats, Floats]], faults: Sequence[tuple[str, float, float]]
 ) -> bytes:
@@ -36,7 +36,7 @@ def tip_errors(
         panels: direction, then uncorrected and corrected error, µm, (n,); NaN where there is none.
         faults: name, begin, end, s.
     """
-    figure, axes = _figure(len(panels), 4.2)
+    figure, axes = new_figure(len(panels), 4.2)
     thin = slice(None, None, max(1, len(time_s) // MOST_DOTS))
     for place, (ax, (direction, *both)) in enumerate(zip(axes, panels, strict=True)):
         for name, begin_s, end_s in faults:
@@ -55,7 +55,7 @@ def tip_errors(
     axes[-1].set_xlabel(
         "seconds since the machine began; yellow: a fault is on" if faults else "seconds since the machine began"
     )
-    return _png(figure)
+    return png_of(figure)
 
 
 NOT_YET = "never"

@@ -33,7 +33,7 @@ def plan_page(a: Answer) -> Page:
             *_hopeless(a),
             Section("Smallest size that would be found", [], _sizes(s)),
             *_proposals(a.proposals),
-            *_separators(a.separators),
+            *separator_sections(a.separators),
             *_setups([*a.route, *a.proposals[:SHOWN]], _helpful(a.separators)),
         ],
         foot=[
@@ -110,7 +110,7 @@ def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
     return [Section("What to add, best first", [], Table(head, rows, words=(0, 1, 4)))]
 
 
-def _separators(separators: Sequence[Separator]) -> list[Section]:
+def separator_sections(separators: Sequence[Separator]) -> list[Section]:
     """Tests by the odds that they would give for the right one of each two rivals."""
     if not separators:
         return []

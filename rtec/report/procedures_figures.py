@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, STYLE, WIDTH_IN
+from rtec.report.figures import GREY, LINES, OFF, ON, STYLE, WIDTH_IN, png_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,12 +37,6 @@ def _panels(heights_in: Sequence[float]) -> "Iterator[tuple[Figure, Sequence[Axe
         FigureCanvasAgg(figure)
         axes = figure.subplots(len(heights_in), 1, squeeze=False, height_ratios=list(heights_in))
         yield figure, list(axes[:, 0])
-
-
-def _png(figure: "Figure") -> bytes:
-    out = BytesIO()
-    figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
-    return out.getvalue()
 
 
 def positioning(
@@ -86,7 +79,7 @@ def positioning(
         )  # fmt: skip
         if cycle_um is not None:
             _cycles(axes[1], cycle_um)
-        return _png(figure)
+        return png_of(figure)
 
 
 def _cycles(ax: "Axes", cycle_um: Floats) -> None:
@@ -126,7 +119,7 @@ def straightness(
             ax.set_ylabel("µm")
         _room(axes[0], 0.22)
         axes[-1].set_xlabel(below)
-        return _png(figure)
+        return png_of(figure)
 
 
 def parallelism(below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: float, left: Sequence[Floats]) -> bytes:
@@ -155,7 +148,7 @@ def parallelism(below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: 
             ax.axhline(0.0, color="black", linewidth=1)
             ax.set_ylabel("µm")
         axes[-1].set_xlabel(below)
-        return _png(figure)
+        return png_of(figure)
 
 
 def drift(
@@ -182,7 +175,7 @@ def drift(
             ax.legend(frameon=True, framealpha=0.9, facecolor="white", edgecolor="none", ncols=4, loc="lower left")
         axes[-1].set_xlabel("hours; grey: spindle off; dashed: fitted approach")
         _speeds(axes[0], phases)
-        return _png(figure)
+        return png_of(figure)
 
 
 def _shade(ax: "Axes", phases: Sequence[Stretch]) -> None:

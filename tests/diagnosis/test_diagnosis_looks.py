@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.run_drift import run_drifts
-from rtec.diagnosis.search.screen import SKETCH, _sketch
+from rtec.diagnosis.search.screen import SKETCH, sketched
 from rtec.estimation.noise import INEXACT, Noise, find_noise, least_noise
 from rtec.estimation.readings import looked_at, read
 from rtec.machine import Machine, machine_from
@@ -94,11 +94,11 @@ def test_rows_drawn_together_keep_inner_products() -> None:
     rng = np.random.default_rng(2)
     d = np.cumsum(rng.standard_normal((5 * SKETCH, 12)), axis=1).astype(np.float32)
     d /= np.linalg.norm(d, axis=0)
-    small = _sketch(d, rng)
+    small = sketched(d, rng)
     assert len(small) == SKETCH
     np.testing.assert_allclose(small.T @ small, d.T @ d, atol=5.0 / np.sqrt(SKETCH))
-    assert _sketch(d[:SKETCH], rng) is not None
-    assert len(_sketch(d[:SKETCH], rng)) == SKETCH
+    assert sketched(d[:SKETCH], rng) is not None
+    assert len(sketched(d[:SKETCH], rng)) == SKETCH
 
 
 @pytest.mark.parametrize("runs", [1, 400])

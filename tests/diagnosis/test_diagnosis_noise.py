@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from rtec.estimation.noise import Noise, Whitener, _bounds, find_noise, minutes
+from rtec.estimation.noise import Noise, Whitener, find_noise, minutes, noise_bounds
 from rtec.estimation.readings import read
 from rtec.estimation.smoothing import Windows, smoothed
 from rtec.estimation.whitening import drift_draws, gains, innovations, likelihood, noise_cost, walk
@@ -83,7 +83,7 @@ def test_refining_lowers_the_cost_as_scipys_walk_does() -> None:
     y, wide = readings.values[s.part], np.zeros(0)
     data = (s.time_s, s.run, s.nuisance, wide, y, float(len(y)))
     start = np.log([0.3, 4000.0, 0.1])
-    bounds = _bounds(s)
+    bounds = noise_bounds(s)
     mine = noise_cost(*data, walk(*data, start, bounds, 120), bounds)
 
     def cost(x: Floats) -> float:

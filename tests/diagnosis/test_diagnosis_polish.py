@@ -21,7 +21,7 @@ from rtec.estimation.gls import resolved
 from rtec.estimation.readings import read
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.report.diagnosis import _panels, diagnosis_page
+from rtec.report.diagnosis import diagnosis_page, panels
 from rtec.report.diagnosis_figures import binned
 from tests.support.diagnosis_examples import effects, laser, small_machine, write_laser, write_machine
 
@@ -198,7 +198,7 @@ def test_a_short_wave_is_drawn_within_one_period() -> None:
     period = d.picture.period_mm
     assert period is not None
     assert period == pytest.approx(5.021, rel=1e-3)
-    (panel,) = _panels(d.picture)
+    (panel,) = panels(d.picture)
     assert 0.0 <= float(panel.value.min()) < float(panel.value.max()) < period
     assert "each period of 5.02" in panel.below
     _, height = binned(panel.value, panel.part)

@@ -19,7 +19,7 @@ from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
-from rtec.report.plan import _separators
+from rtec.report.plan import separator_sections
 from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
 from rtec.sim.campaign.truth import effect_from_text
@@ -222,7 +222,7 @@ def test_command_ranks_tests_for_rivals(tmp_path: Path, capsys: pytest.CaptureFi
 def test_where_no_test_tells_the_rivals_apart_that_is_said(gain: float, rows: int) -> None:
     """Oracle: odds of 1 and of 5 to 1, both below the 20 that tell apart; even odds name no test."""
     test = Extra("laser along X", laser([SCALE], 1), 1.0)
-    (section,) = _separators([Separator(test, (Pair("a", "b", gain, 0.0),))])
+    (section,) = separator_sections([Separator(test, (Pair("a", "b", gain, 0.0),))])
     assert "No single test of this machine tells any two of them apart" in section.text[1]
     assert (len(section.table.rows) if section.table else 0) == rows
 

@@ -15,7 +15,7 @@ import tomli_w
 
 from rtec import jit
 from rtec.correction.guard import Flag, Limits
-from rtec.daemon.dry_run import _inputs
+from rtec.daemon.dry_run import input_rows
 from rtec.effects.derived import motion_track
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, ModelError
@@ -202,7 +202,7 @@ def test_inputs_of_the_run_file(tmp_path: Path) -> None:
     sample = Samples.empty(step.layout, 1)
     sample.mode[:] = MODE_ON
     np.testing.assert_allclose(step.run(sample).requested_um[0], [-1.7 * 120, -1.7 * 40])
-    assert [i for i in _inputs(made, sample) if i[2] == "run file"] == [
+    assert [i for i in input_rows(made, sample) if i[2] == "run file"] == [
         ("load", "120 kg", "run file"),
         ("force", "40 N", "run file"),
     ]

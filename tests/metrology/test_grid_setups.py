@@ -12,7 +12,7 @@ from rtec.metrology.grid.paths import straight_pieces
 from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.report.grid import _pieces, _turn, grid_facts, grid_page, grid_report
+from rtec.report.grid import drawn_pieces, grid_facts, grid_page, grid_report, plate_turn
 from tests.metrology.test_grid_encoder import bridge, measured, own
 
 Floats = NDArray[np.float64]
@@ -133,7 +133,7 @@ def test_the_figures_lie_as_the_machine_does() -> None:
     turned = {"reading_x_um": made.readings["reading_x_um"] - phi * z * 1e-3,
               "reading_z_um": made.readings["reading_z_um"] + phi * x * 1e-3}  # fmt: skip
     s = analyse(Measurement("t", made.instrument, m, made.run, made.time_s, made.channels, turned))
-    pieces = _pieces(s.edges, 0, {0: 0.0, 1: 0.0}, _turn(s, s.edges))
+    pieces = drawn_pieces(s.edges, 0, {0: 0.0, 1: 0.0}, plate_turn(s, s.edges))
     lean = {k: [np.polyfit(p.place_mm, p.deviation_um, 1)[0] * 1e3 for p in pieces if p.along == k] for k in (0, 1)}
     np.testing.assert_allclose(lean[0], 0.0, atol=0.1)
     np.testing.assert_allclose(lean[1], 20.0, atol=0.1)

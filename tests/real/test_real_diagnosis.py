@@ -1,7 +1,8 @@
 """The diagnosis on recordings made by others: which effect is missing there, and what adding it buys.
 
-The recordings are not part of the project; see `tests/support/real_data.py`. Oracles: hours of the record that the program is
-never given; the procedures of `rtec.metrology.procedures`, which share no code with the diagnosis; plain averages.
+The recordings are not part of the project; see `tests/support/real_data.py`. Oracles: hours of the record that the
+program is never given; the procedures of `rtec.metrology.procedures`, which share no code with the diagnosis; plain
+averages.
 """
 
 from dataclasses import replace

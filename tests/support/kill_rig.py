@@ -4,8 +4,8 @@ The machine is this process, as real hardware would be: it answers one message a
 is a child, which reads and commands it through a socket, in the machine's own time, as fast as it goes. The parent
 kills it at a random instant (after a random message, a random while later) and starts the next.
 
-`python -m tests.support.kill_rig FOLDER KILLS SEED KIND` prints one line of JSON with what happened; the judging is done
-in `test_kill.py`. KIND is "box" (has a ledger that can be read) or "register" (keeps what it was told, tells nothing).
+`python -m tests.support.kill_rig FOLDER KILLS SEED KIND` prints one line of JSON with what happened; `test_kill.py`
+judges it. KIND is "box" (has a ledger that can be read) or "register" (keeps what it was told, tells nothing).
 """
 
 import json

@@ -125,8 +125,8 @@ class BoxSimulator:
             self.plant.insert(list(self._ledger))
 
     def _frame(self, block: bytes, now_ns: int) -> bytes:
-        body = _unstuff(block)
-        if len(body) < 8 or _crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
+        body = unstuff(block)
+        if len(body) < 8 or crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
             return b""
         kind, sequence, payload = body[1], int.from_bytes(body[2:4], "little"), body[4:-4]
         if body[0] != 1:
@@ -182,7 +182,7 @@ class BoxSimulator:
 
     def _send(self, kind: int, sequence: int, payload: bytes) -> bytes:
         body = bytes((1, kind)) + sequence.to_bytes(2, "little") + payload
-        return b"\0" + _stuff(body + _crc32(body).to_bytes(4, "little")) + b"\0"
+        return b"\0" + stuff(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
 def _table() -> list[int]:
@@ -198,14 +198,15 @@ def _table() -> list[int]:
 _TABLE = _table()
 
 
-def _crc32(data: bytes) -> int:
+def crc32(data: bytes) -> int:
+    """CRC-32 of the link, by a table of its own."""
     register = WRAP
     for byte in data:
         register = register >> 8 ^ _TABLE[(register ^ byte) & 0xFF]
     return register ^ WRAP
 
 
-def _stuff(body: bytes) -> bytes:
+def stuff(body: bytes) -> bytes:
     """Every zero is replaced by the distance to the next one; the first distance stands in front."""
     out, at = bytearray(b"\0"), 0
     for byte in body:
@@ -219,7 +220,7 @@ def _stuff(body: bytes) -> bytes:
     return bytes(out)
 
 
-def _unstuff(block: bytes) -> bytes:
+def unstuff(block: bytes) -> bytes:
     """Give the body; nothing where a distance points beyond the end."""
     out, left = bytearray(), block[0]
     if len(block) > 255:

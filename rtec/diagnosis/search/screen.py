@@ -172,7 +172,7 @@ class Screen:
         if not self.variants:
             return 1.0, np.zeros(0)
         tops = []
-        directions = _sketch(self.directions, rng)
+        directions = sketched(self.directions, rng)
         rest = max(len(self.projected.left) - len(directions) - self.projected.q.shape[1], 0)
         whole_base = self.projected.q.astype(np.float32) if directions is self.directions else None
         for start in range(0, draws, 100):
@@ -263,7 +263,7 @@ def orthonormal(columns: Floats) -> Floats:
     return np.asarray(np.linalg.qr(q)[0], dtype=np.float64)
 
 
-def _sketch(directions: Single, rng: np.random.Generator) -> Single:
+def sketched(directions: Single, rng: np.random.Generator) -> Single:
     """Fewer rows with the same inner products, near enough: rows drawn together with random signs, (SKETCH, columns).
 
     What chance does to many directions at once depends on nothing but their inner products.
