@@ -17,7 +17,7 @@ from tests.support.setups import setup
 ROOT = Path(__file__).parents[2]
 CALENDAR = {"wall_clock_ns", "wall_clock_iso"}
 ROOMS = ("correction", "model", "effects", "loop", "log", "daemon", "control", "doctor", "replay")
-MAY_KNOW_THE_DATE = {"control", "log", "daemon", "doctor"}
+MAY_KNOW_THE_DATE = {"control", "log", "daemon"}
 """What tells people the date: packages of rtec that run."""
 
 
