@@ -69,7 +69,7 @@ def ballbar(
     from rtec.metrology.ball_bar.diagnosis import diagnose
     from rtec.metrology.files.load import load_measurements
     from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
-    from rtec.report.procedures import plain, write_page
+    from rtec.report.page import plain, write_page
 
     measurements = load_measurements(files, load_machine(machine))
     with bar(f"{len(measurements)} tests"):

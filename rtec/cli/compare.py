@@ -26,7 +26,7 @@ def compare(
     from rtec.diagnosis.machine_file import load_with_machine
     from rtec.metrology.files.load import load_measurements
     from rtec.report.compare import compare_page
-    from rtec.report.procedures import plain, write_page
+    from rtec.report.page import plain, write_page
 
     known = load_with_machine(model, machine)
     measurements = load_measurements(files, known.machine)

@@ -270,7 +270,7 @@ def _ask_refit(made: "Added") -> bool:
 
 def _tell(page: Any, facts: Any, report: Path | None, as_json: bool) -> None:
     from rtec.cli.common import show_page
-    from rtec.report.procedures import plain, write_page
+    from rtec.report.page import plain, write_page
 
     written = write_page(page(True), facts, report) if report else None
     if as_json:

@@ -49,7 +49,7 @@ def fit(
     from rtec.metrology.files.load import load_measurements
     from rtec.model import save_model
     from rtec.report.fit import fit_page
-    from rtec.report.procedures import plain, write_page
+    from rtec.report.page import plain, write_page
 
     known = load_machine(machine)
     _check_out(out, [machine, *files])

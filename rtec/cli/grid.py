@@ -38,7 +38,7 @@ def grid(
     from rtec.machine import load_machine
     from rtec.metrology.files.load import load_measurements
     from rtec.report.grid import grid_facts, grid_page, grid_report
-    from rtec.report.procedures import plain, write_page
+    from rtec.report.page import plain, write_page
 
     measurements = load_measurements(files, load_machine(machine))
     found = grid_report(measurements, corner_mm, trim_mm, magnification)

@@ -99,7 +99,7 @@ def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
 
 def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, passed: bool) -> None:
     from rtec.cli.common import show_page
-    from rtec.report.procedures import write_page
+    from rtec.report.page import write_page
 
     path = write_page(page, facts, folder) if folder else None
     if as_json:

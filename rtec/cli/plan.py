@@ -49,8 +49,8 @@ def plan(
     from rtec.diagnosis.plan.answer import Question, answer
     from rtec.diagnosis.plan.tests import load_test, thinned
     from rtec.machine import load_machine
+    from rtec.report.page import plain, write_page
     from rtec.report.plan import plan_page
-    from rtec.report.procedures import plain, write_page
 
     known = load_machine(machine)
     with stages() as stage:

@@ -173,7 +173,7 @@ def _give(
 ) -> None:
     """Write the report where wanted, then print tables or JSON; with them what was said of the measurements."""
     from rtec.cli.common import show_page
-    from rtec.report.procedures import plain, with_notes, write_page
+    from rtec.report.page import plain, with_notes, write_page
 
     said = notes or {}
     everything = plain(facts) | {"notes": said}

@@ -5,15 +5,14 @@ from pathlib import Path
 import numpy as np
 
 from rtec import __version__
+from rtec.demo import figures
 from rtec.demo.day import CYLINDER, FACE, OTHER, Floats
 from rtec.demo.live import RATE_HZ
 from rtec.demo.residual_sources import WHY
 from rtec.demo.second_story import later_sections
 from rtec.demo.sizes import line
 from rtec.demo.story import FINER, Story
-from rtec.report import figures
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.report.procedures import write_page
+from rtec.report.page import Figure, Page, Section, Table, write_page
 
 TITLE = "A turning centre over a day, uncorrected and corrected"
 

@@ -18,6 +18,7 @@ import tomli_w
 
 from rtec.demo import training
 from rtec.demo.day import CYLINDER, FACE, SHOULDER, Floats, Ints, Plan, Track
+from rtec.demo.figures import tip_by_part
 from rtec.demo.hidden import Fault, draw, with_play
 from rtec.demo.live import corrected
 from rtec.diagnosis.extend.add import Added, add, new_effect
@@ -26,7 +27,6 @@ from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.words import UNITS
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.report import diagnosis_figures
 from rtec.report.additions import added_page
 from rtec.report.diagnosis import diagnosis_page
 from rtec.report.page import Figure, Section, Table
@@ -224,7 +224,7 @@ def later_sections(later: Later) -> list[Section]:
     runs = [("without the fault", by_part_um(later.healthy)), ("first model", by_part_um(later.before))]
     if later.after is not None:
         runs.append(("effect added", by_part_um(later.after)))
-    png = diagnosis_figures.tip_by_part("Error at the tool tip, part by part", runs)
+    png = tip_by_part("Error at the tool tip, part by part", runs)
     caption = "While cutting, counted from the mean of the first part."
     out = [
         Section(

@@ -7,8 +7,7 @@ from rtec.diagnosis.extend.improve import Improved
 from rtec.diagnosis.usable import apart, share
 from rtec.diagnosis.words import UNITS, sentence
 from rtec.report.history import history_sections
-from rtec.report.page import Page, Section, Table
-from rtec.report.procedures import number
+from rtec.report.page import Page, Section, Table, number
 
 WHY_ENDED = {
     "nothing_missing": "nothing more that these readings could show is missing",

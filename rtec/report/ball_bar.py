@@ -18,8 +18,7 @@ from rtec.metrology.ball_bar.iso230_4 import Harmonic
 from rtec.metrology.ball_bar.values import Value
 from rtec.report import ball_bar_figures as draw
 from rtec.report import ball_bar_figures as draw_causes
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.report.procedures import number
+from rtec.report.page import Figure, Page, Section, Table, number
 
 UNITS = {
     "um": "µm",

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, new_figure, png_of, styled
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, as_png, canvas, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as MplFigure
 
 
 Floats = NDArray[np.float64]
@@ -36,8 +37,8 @@ class Trace:
     fitted_um: Floats
 
 
-@styled
-def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> bytes:
+@as_png
+def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> "MplFigure":
     """Deviations drawn outwards from the circle, magnified; a bar tells how much one of them is.
 
     Args:
@@ -45,11 +46,7 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
         letters: directions of the plane, to the right and upwards.
         traces: the tests; all have the same magnification.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * 0.92), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = canvas(WIDTH_IN * 0.92)
     ax = figure.subplots()
     gain = frame(ax, letters, max(float(np.abs(t.measured_um).max()) for t in traces))
     for i, (trace, (colour, line)) in enumerate(zip(traces, _looks(len(traces)), strict=True)):
@@ -60,7 +57,7 @@ def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> byte
     ax.text(0, -0.16, "thin: measured\nthick: fitted", ha="center", va="top", fontsize=13, color=GREY)
     ax.set_title(title)
     ax.legend(loc="upper left", frameon=False, fontsize=12)
-    return png_of(figure)
+    return figure
 
 
 def frame(ax: "Axes", letters: tuple[str, str], largest: float) -> float:
@@ -91,14 +88,14 @@ def frame(ax: "Axes", letters: tuple[str, str], largest: float) -> float:
     return gain
 
 
-@styled
-def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> bytes:
+@as_png
+def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> "MplFigure":
     """Harmonics of each test, measured and fitted.
 
     Args:
         tests: name, amplitudes measured and fitted, µm, (orders,), from order 1.
     """
-    figure, axes = new_figure(len(tests), 3.4)
+    figure, axes = stacked(*[3.4] * len(tests))
     for ax, (name, measured, fitted) in zip(axes, tests, strict=True):
         order = np.arange(1, len(measured) + 1)
         ax.bar(order - 0.2, measured, 0.4, color=ON, label="measured")
@@ -110,7 +107,7 @@ def spectra(tests: Sequence[tuple[str, Floats, Floats]]) -> bytes:
         ax.legend(frameon=False, ncols=2, loc="upper right")
         _cut_first(ax, measured, fitted)
     axes[-1].set_xlabel("waves in one turn (one wave: mostly where the ball was set up)")
-    return png_of(figure)
+    return figure
 
 
 def _cut_first(ax: "Axes", measured: Floats, fitted: Floats) -> None:
@@ -163,8 +160,8 @@ PANEL_IN = 2.7
 SHADE = "#ECECEC"
 
 
-@styled
-def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) -> bytes:
+@as_png
+def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) -> "MplFigure":
     """Deviation against angle, one panel a test: measured, fitted, and what is left over.
 
     Args:
@@ -172,7 +169,7 @@ def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) ->
         window_deg: about each quadrant, shaded.
         used: readings there are used in the fit.
     """
-    figure, axes = new_figure(len(traces), 4.6)
+    figure, axes = stacked(*[4.6] * len(traces))
     for ax, trace in zip(axes, traces, strict=True):
         deg = shown_deg(trace.angle_rad)
         order = np.argsort(deg, kind="stable")
@@ -186,11 +183,11 @@ def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) ->
         ax.set_ylabel("bar longer, µm")
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
     axes[-1].set_xlabel(f"angle on the circle, degrees; grey: near a quadrant{'' if used else ', not used in the fit'}")
-    return png_of(figure)
+    return figure
 
 
-@styled
-def causes(traces: Sequence[Trace], curves: Sequence[tuple[str, Sequence[Floats]]], window_deg: float) -> bytes:
+@as_png
+def causes(traces: Sequence[Trace], curves: Sequence[tuple[str, Sequence[Floats]]], window_deg: float) -> "MplFigure":
     """Each cause by itself against angle, one small panel a cause with all tests in it; all panels have one scale.
 
     Args:
@@ -198,12 +195,8 @@ def causes(traces: Sequence[Trace], curves: Sequence[tuple[str, Sequence[Floats]
         curves: name of the cause, and its curve in every test, µm.
         window_deg: about each quadrant, shaded.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = -(-len(curves) // ACROSS)
-    figure = Figure(figsize=(WIDTH_IN, PANEL_IN * rows + 1.0), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = canvas(PANEL_IN * rows + 1.0)
     panels = figure.subplots(rows, ACROSS, sharex=True, sharey=True, squeeze=False)
     for ax in panels.flat[len(curves) :]:
         ax.set_axis_off()
@@ -223,7 +216,7 @@ def causes(traces: Sequence[Trace], curves: Sequence[tuple[str, Sequence[Floats]
             ax.set_xlabel("angle on the circle, degrees")
             ax.tick_params(labelbottom=True)
     figure.legend(loc="outside upper left", frameon=False, ncols=min(2, len(traces)), fontsize=13)
-    return png_of(figure)
+    return figure
 
 
 def shown_deg(angle_rad: Floats) -> Floats:

@@ -18,7 +18,7 @@ from rtec.diagnosis.compare.bins import cut_into
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.report.ball_bar_figures import MIDDLE, ROOM, Trace, around, arrow, frame
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, new_figure, png_of, styled
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, as_png, canvas, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,7 +124,7 @@ LONG = 22
 """Letters; longer names stand on two lines."""
 
 
-@styled
+@as_png
 def residual_map(
     title: str,
     unit: str,
@@ -132,7 +132,7 @@ def residual_map(
     up: tuple[str, Floats],
     means: Sequence[tuple[str, Floats]],
     floor: float,
-) -> bytes:
+) -> "MplFigure":
     """Mean of what is left in each cell: red above, blue below zero, hatched where there are few readings.
 
     Args:
@@ -142,13 +142,13 @@ def residual_map(
         means: what each panel shows, and the means, (up, across); NaN where there are few readings.
         floor: noise; colours are never stronger than it deserves.
     """
-    figure, axes = new_figure(len(means), 5.6)
+    figure, axes = stacked(*[5.6] * len(means))
     most = max(floor, *(float(np.abs(mean[np.isfinite(mean)]).max(initial=0.0)) for _, mean in means), 1e-9)
     for ax, (name, mean) in zip(axes, means, strict=True):
         _panel(figure, ax, unit, across, up, mean, most)
         ax.set_title(f"{title}{name}: mean left in each cell, {unit}")
     axes[-1].set_xlabel(f"{across[0]}   (hatched: fewer than 3 readings)")
-    return png_of(figure)
+    return figure
 
 
 def _panel(
@@ -181,7 +181,7 @@ def _short(value: float) -> str:
     return text.replace("-0.0", "0.0").replace("-", "−")
 
 
-@styled
+@as_png
 def contributions(
     title: str,
     unit: str,
@@ -190,7 +190,7 @@ def contributions(
     left: float,
     floor: float,
     stack: Stack | None = None,
-) -> bytes:
+) -> "MplFigure":
     """What each effect adds: bars between what was measured and what is left; below, one on top of the other.
 
     Args:
@@ -204,9 +204,8 @@ def contributions(
     effects = [(name, rms, colour, "") for (name, rms, _), colour in zip(shown, colours(len(shown)), strict=True)]
     bars = [("measured", measured, GREY, ""), *effects, ("left", left, OFF, "//")]
     high = 0.7 * len(bars) + 1.6
-    figure, axes = new_figure(2 if stack else 1, 0.5 * (high + STACK_IN) if stack else high)
-    if stack and (grid := axes[0].get_gridspec()):
-        grid.set_height_ratios([high, STACK_IN])
+    figure, axes = stacked(high, STACK_IN) if stack else stacked(high)
+    if stack:
         draw_stack(axes[1], unit, stack)
     ax = axes[0]
     most = max(b[1] for b in bars)
@@ -222,7 +221,7 @@ def contributions(
     figure.suptitle(f"{title}: what each effect adds", x=0.01, ha="left", fontsize=17, fontweight="bold")
     ax.set_xlabel(f"root mean square, {unit} (grey band: noise {floor:.2g} {unit})")
     ax.grid(visible=False, axis="y")
-    return png_of(figure)
+    return figure
 
 
 def _broken(name: str) -> str:
@@ -234,7 +233,7 @@ PLACES = 48
 MOST_DOTS = 6000
 
 
-@styled
+@as_png
 def over_position(
     title: str,
     unit: str,
@@ -244,7 +243,7 @@ def over_position(
     measured: Floats,
     predicted: Floats,
     floor: float,
-) -> bytes:
+) -> "MplFigure":
     """Measured and predicted over position, both directions; below what is left, with the noise floor as a band.
 
     Args:
@@ -256,7 +255,7 @@ def over_position(
         measured, predicted: (n,).
         floor: noise, root mean square.
     """
-    figure, (top, low) = new_figure(2, 4.4)
+    figure, (top, low) = stacked(4.4, 4.4)
     low.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
     for name, mask, colour, marker, line in _ways(direction):
         at, mean, spread = _by_place(place[mask], measured[mask])
@@ -275,7 +274,7 @@ def over_position(
         ax.set_ylabel(f"{what}, {unit}")
         _legend_above(ax)
     low.set_xlabel(f"{below}; mean of all runs, bars: standard deviation between them")
-    return png_of(figure)
+    return figure
 
 
 def _ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str, str]]:
@@ -309,7 +308,7 @@ def _legend_above(ax: "Axes") -> None:
               framealpha=0.9, fontsize=12, columnspacing=1.1, handlelength=1.5, handletextpad=0.5)  # fmt: skip
 
 
-@styled
+@as_png
 def over_time(
     title: str,
     unit: str,
@@ -319,7 +318,7 @@ def over_time(
     measured: Floats | None,
     floor: float,
     sensors: Sequence[tuple[str, Floats]],
-) -> bytes:
+) -> "MplFigure":
     """What is left over time, with the temperatures below.
 
     Args:
@@ -331,7 +330,7 @@ def over_time(
         floor: noise, root mean square.
         sensors: name and temperature, °C, (n,).
     """
-    figure, axes = new_figure(2 if sensors else 1, 4.2)
+    figure, axes = stacked(*[4.2] * (2 if sensors else 1))
     ax = axes[0]
     ax.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
     thin = slice(None, None, max(1, len(left) // MOST_DOTS))
@@ -350,7 +349,7 @@ def over_time(
         axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
         axes[1].set_xlim(axes[0].get_xlim())
     axes[-1].set_xlabel(f"{time_unit} since the first reading")
-    return png_of(figure)
+    return figure
 
 
 def _with_gaps(time: Floats, value: Floats) -> tuple[Floats, Floats]:
@@ -390,13 +389,9 @@ def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, 
     return _polar_pair(title, bar.setup.letters[:2], Trace("", bar.setup.sense, turned, measured, predicted))
 
 
-@styled
-def _polar_pair(title: str, letters: tuple[str, str], trace: Trace) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH_IN, 0.56 * WIDTH_IN), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
+@as_png
+def _polar_pair(title: str, letters: tuple[str, str], trace: Trace) -> "MplFigure":
+    figure = canvas(0.56 * WIDTH_IN)
     both, left = figure.subplots(1, 2)
     gain = frame(both, letters, max(float(np.abs(v).max()) for v in (trace.measured_um, trace.fitted_um)))
     around(both, trace.angle_rad, MIDDLE + gain * trace.measured_um, GREY, "-", 3.0, 0.5, "measured")
@@ -408,7 +403,7 @@ def _polar_pair(title: str, letters: tuple[str, str], trace: Trace) -> bytes:
     for ax in (both, left):
         ax.legend(loc="upper left", frameon=False, fontsize=13)
     figure.suptitle(f"{title}: deviation from the circle, magnified", x=0.01, ha="left", fontweight="bold")
-    return png_of(figure)
+    return figure
 
 
 def _bar(readings: Readings, s: Series) -> BallBar | None:

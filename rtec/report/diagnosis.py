@@ -11,8 +11,7 @@ import numpy as np
 from rtec import __version__
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, Picture
 from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken, titled
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.report.procedures import number
+from rtec.report.page import Figure, Page, Section, Table, number
 
 if TYPE_CHECKING:
     from rtec.report.diagnosis_figures import Panel

@@ -3,11 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, OFF, ON, new_figure, png_of, styled
+from rtec.report.figures import GREY, OFF, ON, as_png, stacked
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
 
 Floats = NDArray[np.float64]
 BINS, MOST_PLACES = 24, 120
@@ -41,10 +45,10 @@ class Panel:
     direction: Floats | None
 
 
-@styled
-def against_drivers(panels: Sequence[Panel]) -> bytes:
+@as_png
+def against_drivers(panels: Sequence[Panel]) -> "MplFigure":
     """What is left against what drives it, and what the finding says of it."""
-    figure, axes = new_figure(len(panels), 4.4)
+    figure, axes = stacked(*[4.4] * len(panels))
     for ax, panel in zip(axes, panels, strict=True):
         value = panel.value
         for label, mask, colour, marker in _ways(panel.direction, len(value)):
@@ -60,7 +64,7 @@ def against_drivers(panels: Sequence[Panel]) -> bytes:
         ax.set_xlabel(panel.below)
         ax.set_ylabel(f"left, {panel.unit}")
         ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=12, loc="best")
-    return png_of(figure)
+    return figure
 
 
 def _ways(direction: Floats | None, n: int) -> list[tuple[str, NDArray[np.bool_], str, str]]:
@@ -84,15 +88,15 @@ def binned(value: Floats, height: Floats) -> tuple[Floats, Floats]:
     )
 
 
-@styled
-def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> bytes:
+@as_png
+def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
     """How much of the error goes with each candidate, on runs that were not used: bars, best on top.
 
     Args:
         rows: label, relative fall of the mean square, whether it is of the winner's group, and why it is preferred or
             not, in few words.
     """
-    figure, (ax,) = new_figure(1, 0.74 * len(rows) + 2.0)
+    figure, (ax,) = stacked(0.74 * len(rows) + 2.0)
     groups = (("found, or not to be told from it", ON, ""), ("not preferred", "#BBBBBB", "//"))
     for place, (name, drop, chosen, why) in enumerate(reversed(rows)):
         label, colour, hatch = groups[0 if chosen else 1]
@@ -116,7 +120,7 @@ def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> bytes:
     kept = [n for n, _, _ in groups if n in once]
     ax.legend([once[n] for n in kept], kept, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False,
               fontsize=13, borderaxespad=0.2)  # fmt: skip
-    return png_of(figure)
+    return figure
 
 
 def _on_two(name: str) -> str:
@@ -124,8 +128,8 @@ def _on_two(name: str) -> str:
     return name.replace("(", "\n(", 1) if len(name) > LONG else name
 
 
-@styled
-def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None) -> bytes:
+@as_png
+def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None) -> "MplFigure":
     """The error falling, change by change, down to the noise floor.
 
     Args:
@@ -134,7 +138,7 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
         errors: root mean square on runs left out after each.
         floor: what noise alone leaves; None where it is not known.
     """
-    figure, (ax,) = new_figure(1, 5.6)
+    figure, (ax,) = stacked(5.6)
     x = np.arange(len(names) + 1)
     ax.step(x, [*errors, errors[-1]], where="post", color=ON, linewidth=3.4)
     for place, value in enumerate(errors):
@@ -153,31 +157,7 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
     ax.grid(visible=False, axis="x")
     ax.set_title("The error falls as the model learns")
     ax.set_ylabel(f"left on runs not used, {unit}")
-    return png_of(figure)
-
-
-@styled
-def tip_by_part(title: str, rows: Sequence[tuple[str, Floats]]) -> bytes:
-    """Tip error part by part with several models, side by side.
-
-    Args:
-        title: of the figure.
-        rows: name, root mean square of each part, µm, (parts,); drawn in grey, orange, blue.
-    """
-    figure, (ax,) = new_figure(1, 4.4)
-    wide = 0.8 / len(rows)
-    styles = (("#999999", ""), (OFF, "//"), (ON, ""))
-    for k, ((name, values), (colour, hatch)) in enumerate(zip(rows, styles, strict=False)):
-        place = np.arange(len(values)) + (k - 0.5 * (len(rows) - 1)) * wide
-        ax.bar(place, values, wide, color=colour, hatch=hatch, edgecolor="white", label=name)
-    ax.set_xticks(np.arange(len(rows[0][1])), [str(i + 1) for i in range(len(rows[0][1]))])
-    ax.set_ylim(0.0, 1.35 * max(float(v.max()) for _, v in rows))
-    ax.grid(visible=False, axis="x")
-    ax.set_title(title)
-    ax.set_xlabel("part, the first cut cold")
-    ax.set_ylabel("error at the tool tip, µm rms")
-    ax.legend(ncols=len(rows), frameon=False, loc="upper left", fontsize=13)
-    return png_of(figure)
+    return figure
 
 
 def _broken(name: str) -> str:

@@ -9,7 +9,6 @@ Made from the effect's own basis functions, so a plug-in has a shape too.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,10 +22,11 @@ from rtec.effects.base import Surroundings
 from rtec.errors import ConfigError, ModelError
 from rtec.machine import Machine
 from rtec.machine.machine import Axis, Link, Sensor
-from rtec.report.figures import GREY, LINES, STYLE, WIDTH_IN
+from rtec.report.figures import GREY, LINES, as_png, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as MplFigure
 
 
 Floats = NDArray[np.float64]
@@ -287,7 +287,8 @@ def sketch(shape: Shape, columns: int = 60, rows: int = 10) -> list[str]:
     ]
 
 
-def figure(title: str, equation: str, shape: Shape) -> bytes:
+@as_png
+def figure(title: str, equation: str, shape: Shape) -> "MplFigure":
     """Give the shape as a PNG.
 
     Args:
@@ -295,23 +296,14 @@ def figure(title: str, equation: str, shape: Shape) -> bytes:
         equation: as text.
         shape: what to draw.
     """
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context(STYLE):
-        canvas = Figure(figsize=(WIDTH_IN, 5.0), layout="constrained", facecolor="white")
-        FigureCanvasAgg(canvas)
-        ax = canvas.subplots()
-        _plot(ax, shape)
-        ax.set_title(title, pad=52)
-        below = f"{equation}\ndrawn with {shape.sizes}"
-        ax.text(0.0, 1.03, below, transform=ax.transAxes, fontsize=14, color=GREY, va="bottom", linespacing=1.4)
-        ax.set_xlabel(shape.over)
-        ax.set_ylabel(f"error {shape.component}, {shape.unit}")
-        out = BytesIO()
-        canvas.savefig(out, format="png", dpi=100, metadata={"Software": None})
-    return out.getvalue()
+    canvas, (ax,) = stacked(5.0)
+    _plot(ax, shape)
+    ax.set_title(title, pad=52)
+    below = f"{equation}\ndrawn with {shape.sizes}"
+    ax.text(0.0, 1.03, below, transform=ax.transAxes, fontsize=14, color=GREY, va="bottom", linespacing=1.4)
+    ax.set_xlabel(shape.over)
+    ax.set_ylabel(f"error {shape.component}, {shape.unit}")
+    return canvas
 
 
 def sketch_of(name: str) -> list[str]:

@@ -8,8 +8,7 @@ from rtec import __version__
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
 from rtec.diagnosis.words import spoken
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.report.procedures import note_words, number
+from rtec.report.page import Figure, Page, Section, Table, note_words, number
 
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 WORTH_TELLING = 0.3

@@ -12,8 +12,7 @@ from rtec.metrology.grid.paths import TRIM_MM, Edge
 from rtec.metrology.grid.setup import GridSetup, Item, analyse, same_feed, slowest
 from rtec.metrology.measurement import Measurement
 from rtec.report import grid_figures as draw
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.report.procedures import number
+from rtec.report.page import Figure, Page, Section, Table, number
 
 FEET = (
     "Signs are those of e = ε × p: e_x = +EB z, e_z = -EB x. Squareness is the difference of the two edges' best-fit "

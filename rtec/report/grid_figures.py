@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, png_of, styled
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, as_png, canvas
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as MplFigure
 
 Floats = NDArray[np.float64]
 COLOURS = (ON, OFF, LINES[3], LINES[4], LINES[5])
@@ -38,7 +39,7 @@ class Piece:
     family: int
 
 
-@styled
+@as_png
 def contour(
     title: str,
     letters: tuple[str, str],
@@ -46,7 +47,7 @@ def contour(
     names: Sequence[str],
     magnification: float,
     how: str = "",
-) -> bytes:
+) -> "MplFigure":
     """Commanded path in grey, actual path beside it; arrows along the feed, a bar for the size of an error.
 
     Args:
@@ -57,11 +58,7 @@ def contour(
         magnification: of the deviation against the path.
         how: what was taken out before, in words.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH_IN, WIDTH_IN * 0.95), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = canvas(WIDTH_IN * 0.95)
     ax = figure.subplots()
     named: set[int] = set()
     for piece in pieces:
@@ -75,7 +72,7 @@ def contour(
     ax.set_ylabel(f"{letters[1]}, mm")
     ax.set_title(f"{title}; deviation {f'{magnification:,.0f}'.replace(',', chr(0x2009))} times")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=min(3, len(names)), frameon=False)
-    return png_of(figure)
+    return figure
 
 
 def usual_magnification(pieces: Sequence[Piece]) -> float:

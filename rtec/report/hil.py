@@ -10,25 +10,27 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
-from rtec.report.figures import GREY, KINDS, new_figure, png_of, styled
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.report.procedures import number, plain
+from rtec.report.figures import GREY, KINDS, as_png, stacked
+from rtec.report.page import Figure, Page, Section, Table, number, plain
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
 
 Floats = NDArray[np.float64]
 MOST_DOTS = 4000
 FAULT = "#F0E442"
 
 
-@styled
+@as_png
 def tip_errors(
     time_s: Floats, panels: Sequence[tuple[str, Floats, Floats]], faults: Sequence[tuple[str, float, float]]
-) -> bytes:
+) -> "MplFigure":
     """One panel a direction, uncorrected and corrected; a band for every fault, with its name in the first panel.
 
     Args:
@@ -36,7 +38,7 @@ def tip_errors(
         panels: direction, then uncorrected and corrected error, µm, (n,); NaN where there is none.
         faults: name, begin, end, s.
     """
-    figure, axes = new_figure(len(panels), 4.2)
+    figure, axes = stacked(*[4.2] * len(panels))
     thin = slice(None, None, max(1, len(time_s) // MOST_DOTS))
     for place, (ax, (direction, *both)) in enumerate(zip(axes, panels, strict=True)):
         for name, begin_s, end_s in faults:
@@ -55,7 +57,7 @@ def tip_errors(
     axes[-1].set_xlabel(
         "seconds since the machine began; yellow: a fault is on" if faults else "seconds since the machine began"
     )
-    return png_of(figure)
+    return figure
 
 
 NOT_YET = "never"

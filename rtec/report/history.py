@@ -6,8 +6,7 @@ from typing import Any
 from rtec.diagnosis.usable import apart
 from rtec.diagnosis.words import UNITS
 from rtec.model import Model
-from rtec.report.page import Figure, Page, Section, Table
-from rtec.report.procedures import number
+from rtec.report.page import Figure, Page, Section, Table, number
 
 
 def history_page(model: Model, figures: bool = True) -> Page:

@@ -1,18 +1,17 @@
 """The standard figures of the procedures; style and colours as in `figures`. Only arrays come in, PNG goes out."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, LINES, OFF, ON, STYLE, WIDTH_IN, png_of
+from rtec.report.figures import GREY, LINES, OFF, ON, as_png, room_above, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as MplFigure
 
 Floats = NDArray[np.float64]
 
@@ -26,22 +25,10 @@ class Stretch:
     rpm: float
 
 
-@contextmanager
-def _panels(heights_in: Sequence[float]) -> "Iterator[tuple[Figure, Sequence[Axes]]]":
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, sum(heights_in)), layout="constrained", facecolor="white")
-        FigureCanvasAgg(figure)
-        axes = figure.subplots(len(heights_in), 1, squeeze=False, height_ratios=list(heights_in))
-        yield figure, list(axes[:, 0])
-
-
+@as_png
 def positioning(
     title: str, target_mm: Floats, ways: Mapping[str, Floats], limits_um: tuple[float, float], cycle_um: Floats | None
-) -> bytes:
+) -> "MplFigure":
     """Deviation over targets: every reading, the means with ±2 s, and the band of accuracy A; below it the cycles.
 
     Args:
@@ -53,33 +40,33 @@ def positioning(
     """
     looks = {"up": (ON, "^", "-", "approached upwards ▲"), "down": (OFF, "v", "--", "approached downwards ▼")}
     shift = 0.005 * float(np.ptp(target_mm))
-    with _panels([5.2, 2.6] if cycle_um is not None else [5.2]) as (figure, axes):
-        ax = axes[0]
-        for name, x in ways.items():
-            colour, marker, line, label = looks[name]
-            place = target_mm + (shift if name == "up" else -shift)
-            mean, s = np.nanmean(x, axis=1), np.nanstd(x, axis=1, ddof=1)
-            beside = np.repeat(2 * place - target_mm, x.shape[1])
-            ax.plot(
-                beside, x.ravel(), color=colour, marker=marker, linestyle="", alpha=0.6,
-                markersize=5, markeredgewidth=0,
-            )  # fmt: skip
-            ax.errorbar(place, mean, 2 * s, color=colour, marker=marker, linestyle=line, capsize=6, label=label)
-        for limit in limits_um:
-            ax.axhline(limit, color=GREY, linestyle=":", linewidth=2)
-        ax.axhline(0.0, color="black", linewidth=1)
-        _room(ax, 0.2)
-        ax.legend(ncols=2, loc="upper right", frameon=False)
-        ax.set_title(title)
-        ax.set_xlabel("target, mm")
-        ax.set_ylabel("deviation, µm")
-        ax.annotate(
-            f"A = {limits_um[1] - limits_um[0]:.1f} µm between the dotted lines; bars: ±2 s", (0.01, limits_um[0]),
-            (0, -5), xycoords=ax.get_yaxis_transform(), textcoords="offset points", va="top", color=GREY, fontsize=13,
+    figure, axes = stacked(*([5.2, 2.6] if cycle_um is not None else [5.2]))
+    ax = axes[0]
+    for name, x in ways.items():
+        colour, marker, line, label = looks[name]
+        place = target_mm + (shift if name == "up" else -shift)
+        mean, s = np.nanmean(x, axis=1), np.nanstd(x, axis=1, ddof=1)
+        beside = np.repeat(2 * place - target_mm, x.shape[1])
+        ax.plot(
+            beside, x.ravel(), color=colour, marker=marker, linestyle="", alpha=0.6,
+            markersize=5, markeredgewidth=0,
         )  # fmt: skip
-        if cycle_um is not None:
-            _cycles(axes[1], cycle_um)
-        return png_of(figure)
+        ax.errorbar(place, mean, 2 * s, color=colour, marker=marker, linestyle=line, capsize=6, label=label)
+    for limit in limits_um:
+        ax.axhline(limit, color=GREY, linestyle=":", linewidth=2)
+    ax.axhline(0.0, color="black", linewidth=1)
+    room_above(ax, 0.2, 0.12)
+    ax.legend(ncols=2, loc="upper right", frameon=False)
+    ax.set_title(title)
+    ax.set_xlabel("target, mm")
+    ax.set_ylabel("deviation, µm")
+    ax.annotate(
+        f"A = {limits_um[1] - limits_um[0]:.1f} µm between the dotted lines; bars: ±2 s", (0.01, limits_um[0]),
+        (0, -5), xycoords=ax.get_yaxis_transform(), textcoords="offset points", va="top", color=GREY, fontsize=13,
+    )  # fmt: skip
+    if cycle_um is not None:
+        _cycles(axes[1], cycle_um)
+    return figure
 
 
 def _cycles(ax: "Axes", cycle_um: Floats) -> None:
@@ -92,9 +79,10 @@ def _cycles(ax: "Axes", cycle_um: Floats) -> None:
     ax.set_ylabel("µm")
 
 
+@as_png
 def straightness(
     title: str, below: str, place_mm: Floats, straight_um: Floats, se_um: float, other: tuple[str, Floats]
-) -> bytes:
+) -> "MplFigure":
     """Straightness with a band of ±2 standard errors, and the artefact's own part below.
 
     Args:
@@ -104,25 +92,28 @@ def straightness(
         se_um: standard error of a point; NaN: no band.
         other: title and values, (n,), of the lower panel.
     """
-    with _panels([4.4, 3.2]) as (figure, axes):
-        if np.isfinite(se_um):
-            axes[0].fill_between(
-                place_mm, straight_um - 2 * se_um, straight_um + 2 * se_um, color=ON, alpha=0.22, linewidth=0,
-                label="±2 standard errors",
-            )  # fmt: skip
-        axes[0].plot(place_mm, straight_um, color=ON, marker="o", label="straightness, best-fit line taken out")
-        axes[0].legend(loc="upper right", frameon=False, ncols=2)
-        axes[1].plot(place_mm, other[1], color=OFF, marker="s", linestyle="--")
-        for ax, name in zip(axes, (title, other[0]), strict=True):
-            ax.axhline(0.0, color="black", linewidth=1)
-            ax.set_title(name)
-            ax.set_ylabel("µm")
-        _room(axes[0], 0.22)
-        axes[-1].set_xlabel(below)
-        return png_of(figure)
+    figure, axes = stacked(4.4, 3.2)
+    if np.isfinite(se_um):
+        axes[0].fill_between(
+            place_mm, straight_um - 2 * se_um, straight_um + 2 * se_um, color=ON, alpha=0.22, linewidth=0,
+            label="±2 standard errors",
+        )  # fmt: skip
+    axes[0].plot(place_mm, straight_um, color=ON, marker="o", label="straightness, best-fit line taken out")
+    axes[0].legend(loc="upper right", frameon=False, ncols=2)
+    axes[1].plot(place_mm, other[1], color=OFF, marker="s", linestyle="--")
+    for ax, name in zip(axes, (title, other[0]), strict=True):
+        ax.axhline(0.0, color="black", linewidth=1)
+        ax.set_title(name)
+        ax.set_ylabel("µm")
+    room_above(axes[0], 0.22, 0.132)
+    axes[-1].set_xlabel(below)
+    return figure
 
 
-def parallelism(below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: float, left: Sequence[Floats]) -> bytes:
+@as_png
+def parallelism(
+    below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: float, left: Sequence[Floats]
+) -> "MplFigure":
     """The spindle's axis seen from the motion with its best-fit line, and what the circles leave over the turn.
 
     Args:
@@ -131,29 +122,30 @@ def parallelism(below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: 
         slope_um_per_mm: of the line.
         left: radii of both probes, (k,) each, from their mean.
     """
-    with _panels([4.2, 3.2]) as (figure, axes):
-        level = float(axis_um.mean())
-        line = slope_um_per_mm * (place_mm - place_mm.mean())
-        axes[0].plot(place_mm, axis_um - level, color=ON, marker="o", linestyle="", markersize=11, label="best circles")
-        axes[0].plot(place_mm, line, color=LINES[0], linestyle="-", label=f"line: {slope_um_per_mm * 1e3:+.1f} µrad")
-        axes[0].set_title("Spindle's axis seen from the motion, positive towards probe 1")
-        axes[0].legend(frameon=False, loc="best")
-        for values, colour, marker, style, name in zip(
-            left, (ON, OFF), ("o", "s"), ("-", "--"), ("probe 1", "probe 2"), strict=True
-        ):
-            axes[1].plot(place_mm, values - values.mean(), color=colour, marker=marker, linestyle=style, label=name)
-        axes[1].set_title("Radius of the best-fit circle, from its mean")
-        axes[1].legend(frameon=False, loc="best")
-        for ax in axes:
-            ax.axhline(0.0, color="black", linewidth=1)
-            ax.set_ylabel("µm")
-        axes[-1].set_xlabel(below)
-        return png_of(figure)
+    figure, axes = stacked(4.2, 3.2)
+    level = float(axis_um.mean())
+    line = slope_um_per_mm * (place_mm - place_mm.mean())
+    axes[0].plot(place_mm, axis_um - level, color=ON, marker="o", linestyle="", markersize=11, label="best circles")
+    axes[0].plot(place_mm, line, color=LINES[0], linestyle="-", label=f"line: {slope_um_per_mm * 1e3:+.1f} µrad")
+    axes[0].set_title("Spindle's axis seen from the motion, positive towards probe 1")
+    axes[0].legend(frameon=False, loc="best")
+    for values, colour, marker, style, name in zip(
+        left, (ON, OFF), ("o", "s"), ("-", "--"), ("probe 1", "probe 2"), strict=True
+    ):
+        axes[1].plot(place_mm, values - values.mean(), color=colour, marker=marker, linestyle=style, label=name)
+    axes[1].set_title("Radius of the best-fit circle, from its mean")
+    axes[1].legend(frameon=False, loc="best")
+    for ax in axes:
+        ax.axhline(0.0, color="black", linewidth=1)
+        ax.set_ylabel("µm")
+    axes[-1].set_xlabel(below)
+    return figure
 
 
+@as_png
 def drift(
     hours: Floats, phases: Sequence[Stretch], groups: Sequence[tuple[str, str, Mapping[str, tuple[Floats, Floats]]]]
-) -> bytes:
+) -> "MplFigure":
     """Drift over time, one panel a group, with the fitted approaches and the speeds.
 
     Args:
@@ -161,21 +153,21 @@ def drift(
         phases: stretches of constant speed; those at 0 1/min are shaded.
         groups: title, unit, and by name the values and the fitted curve, (n,) each, NaN where there is none.
     """
-    with _panels([4.4] * len(groups)) as (figure, axes):
-        for ax, (title, unit, traces) in zip(axes, groups, strict=True):
-            _shade(ax, phases)
-            for k, (name, (values, curve)) in enumerate(traces.items()):
-                colour = (ON, OFF, LINES[3], LINES[4])[k % 4]
-                ax.plot(hours, values, color=colour, linewidth=3.5, alpha=0.45, label=name)
-                ax.plot(hours, curve, color=colour, linewidth=1.8, linestyle="--")
-            ax.axhline(0.0, color="black", linewidth=1)
-            _room(ax, 0.28)
-            ax.set_title(title)
-            ax.set_ylabel(unit)
-            ax.legend(frameon=True, framealpha=0.9, facecolor="white", edgecolor="none", ncols=4, loc="lower left")
-        axes[-1].set_xlabel("hours; grey: spindle off; dashed: fitted approach")
-        _speeds(axes[0], phases)
-        return png_of(figure)
+    figure, axes = stacked(*[4.4] * len(groups))
+    for ax, (title, unit, traces) in zip(axes, groups, strict=True):
+        _shade(ax, phases)
+        for k, (name, (values, curve)) in enumerate(traces.items()):
+            colour = (ON, OFF, LINES[3], LINES[4])[k % 4]
+            ax.plot(hours, values, color=colour, linewidth=3.5, alpha=0.45, label=name)
+            ax.plot(hours, curve, color=colour, linewidth=1.8, linestyle="--")
+        ax.axhline(0.0, color="black", linewidth=1)
+        room_above(ax, 0.28, 0.168)
+        ax.set_title(title)
+        ax.set_ylabel(unit)
+        ax.legend(frameon=True, framealpha=0.9, facecolor="white", edgecolor="none", ncols=4, loc="lower left")
+    axes[-1].set_xlabel("hours; grey: spindle off; dashed: fitted approach")
+    _speeds(axes[0], phases)
+    return figure
 
 
 def _shade(ax: "Axes", phases: Sequence[Stretch]) -> None:
@@ -194,8 +186,3 @@ def _speeds(ax: "Axes", phases: Sequence[Stretch]) -> None:
                 transform=ax.get_xaxis_transform(), ha="center", va="top", fontsize=13,
                 rotation=90 if narrow else 0, color=GREY,
             )  # fmt: skip
-
-
-def _room(ax: "Axes", share: float) -> None:
-    low, high = ax.get_ylim()
-    ax.set_ylim(low - 0.6 * share * (high - low), high + share * (high - low))

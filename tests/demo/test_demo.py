@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.cli import main
-from rtec.demo import page, story, training
+from rtec.demo import figures, page, story, training
 from rtec.demo.day import CYLINDER, FACE, SHOULDER, Plan, Track
 from rtec.demo.live import RATE_HZ, corrected, uncorrected
 from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, Story, config_folder, tell_story
@@ -20,7 +20,7 @@ from rtec.errors import ConfigError, RtecError
 from rtec.loop.records import MODE_OFF
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
-from rtec.report import figures, procedures
+from rtec.report import page as report_page
 from rtec.sim.truth import Truth, load_truth
 
 Floats = NDArray[np.float64]
@@ -279,7 +279,7 @@ def test_nothing_half_written(told: Story, tmp_path: Path, monkeypatch: pytest.M
 
     other = replace(told, seed=told.seed + 100)
     with monkeypatch.context() as m:
-        m.setattr(procedures, "render", interrupted)
+        m.setattr(report_page, "render", interrupted)
         with pytest.raises(KeyboardInterrupt):
             page.write_report(other, tmp_path)
     with monkeypatch.context() as m:

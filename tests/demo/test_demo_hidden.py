@@ -21,8 +21,7 @@ from rtec.errors import ConfigError
 from rtec.loop.records import MODE_OFF
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
-from rtec.report.page import Page, render
-from rtec.report.procedures import plain
+from rtec.report.page import Page, plain, render
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 
