@@ -1,9 +1,4 @@
-"""Report of ball-bar tests: what is wrong, how much of the circle each cause is, and how sure that is.
-
-What a ball-bar report says of causes beyond [BB]'s: found or not, not to be seen, and which test would show them.
-
-What a ball-bar report says of the servo phase: one angle in all tests or one time, and what hangs on it.
-"""
+"""Report of ball-bar tests: causes, how much of the circle each one is, how sure that is, and which test to add."""
 
 from collections.abc import Sequence
 
@@ -13,11 +8,10 @@ from numpy.typing import NDArray
 from rtec import __version__
 from rtec.metrology.ball_bar.causes import feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
-from rtec.metrology.ball_bar.diagnosis import LEFT, Diagnosis
-from rtec.metrology.ball_bar.iso230_4 import Harmonic
-from rtec.metrology.ball_bar.values import Value
+from rtec.metrology.ball_bar.diagnosis import LEFT, BallBarDiagnosis
+from rtec.metrology.ball_bar.fit import FittedValue
+from rtec.metrology.ball_bar.iso230_4 import CircleHarmonic
 from rtec.report import ball_bar_figures as draw
-from rtec.report import ball_bar_figures as draw_causes
 from rtec.report.page import Figure, Page, Section, Table, number
 
 UNITS = {
@@ -36,12 +30,12 @@ RAREST = 1e-6
 SERVO = ("delay", "gain_")
 
 
-def beyond_section(d: Diagnosis) -> Section:
+def beyond_section(d: BallBarDiagnosis) -> Section:
     """The section of the page."""
     return Section("Dynamic effects and the drive", [*_servo(d), *_left_out(d), *_wanted(d)], _table(d))
 
 
-def beyond_facts(d: Diagnosis) -> dict[str, object]:
+def beyond_facts(d: BallBarDiagnosis) -> dict[str, object]:
     """The same as plain data, for JSON."""
     return {
         "found": [
@@ -66,7 +60,7 @@ def beyond_facts(d: Diagnosis) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _servo(d: Diagnosis) -> list[str]:
+def _servo(d: BallBarDiagnosis) -> list[str]:
     """That one feed does not tell a servo's part from scale and squareness, in words."""
     open_ = [n for n in d.found.left_out if n.candidate.name.startswith(SERVO) and n.twins]
     feeds = feeds_of(d.circles)
@@ -76,7 +70,7 @@ def _servo(d: Diagnosis) -> list[str]:
     return [f"{why} cannot tell {told}. What they do together stands above."] if open_ else []
 
 
-def _left_out(d: Diagnosis) -> list[str]:
+def _left_out(d: BallBarDiagnosis) -> list[str]:
     """What these tests cannot show, other than the servo's."""
     out: dict[str, list[str]] = {}
     for n in d.found.left_out:
@@ -86,17 +80,17 @@ def _left_out(d: Diagnosis) -> list[str]:
     return [f"Not looked for: {', '.join(titles)}: {why}." for why, titles in out.items()]
 
 
-def _titles(d: Diagnosis, left: NotLookedFor) -> str:
+def _titles(d: BallBarDiagnosis, left: NotLookedFor) -> str:
     known = {v.name: v.title for v in d.fitted.values}
     return " and ".join(known.get(t, t) for t in left.twins)
 
 
-def _wanted(d: Diagnosis) -> list[str]:
+def _wanted(d: BallBarDiagnosis) -> list[str]:
     title = {n.candidate.name: n.candidate.title for n in d.found.left_out}
     return [f"To tell them apart: {w.test}; it shows {', '.join(title[n] for n in w.names)}." for w in d.wanted]
 
 
-def _table(d: Diagnosis) -> Table | None:
+def _table(d: BallBarDiagnosis) -> Table | None:
     """What was looked for."""
     rows = [[p.candidate.title, "yes", _chance(p.chance), "–", ""] for p in d.found.beyond.picks]
     rows += [[n.candidate.title, "no", "–", f"{n.limit:.3g}", UNITS[n.unit]] for n in d.found.not_found]
@@ -108,7 +102,7 @@ def _chance(share: float) -> str:
     return f"< {RAREST:.0e}" if share < RAREST else f"{share:.1g}"
 
 
-def phase_lines(d: Diagnosis) -> list[str]:
+def phase_lines(d: BallBarDiagnosis) -> list[str]:
     """Lines over the table of parameters; none where the question does not arise or nothing hangs on it."""
     a, b, _ = d.circles[0].setup.letters
     if d.phase.decided and d.phase.reason:
@@ -123,7 +117,7 @@ def phase_lines(d: Diagnosis) -> list[str]:
     ]
 
 
-def phase_facts(d: Diagnosis) -> dict[str, object]:
+def phase_facts(d: BallBarDiagnosis) -> dict[str, object]:
     """The same as plain data, for JSON."""
     return {
         "taken_as": d.phase.taken,
@@ -133,7 +127,7 @@ def phase_facts(d: Diagnosis) -> dict[str, object]:
     }
 
 
-def _feeds(d: Diagnosis) -> str:
+def _feeds(d: BallBarDiagnosis) -> str:
     """The first test's feed, for every radius in proportion."""
     first = d.circles[0].setup
     radii = dict.fromkeys(c.setup.radius_mm for c in d.circles)
@@ -156,7 +150,7 @@ SMALLEST_UM = 0.01
 """A cause that makes less of a circle than this has no panel."""
 
 
-def ball_bar_page(d: Diagnosis, figures: bool = True) -> Page:
+def ball_bar_page(d: BallBarDiagnosis, figures: bool = True) -> Page:
     """The page; without figures it is what the terminal shows."""
     plane = d.circles[0].setup.plane
     sections = [
@@ -184,7 +178,7 @@ def ball_bar_page(d: Diagnosis, figures: bool = True) -> Page:
     )
 
 
-def ball_bar_facts(d: Diagnosis) -> dict[str, object]:
+def ball_bar_facts(d: BallBarDiagnosis) -> dict[str, object]:
     """The result as plain data, for JSON."""
     return {
         "plane": d.circles[0].setup.plane,
@@ -219,7 +213,7 @@ def ball_bar_facts(d: Diagnosis) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _notes(d: Diagnosis) -> list[str]:
+def _notes(d: BallBarDiagnosis) -> list[str]:
     out = [f"{c.name}: {c.left_out} readings are missing or outside the arc" for c in d.circles if c.left_out]
     for c in d.circles:
         ends = [[c.setup.start_deg + c.setup.sense * way for way in gap] for gap in c.gaps]
@@ -234,7 +228,7 @@ def _notes(d: Diagnosis) -> list[str]:
     return out
 
 
-def _rounds(d: Diagnosis) -> Table:
+def _rounds(d: BallBarDiagnosis) -> Table:
     rows = [
         [
             r.name, "ccw" if c.setup.sense > 0 else "cw", f"{c.setup.radius_mm:g}", f"{c.setup.height_mm:g}",
@@ -246,14 +240,14 @@ def _rounds(d: Diagnosis) -> Table:
     return Table(head, rows, words=(0, 1, 8))
 
 
-def _pairs(d: Diagnosis) -> Table:
+def _pairs(d: BallBarDiagnosis) -> Table:
     rows = [
         [" and ".join(p.names), number(p.g_b_um), number(p.h_um), f"{p.h_at_deg:.0f}", number(p.d_um)] for p in d.pairs
     ]
     return Table(["tests", "G(b), µm", "H, µm", "H at, °", "D, µm"], rows)
 
 
-def _explained(d: Diagnosis) -> list[str]:
+def _explained(d: BallBarDiagnosis) -> list[str]:
     near = f"readings within {d.window_deg:g}° of the quadrants ({100.0 * d.near_quadrants:.0f} % of all)"
     out = f"The fit explains {100.0 * d.explained:.1f} % of the variance; {near} "
     if not d.found.beyond.picks:
@@ -263,41 +257,41 @@ def _explained(d: Diagnosis) -> list[str]:
     return [f"{out}{weight}.", bb]
 
 
-def _shares(d: Diagnosis) -> Table:
+def _shares(d: BallBarDiagnosis) -> Table:
     rows = [[s.group, number(s.g_um), f"{100.0 * s.share:.1f}", _sizes(d, s.group)] for s in d.shares]
     return Table(["cause", "G by itself, µm", "share, %", "size, and its 95 % interval"], rows, words=(0, 3))
 
 
-def _sizes(d: Diagnosis, group: str) -> str:
+def _sizes(d: BallBarDiagnosis, group: str) -> str:
     """The parameters of a cause, each with its unit and interval."""
     known = [v for v in d.fitted.values if v.group == group and np.isfinite(v.value)]
     return "; ".join(_interval(v, len(known) > 1) for v in known)
 
 
-def _interval(v: Value, named: bool) -> str:
+def _interval(v: FittedValue, named: bool) -> str:
     digits = _digits(v)
     name = f"{v.title.split(', ')[-1]} " if named else ""
     return f"{name}{number(v.value, digits)} {UNITS[v.unit]} ({number(v.low, digits)} … {number(v.high, digits)})"
 
 
-def _digits(v: Value) -> int:
+def _digits(v: FittedValue) -> int:
     return 4 if v.unit in ("per_km", "ms", "mm") else 2
 
 
-def _apart(d: Diagnosis) -> list[str]:
+def _apart(d: BallBarDiagnosis) -> list[str]:
     rank = d.fitted.rank
     out = [f"These tests never see: {', '.join(rank.never)}."] if rank.never else []
     out += [f"These tests do not separate {' and '.join(s)}." for s in rank.confounded]
     return out
 
 
-def _values(d: Diagnosis) -> Table:
+def _values(d: BallBarDiagnosis) -> Table:
     return Table(
         ["parameter", "value", "95 % from", "to", "unit", "note"], [_row(v) for v in d.fitted.values], words=(0, 4, 5)
     )
 
 
-def _row(v: Value) -> list[str]:
+def _row(v: FittedValue) -> list[str]:
     digits = _digits(v)
     notes = [f"together with {', '.join(v.with_)}"] if v.with_ else []
     if not np.isfinite(v.value):
@@ -308,7 +302,7 @@ def _row(v: Value) -> list[str]:
     return [v.title, number(v.value, digits), number(v.low, digits), number(v.high, digits), UNITS[v.unit], note]
 
 
-def _spectra(d: Diagnosis) -> Table:
+def _spectra(d: BallBarDiagnosis) -> Table:
     known = [s for s in d.spectra if s.measured]
     head = ["waves", *(f"{s.name} {kind}, µm" for s in known for kind in ("measured", "fitted"))]
     rows = [
@@ -321,7 +315,7 @@ def _spectra(d: Diagnosis) -> Table:
     return Table(head, rows)
 
 
-def _traces(d: Diagnosis) -> list[draw.Trace]:
+def _traces(d: BallBarDiagnosis) -> list[draw.CircleTrace]:
     """Measured and fitted without the place of the ball and the length of the bar: no fault of the machine."""
     out, feeds = [], len(feeds_of(d.circles))
     for i, c in enumerate(d.circles):
@@ -329,37 +323,37 @@ def _traces(d: Diagnosis) -> list[draw.Trace]:
         place = d.fitted.parts_um.get(SETTING_UP)
         off = place[i] if place is not None else np.zeros(len(c))
         fitted = d.fitted.fitted_um(i) - off
-        out.append(draw.Trace(name, c.setup.sense, c.angle_rad, c.reading_um - off, fitted))
+        out.append(draw.CircleTrace(name, c.setup.sense, c.angle_rad, c.reading_um - off, fitted))
     return out
 
 
-def _polar(d: Diagnosis) -> Figure:
+def _polar(d: BallBarDiagnosis) -> Figure:
     a, b, _ = d.circles[0].setup.letters
     png = draw.polar(f"Plane {a}{b}: deviation from the circle, magnified", (a, b), _traces(d))
     return Figure("polar.png", png, "deviation drawn outwards from the circle, measured and fitted, by test")
 
 
-def _linear(d: Diagnosis) -> Figure:
-    png = draw_causes.linear(_traces(d), d.window_deg, used=bool(d.found.beyond.picks))
+def _linear(d: BallBarDiagnosis) -> Figure:
+    png = draw.linear(_traces(d), d.window_deg, used=bool(d.found.beyond.picks))
     return Figure("linear.png", png, "deviation against angle: measured, fitted, and left over, by test")
 
 
-def _one_by_one(d: Diagnosis) -> list[Section]:
+def _one_by_one(d: BallBarDiagnosis) -> list[Section]:
     """Every cause by itself, largest first."""
     shown = [s for s in d.shares if s.group != LEFT and s.g_um > SMALLEST_UM]
     if not shown:
         return []
     curves = [(f"{s.group} ({100.0 * s.share:.0f} %)", d.fitted.parts_um[s.group]) for s in shown]
-    png = draw_causes.causes(_traces(d), curves, d.window_deg)
+    png = draw.causes(_traces(d), curves, d.window_deg)
     figure = Figure("causes.png", png, "each cause by itself against angle, largest first; all panels have one scale")
     return [Section("Causes one by one", ["What each adds to the length of the bar."], None, figure)]
 
 
-def _spectrum_figure(d: Diagnosis) -> Figure:
+def _spectrum_figure(d: BallBarDiagnosis) -> Figure:
     tests = [(s.name, _amplitudes(s.measured), _amplitudes(s.fitted)) for s in d.spectra if s.measured]
     return Figure("harmonics.png", draw.spectra(tests), "amplitude by number of waves in a turn, measured and fitted")
 
 
-def _amplitudes(found: Sequence[Harmonic]) -> Floats:
+def _amplitudes(found: Sequence[CircleHarmonic]) -> Floats:
     """From order 1, µm."""
     return np.array([h.amplitude_um for h in found[1:]], dtype=np.float64)

@@ -1,7 +1,4 @@
-"""Figures of ball-bar tests; style and colours as in `figures`. Only arrays come in, PNG goes out.
-
-Figures of ball-bar tests against angle: measured, fitted and left over; and each cause by itself.
-"""
+"""Figures of ball-bar tests: polar, against angle, cause by cause, harmonics. Only arrays come in, PNG goes out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +24,7 @@ ROOM = 0.3
 
 
 @dataclass(frozen=True)
-class Trace:
+class CircleTrace:
     """One test: name, sense (+1, -1), angles, rad, and readings measured and fitted, µm, (n,) each."""
 
     name: str
@@ -38,7 +35,7 @@ class Trace:
 
 
 @as_png
-def polar(title: str, letters: tuple[str, str], traces: Sequence[Trace]) -> "MplFigure":
+def polar(title: str, letters: tuple[str, str], traces: Sequence[CircleTrace]) -> "MplFigure":
     """Deviations drawn outwards from the circle, magnified; a bar tells how much one of them is.
 
     Args:
@@ -132,7 +129,7 @@ def around(
                 linewidth=width, alpha=alpha, label=label if k == 0 else "")  # fmt: skip
 
 
-def arrow(ax: "Axes", trace: Trace, radius: float, colour: str) -> None:
+def arrow(ax: "Axes", trace: CircleTrace, radius: float, colour: str) -> None:
     """Where the test begins, and which way it goes, outside of everything that is drawn."""
     start = float(trace.angle_rad[0])
     angle = start + trace.sense * np.linspace(0.0, ARROW_RAD, 12)
@@ -161,7 +158,7 @@ SHADE = "#ECECEC"
 
 
 @as_png
-def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) -> "MplFigure":
+def linear(traces: Sequence[CircleTrace], window_deg: float, *, used: bool = False) -> "MplFigure":
     """Deviation against angle, one panel a test: measured, fitted, and what is left over.
 
     Args:
@@ -187,7 +184,9 @@ def linear(traces: Sequence[Trace], window_deg: float, *, used: bool = False) ->
 
 
 @as_png
-def causes(traces: Sequence[Trace], curves: Sequence[tuple[str, Sequence[Floats]]], window_deg: float) -> "MplFigure":
+def causes(
+    traces: Sequence[CircleTrace], curves: Sequence[tuple[str, Sequence[Floats]]], window_deg: float
+) -> "MplFigure":
     """Each cause by itself against angle, one small panel a cause with all tests in it; all panels have one scale.
 
     Args:

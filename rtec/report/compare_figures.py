@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.compare.bins import cut_into
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
-from rtec.report.ball_bar_figures import MIDDLE, ROOM, Trace, around, arrow, frame
+from rtec.report.ball_bar_figures import MIDDLE, ROOM, CircleTrace, around, arrow, frame
 from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, as_png, canvas, stacked
 
 if TYPE_CHECKING:
@@ -386,11 +386,11 @@ def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, 
     if bar is None or angle is None:
         return None
     turned = np.deg2rad(angle[s.row])
-    return _polar_pair(title, bar.setup.letters[:2], Trace("", bar.setup.sense, turned, measured, predicted))
+    return _polar_pair(title, bar.setup.letters[:2], CircleTrace("", bar.setup.sense, turned, measured, predicted))
 
 
 @as_png
-def _polar_pair(title: str, letters: tuple[str, str], trace: Trace) -> "MplFigure":
+def _polar_pair(title: str, letters: tuple[str, str], trace: CircleTrace) -> "MplFigure":
     figure = canvas(0.56 * WIDTH_IN)
     both, left = figure.subplots(1, 2)
     gain = frame(both, letters, max(float(np.abs(v).max()) for v in (trace.measured_um, trace.fitted_um)))

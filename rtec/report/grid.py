@@ -25,7 +25,7 @@ FEET = (
 
 
 @dataclass(frozen=True)
-class Comparison:
+class GridComparison:
     """A heading, what was compared, and the items."""
 
     heading: str
@@ -44,7 +44,7 @@ class GridReport:
     """
 
     setups: tuple[GridSetup, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[GridComparison, ...]
     found: tuple[Item, ...]
     magnification: float | None
 
@@ -66,10 +66,10 @@ def grid_report(
             raise MeasurementError(f"{other.name} and {setups[0].name} were made on different machines")
     compared = []
     for setup in setups:
-        compared.append(Comparison(f"{setup.name}: direction", directions(setup)))
-        compared.append(Comparison(f"{setup.name}: feed", feeds(setup)))
+        compared.append(GridComparison(f"{setup.name}: direction", directions(setup)))
+        compared.append(GridComparison(f"{setup.name}: feed", feeds(setup)))
     for i, one in enumerate(setups):
-        compared += [Comparison(f"{one.name} minus {two.name}", places(one, two)) for two in setups[i + 1 :]]
+        compared += [GridComparison(f"{one.name} minus {two.name}", places(one, two)) for two in setups[i + 1 :]]
     kept = tuple(c for c in compared if c.items)
     found = certain([item for c in kept for item in c.items])
     return GridReport(setups, kept, found, magnification)
@@ -122,7 +122,7 @@ def _table(items: Sequence[Item]) -> Table:
     return Table(["error", "what it is", "where, mm", "value", "± U", "unit"], rows, words=(0, 1, 2, 5))
 
 
-def _compared(c: Comparison, found: Sequence[Item]) -> Table:
+def _compared(c: GridComparison, found: Sequence[Item]) -> Table:
     rows = [
         [i.name, i.means, i.where, number(i.value), number(i.u), i.unit,
          ("yes" if i in found else "no") if np.isfinite(i.chance) else ""]

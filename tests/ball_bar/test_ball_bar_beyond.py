@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
+from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose
 from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
 from rtec.report.page import render
 from tests.support.ball_bar_dynamic import DEG, THREE, TWO_FEEDS, Test, run_tests
@@ -31,11 +31,11 @@ ALONE: list[tuple[dict[str, float], set[str], dict[str, float]]] = [
 ]
 
 
-def diagnosed(tests: Any, dynamic: dict[str, float], noise_um: float = 0.2, **more: Any) -> Diagnosis:
+def diagnosed(tests: Any, dynamic: dict[str, float], noise_um: float = 0.2, **more: Any) -> BallBarDiagnosis:
     return diagnose(run_tests(tests, STATIC, dynamic, noise_um, seed=7, **more)[0])
 
 
-def named(d: Diagnosis) -> set[str]:
+def named(d: BallBarDiagnosis) -> set[str]:
     return {p.candidate.name for p in d.found.beyond.picks}
 
 

@@ -7,12 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.ball_bar.circle import Circle, circle_of, circles_of
-from rtec.metrology.ball_bar.design import design_of
+from rtec.metrology.ball_bar.circle import CircleTest, circle_of, circles_of
+from rtec.metrology.ball_bar.design import Rank, design_of, rank_of
 from rtec.metrology.ball_bar.diagnosis import diagnose
 from rtec.metrology.ball_bar.fit import fit
 from rtec.metrology.ball_bar.iso230_4 import both_ways, harmonics, roundness
-from rtec.metrology.ball_bar.rank import Rank, rank_of
 from rtec.metrology.measurement import Measurement
 from tests.support.ball_bar_examples import bar, bb_reading_um, gantry, recorded
 from tests.support.machines import bridge, vertical_mill
@@ -131,7 +130,7 @@ def rank(setups: tuple[tuple[float, float, str], ...], bent: bool, machine: Any 
     return rank_of(design.columns, [c.name for c in design.labels])
 
 
-def blank(h: float, r: float, direction: str, machine: Any = None, **setup: Any) -> Circle:
+def blank(h: float, r: float, direction: str, machine: Any = None, **setup: Any) -> CircleTest:
     m = machine or gantry()
     instrument = bar(m, height_mm=h, radius_mm=r, direction=direction, **setup)
     way = np.linspace(0.0, instrument.setup.arc_deg, 721)[:-1]

@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from rtec.metrology.ball_bar.circle import Circle, circle_of
-from rtec.metrology.ball_bar.fit import Noise, find_noise
+from rtec.metrology.ball_bar.circle import CircleTest, circle_of
+from rtec.metrology.ball_bar.noise import AngleNoise, find_noise
 from tests.support.ball_bar_dynamic import wander
 from tests.support.ball_bar_examples import bar, gantry, recorded
 
 
-def circles(step_deg: float) -> tuple[Circle, ...]:
+def circles(step_deg: float) -> tuple[CircleTest, ...]:
     m = gantry()
     angle = np.arange(0.0, 360.0, step_deg)
     made = [recorded(m, bar(m, direction=d), a, np.zeros(len(angle)), d) for d, a in (("ccw", angle), ("cw", -angle))]
     return tuple(circle_of(x) for x in made)
 
 
-def covariance(tests: tuple[Circle, ...], noise: Noise) -> np.ndarray:
+def covariance(tests: tuple[CircleTest, ...], noise: AngleNoise) -> np.ndarray:
     """Tests are independent; `d exp(-|Δζ| / τ)` within one, and the white part."""
     ends, out = np.cumsum([0, *(len(c) for c in tests)]), np.zeros((2 * len(tests[0]),) * 2)
     for c, start in zip(tests, ends[:-1], strict=True):
@@ -27,8 +27,8 @@ def covariance(tests: tuple[Circle, ...], noise: Noise) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("noise", [Noise(), Noise(2.0, 0.3), Noise(0.5, 2.0, near=0.4, window_deg=7.0)])
-def test_whitened_columns_have_the_inverse_covariance_as_their_metric(noise: Noise) -> None:
+@pytest.mark.parametrize("noise", [AngleNoise(), AngleNoise(2.0, 0.3), AngleNoise(0.5, 2.0, near=0.4, window_deg=7.0)])
+def test_whitened_columns_have_the_inverse_covariance_as_their_metric(noise: AngleNoise) -> None:
     """Oracle: `Xᵀ C⁻¹ X` with the dense matrix; and the restricted likelihood by the book."""
     tests = circles(5.0)
     rng = np.random.default_rng(1)

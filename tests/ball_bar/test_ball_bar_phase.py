@@ -8,8 +8,7 @@ from rtec.machine import load_machine
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import circles_of
 from rtec.metrology.ball_bar.design import NotLookedFor
-from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
-from rtec.metrology.ball_bar.next_test import wanted
+from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose, wanted
 from rtec.metrology.ball_bar.phase import Phase
 from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
 from tests.support.ball_bar_dynamic import Test, run_tests
@@ -22,13 +21,13 @@ DELAY_MS = 0.3
 BENT = {"rho_yaw_x": 5000.0}
 
 
-def mill(dynamic: dict[str, float], psi: float = 0.0, phase: Phase = "auto") -> Diagnosis:
+def mill(dynamic: dict[str, float], psi: float = 0.0, phase: Phase = "auto") -> BallBarDiagnosis:
     """Four tests on a machine that carries X on Y under the table: twist does not show there."""
     given = run_tests(FOUR, STATIC | {"psi": psi}, dynamic, 0.2, seed=5, machine=load_machine(MILL))[0]
     return diagnose(given, phase=phase)
 
 
-def off_se(d: Diagnosis, truth: dict[str, float]) -> dict[str, float]:
+def off_se(d: BallBarDiagnosis, truth: dict[str, float]) -> dict[str, float]:
     return {k: abs(d.fitted.value(k).value - v) / d.fitted.value(k).se for k, v in truth.items()}
 
 

@@ -17,8 +17,7 @@ from rtec.effects import Effect
 from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.metrology.ball_bar.circle import circles_of
-from rtec.metrology.ball_bar.design import design_of
-from rtec.metrology.ball_bar.rank import rank_of
+from rtec.metrology.ball_bar.design import design_of, rank_of
 from rtec.metrology.measurement import Measurement
 from rtec.sim.campaign.settings import Path as Way
 from rtec.sim.campaign.settings import Settings

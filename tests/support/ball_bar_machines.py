@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.diagnosis import Diagnosis, diagnose
+from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose
 from rtec.metrology.measurement import Measurement
 from tests.support.ball_bar_dynamic import DEG, PITCH_MM, THREE, TWO_FEEDS, random_static, run_tests
 
@@ -125,7 +125,7 @@ def judge(kind: str, seed: int) -> Judged:
     )  # fmt: skip
 
 
-def explained(d: Diagnosis, clean: list[Floats], centred: list[Floats]) -> float:
+def explained(d: BallBarDiagnosis, clean: list[Floats], centred: list[Floats]) -> float:
     """Share of the variance of the readings without noise and without centre offset, each about its test's mean."""
     rest = sum(float(np.var(c - d.fitted.fitted_um(i))) for i, c in enumerate(clean))
     return 1.0 - rest / sum(float(np.var(c)) for c in centred)

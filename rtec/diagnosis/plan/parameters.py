@@ -8,7 +8,7 @@ from rtec.effects import Effect, effect_class
 from rtec.errors import ModelError
 from rtec.machine import Machine
 from rtec.metrology.ball_bar.causes import Cause, causes
-from rtec.metrology.ball_bar.circle import Circle, circle_of
+from rtec.metrology.ball_bar.circle import CircleTest, circle_of
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup
 from rtec.metrology.measurement import Measurement
 
@@ -48,7 +48,7 @@ class OfBallBar:
     """A parameter of `rtec ballbar`: its cause, and the test whose centre shapes and arms count from."""
 
     cause: Cause
-    origin: Circle
+    origin: CircleTest
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def ball_bar_set(
     )
 
 
-def _roll(origin: Circle) -> Iterator[Cause]:
+def _roll(origin: CircleTest) -> Iterator[Cause]:
     """The constant roll of the second axis, which carries the first on [BB]'s machine."""
     of = {c.name: c for c in causes(origin, bent=True)}
     shape = next(c.shape for name, c in of.items() if name.startswith("perpendicularity"))
@@ -174,7 +174,7 @@ def _roll(origin: Circle) -> Iterator[Cause]:
     yield replace(of["twist"], name="roll", title=f"constant roll of {axis}", unit="urad", shape=shape)
 
 
-def _parts(cause: Cause, origin: Circle) -> Iterator[Part]:
+def _parts(cause: Cause, origin: CircleTest) -> Iterator[Part]:
     """The same parameter as an effect, for other instruments."""
     kind, setup, own = cause.name.split("_")[0], origin.setup, cause.component[2:]
     machine = origin.machine

@@ -24,7 +24,7 @@ from rtec.effects import Effect
 from rtec.errors import ModelError
 from rtec.estimation.gls import without_nuisance
 from rtec.estimation.readings import Readings, read
-from rtec.metrology.ball_bar.circle import Circle, circle_of
+from rtec.metrology.ball_bar.circle import CircleTest, circle_of
 from rtec.metrology.ball_bar.design import stacked_design
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup
 from rtec.metrology.measurement import Measurement
@@ -90,7 +90,7 @@ def _reads_itself(parameter: Planned, measurement: Measurement) -> bool:
     return instrument.setup.plane == parameter.bar.origin.setup.plane
 
 
-def _on_circle(parameters: Sequence[Planned], circle: Circle, place: Place | None) -> Floats:
+def _on_circle(parameters: Sequence[Planned], circle: CircleTest, place: Place | None) -> Floats:
     """Columns of a ball-bar test over its measured arc, as `rtec ballbar` has them, (n, parameters)."""
     strange = next((p.name for p in parameters if p.bar is None and p.ball is None), None)
     if strange is not None:
@@ -106,7 +106,7 @@ def _on_circle(parameters: Sequence[Planned], circle: Circle, place: Place | Non
     return without(zeros, columns) if zeros.shape[1] else columns
 
 
-def _zeros(circle: Circle) -> Floats:
+def _zeros(circle: CircleTest) -> Floats:
     """Unknown length of a bar that was not calibrated, once or in every run."""
     n = len(circle)
     if circle.setup.zero == "setup":

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rtec.effects import Effect
 from rtec.effects.derived import FAR_MM
 from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, Shape, along, axis_of, feeds_of, shape_of
-from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.circle import CircleTest
 
 Floats = NDArray[np.float64]
 Kind = Literal["plain", "wave", "spike"]
@@ -38,7 +38,7 @@ ENDS: tuple[End, ...] = (("plus", "+", 1.0), ("minus", "-", -1.0))
 
 
 @dataclass(frozen=True)
-class Candidate:
+class ExtraCause:
     """A cause beyond [BB]'s, with what is found out about it as one.
 
     Attributes:
@@ -68,12 +68,12 @@ class Candidate:
     wave_mm: float = 0.0
 
 
-def candidates(circles: Sequence[Circle]) -> tuple[Candidate, ...]:
+def candidates(circles: Sequence[CircleTest]) -> tuple[ExtraCause, ...]:
     """Everything beyond [BB]'s parameters that is looked for in tests of one plane."""
     return (*_servo(circles), *_both(circles), *_change_over(circles))
 
 
-def _both(circles: Sequence[Circle]) -> Iterator[Candidate]:
+def _both(circles: Sequence[CircleTest]) -> Iterator[ExtraCause]:
     for place in (0, 1):
         yield from _spikes(circles, place)
         yield from _plays(circles, place)
@@ -81,23 +81,23 @@ def _both(circles: Sequence[Circle]) -> Iterator[Candidate]:
         yield from _waves(circles, place)
 
 
-def _servo(circles: Sequence[Circle]) -> Iterator[Candidate]:
+def _servo(circles: Sequence[CircleTest]) -> Iterator[ExtraCause]:
     first, (a, b, _) = circles[0], circles[0].setup.letters
     delay = along(first, "servo_lag", 0)
     # A time τ ahead is `p(t + τ)`: its second order is ½ τ² a.
     late = along(first, "inertia", 0)
     cause = Cause("delay", f"servo delay mismatch: time by which {a} leads {b}", "ms", "servo delay", delay.component,
                   shape_of(delay), square=shape_of(late, gain=0.5))  # fmt: skip
-    yield Candidate("delay", f"servo delay mismatch {a}-{b}", cause.group, "servo_lag", "plain", _only(cause))
+    yield ExtraCause("delay", f"servo delay mismatch {a}-{b}", cause.group, "servo_lag", "plain", _only(cause))
     for place, letter in enumerate((a, b)):
         gain = along(first, "inertia", place)
         name = f"gain_{letter}".lower()
         size = Cause(name, f"servo gain error of {letter}: too short by, for each m/s²", "um_s2_per_m",
                      f"servo gain {letter}", gain.component, shape_of(gain))  # fmt: skip
-        yield Candidate(name, f"servo gain error of {letter}", size.group, "inertia", "plain", _only(size), axis=place)
+        yield ExtraCause(name, f"servo gain error of {letter}", size.group, "inertia", "plain", _only(size), axis=place)
 
 
-def _change_over(circles: Sequence[Circle]) -> Iterator[Candidate]:
+def _change_over(circles: Sequence[CircleTest]) -> Iterator[ExtraCause]:
     first, (a, b, _) = circles[0], circles[0].setup.letters
     one = along(first, "change_over", 0, other=axis_of(first, 1).name)
     two = along(first, "change_over", 1, other=axis_of(first, 0).name)
@@ -106,7 +106,7 @@ def _change_over(circles: Sequence[Circle]) -> Iterator[Candidate]:
                   also=((two.component, shape_of(two, gain=-1.0)),))  # fmt: skip
     coarse = max(c.step_rad for c in circles) > np.deg2rad(5.0)
     why = "readings are more than 5° apart: steps at 45° do not show" if coarse else ""
-    yield Candidate(
+    yield ExtraCause(
         "change_over",
         f"master-slave change-over {a}-{b}",
         cause.group,
@@ -117,7 +117,7 @@ def _change_over(circles: Sequence[Circle]) -> Iterator[Candidate]:
     )
 
 
-def _spikes(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+def _spikes(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
     """One at each feed: how an axis sticks depends on it."""
     letter = circles[0].setup.letters[place]
     feeds = feeds_of(circles, ALIKE_FEED)
@@ -135,7 +135,7 @@ def _spikes(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
         suffix = f"_f{feed:g}" if len(feeds) > 1 else ""
         ends = tuple(end for end in ENDS if any(_turns(c, place, end[2]) for c in here))
         missing = "" if ways else "readings are too far apart for a spike"
-        yield Candidate(
+        yield ExtraCause(
             f"spike_{letter}{suffix}".lower(), f"reversal spike (stick-slip) of {letter}{at}",
             f"reversal spike {letter}", "reversal_spike", "spike",
             _spike(effect, letter, place, suffix, at, ends, _at_feed(feeds, feed)), ways,
@@ -143,12 +143,12 @@ def _spikes(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
         )  # fmt: skip
 
 
-def _at_feed(feeds: Sequence[float], feed: float) -> Callable[[Circle], bool]:
+def _at_feed(feeds: Sequence[float], feed: float) -> Callable[[CircleTest], bool]:
     """Is a feed the one of a list that is nearest to a test's own?"""
     return lambda c: min(feeds, key=lambda f: abs(f - c.setup.feed_mm_min)) == feed
 
 
-def _turns(circle: Circle, place: int, sign: float) -> bool:
+def _turns(circle: CircleTest, place: int, sign: float) -> bool:
     """Are there readings just after the axis turned round at that end?"""
     near = circle.since_turn_rad(place) < np.deg2rad(WIDEST_DEG)
     seen = circle.since_reversal_mm(place) < FAR_MM
@@ -156,7 +156,13 @@ def _turns(circle: Circle, place: int, sign: float) -> bool:
 
 
 def _spike(
-    effect: Effect, letter: str, place: int, suffix: str, at: str, ends: Sequence[End], mine: Callable[[Circle], bool]
+    effect: Effect,
+    letter: str,
+    place: int,
+    suffix: str,
+    at: str,
+    ends: Sequence[End],
+    mine: Callable[[CircleTest], bool],
 ) -> Callable[[float], tuple[Cause, ...]]:
     def made(way_mm: float) -> tuple[Cause, ...]:
         def end(sign: float) -> Shape:
@@ -178,7 +184,7 @@ def _spike(
     return made
 
 
-def _plays(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+def _plays(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
     first, letters = circles[0], circles[0].setup.letters
     own = letters[place]
     for across in (letters[1 - place], letters[2]):
@@ -186,10 +192,10 @@ def _plays(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
         name = f"play_{own}_{across}".lower()
         cause = Cause(name, f"lateral play of {own} along {across}", "um", f"lateral play {own}", effect.component,
                       shape_of(effect))  # fmt: skip
-        yield Candidate(name, cause.title, cause.group, "backlash", "plain", _only(cause), axis=place)
+        yield ExtraCause(name, cause.title, cause.group, "backlash", "plain", _only(cause), axis=place)
 
 
-def _positions(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+def _positions(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
     """Clearance that changes along its axis, counted from the first test's centre."""
     first, letter = circles[0], circles[0].setup.letters[place]
     effect = along(first, "backlash_position", place, degree=2)
@@ -202,10 +208,10 @@ def _positions(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
         shape = shape_of(effect, degree, gain=-0.5 * half_m**degree, middle=place)
         cause = Cause(f"clearance_{name}_{letter}".lower(), f"clearance {letter} {how}", unit,
                       f"clearance {letter} by position", effect.component, shape)  # fmt: skip
-        yield Candidate(cause.name, cause.title, cause.group, "backlash_position", "plain", _only(cause), axis=place)
+        yield ExtraCause(cause.name, cause.title, cause.group, "backlash_position", "plain", _only(cause), axis=place)
 
 
-def _waves(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
+def _waves(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
     first, letter = circles[0], circles[0].setup.letters[place]
     axis = axis_of(first, place)
     for name, effect_name, turns, words in (
@@ -216,7 +222,7 @@ def _waves(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
         named = f"{name}_{letter}".lower()
         if axis.pitch_mm is None:
             why = f"the machine file names no pitch_mm of axis {axis.name}"
-            yield Candidate(named, title, group, effect_name, "wave", _only(), missing=why, axis=place)
+            yield ExtraCause(named, title, group, effect_name, "wave", _only(), missing=why, axis=place)
             continue
         wave = axis.pitch_mm / turns
         step = min(c.setup.radius_mm * c.step_rad for c in circles)
@@ -232,7 +238,7 @@ def _waves(circles: Sequence[Circle], place: int) -> Iterator[Candidate]:
             )
             for i, part in enumerate(("sine", "cosine"))
         )
-        yield Candidate(named, title, group, effect_name, "wave", _only(*of), missing=why, axis=place, wave_mm=wave)
+        yield ExtraCause(named, title, group, effect_name, "wave", _only(*of), missing=why, axis=place, wave_mm=wave)
 
 
 def _only(*causes: Cause) -> Callable[[float], tuple[Cause, ...]]:

@@ -1,9 +1,10 @@
-"""What a ball bar can be read as: causes of [BB], each one parameter, and the columns that they make in any test.
+"""What a ball bar can be read as: causes, each one parameter, and the columns that they make in any test.
 
 A cause is a component error with a shape; the machine's chain and the bar's geometry turn it into a reading. Shapes and
 lever arms count from the centre of the first test's circle, so that scale, squareness and bend are those at that place
 and the centre offset is free of them. On a machine that carries X on Y, with the ball at the tool in the plane of Y's
-guide, the columns are those of [BB Table 1]; on others the arms are the machine's own.
+guide, the columns are those of [BB Table 1]; on others the arms are the machine's own. An effect of the catalogue along
+an axis of the plane gives shapes, too.
 
 Clearance δ lags evenly to both sides, `e = -½ δ d`, so the centre is the middle of both flanks. [BB 20] counts from the
 flank of motion to minus, where its table has 0: its centre offset is this one minus ½ δ. Its δ is minus the reversal
@@ -11,8 +12,6 @@ value B of ISO 230-2.
 
 Symbols: `p`, `q` positions along the plane's first and second letter from that centre, mm; `d` direction of motion;
 `ζ` angle, `s` sense.
-
-Effects of the catalogue as shapes for a ball-bar test: one basis function along an axis of the plane.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, State, effect_class
 from rtec.errors import MeasurementError
 from rtec.machine import Axis
-from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.instruments.ball_bar import axis_along
 
 Floats = NDArray[np.float64]
@@ -35,7 +34,7 @@ Floats = NDArray[np.float64]
 class At:
     """Where the readings of a test are: the test, and positions `p`, `q`, mm, (n,) each."""
 
-    circle: Circle
+    circle: CircleTest
     p: Floats
     q: Floats
 
@@ -71,7 +70,7 @@ class Cause:
     also: tuple[tuple[str, Shape], ...] = ()
 
 
-def causes(circle: Circle, *, bent: bool) -> tuple[Cause, ...]:
+def causes(circle: CircleTest, *, bent: bool) -> tuple[Cause, ...]:
     """The 10 parameters of [BB]'s linear model, or (`bent`) the 15 of the non-linear one, named for a plane.
 
     The perpendicularity of the first axis holds its own pitch and the roll of the axis that carries it, the
@@ -129,7 +128,7 @@ def _ahead_square(at: At) -> Floats:
     return np.asarray(gain * np.cos(at.circle.angle_rad), dtype=np.float64)
 
 
-def tip_um(cause: Cause, circle: Circle, origin: Circle, *, square: bool = False) -> Floats:
+def tip_um(cause: Cause, circle: CircleTest, origin: CircleTest, *, square: bool = False) -> Floats:
     """How one unit of a cause moves the ball at the tool against the ball on the table, µm, (n, 3).
 
     Args:
@@ -151,7 +150,7 @@ def tip_um(cause: Cause, circle: Circle, origin: Circle, *, square: bool = False
     return out
 
 
-def _arms(component: str, circle: Circle, origin: Circle) -> Floats:
+def _arms(component: str, circle: CircleTest, origin: CircleTest) -> Floats:
     """How one unit of a component error moves the tip, (n, 3), or (3,) where it is the same everywhere."""
     chain = circle.machine.chain
     terms = chain.terms[:, chain.components.index(component)]
@@ -161,7 +160,7 @@ def _arms(component: str, circle: Circle, origin: Circle) -> Floats:
     return np.asarray(terms[:, 0], dtype=np.float64)
 
 
-def _centre_pose(circle: Circle) -> Floats:
+def _centre_pose(circle: CircleTest) -> Floats:
     """Axis positions at the centre of a test, (axes,)."""
     machine = circle.machine
     out = np.zeros(len(machine.axes))
@@ -178,7 +177,7 @@ ALIKE_FEED = 0.25
 """Feeds nearer than this stick alike: those that only go with the radius are not looked at by themselves."""
 
 
-def axis_of(circle: Circle, place: int) -> Axis:
+def axis_of(circle: CircleTest, place: int) -> Axis:
     """The axis that moves along the plane's first (0) or second (1) letter.
 
     Raises:
@@ -191,7 +190,7 @@ def axis_of(circle: Circle, place: int) -> Axis:
     return axis
 
 
-def along(circle: Circle, name: str, place: int, towards: str = "", **more: Any) -> Effect:
+def along(circle: CircleTest, name: str, place: int, towards: str = "", **more: Any) -> Effect:
     """An effect of the catalogue along the plane's first or second axis, positioning unless it moves it sideways.
 
     Args:
@@ -240,7 +239,7 @@ def _counted(at: At, place: int) -> State:
     return State(state.machine, state.time_s, {**state.channels, axis.channel: position})
 
 
-def feeds_of(circles: Sequence[Circle], share: float = SAME_FEED) -> list[float]:
+def feeds_of(circles: Sequence[CircleTest], share: float = SAME_FEED) -> list[float]:
     """Feeds of some tests, mm/min, each once, rising; `share`: see `same_feed`."""
     out: list[float] = []
     for c in circles:

@@ -32,7 +32,7 @@ GAP_DEG = 20.0
 
 
 @dataclass(frozen=True)
-class Circle:
+class CircleTest:
     """The measured arc of one test: no overshoot, no missing readings.
 
     Attributes:
@@ -141,15 +141,15 @@ class Circle:
             out |= np.minimum(after, np.pi - after) < max(float(np.arccos(1.0 - way)), QUADRANT_RAD)
         return out
 
-    def rows(self, keep: Bools) -> "Circle":
+    def rows(self, keep: Bools) -> "CircleTest":
         """Only these readings."""
-        return Circle(
+        return CircleTest(
             self.name, self.machine, self.instrument, self.angle_rad[keep], self.travel_deg[keep],
             self.reading_um[keep], self.run[keep], self.left_out, self.phase_rate,
         )  # fmt: skip
 
 
-def circle_of(measurement: Measurement) -> Circle:
+def circle_of(measurement: Measurement) -> CircleTest:
     """The measured arc of a measurement.
 
     Raises:
@@ -176,13 +176,13 @@ def circle_of(measurement: Measurement) -> Circle:
             f"({high - low:.0f} or less) to what was measured"
         )
     angle = np.deg2rad(setup.start_deg + setup.sense * travel)
-    return Circle(
+    return CircleTest(
         name, measurement.machine, instrument, angle[keep], travel[keep], reading[keep], measurement.run[keep],
         int((~keep).sum()),
     )  # fmt: skip
 
 
-def circles_of(measurements: Sequence[Measurement]) -> tuple[Circle, ...]:
+def circles_of(measurements: Sequence[Measurement]) -> tuple[CircleTest, ...]:
     """Several tests of one plane on one machine.
 
     Raises:

@@ -1,6 +1,7 @@
-"""The stacked design: what every parameter adds to each reading of several ball-bar tests, first order and exactly.
+"""What each parameter adds to the readings of several ball-bar tests, and which parameters they separate.
 
-Columns of everything that is looked for beyond [BB]'s parameters, and which of them these tests can show at all.
+The stacked design holds the columns of [BB]'s parameters, to first order and exactly; its rank says what no reading
+sees and which sets stay confounded; beside it stand the columns of everything that is looked for beyond [BB].
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,19 +12,98 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.beyond import Candidate, candidates
+from rtec.metrology.ball_bar.beyond import ExtraCause, candidates
 from rtec.metrology.ball_bar.causes import Cause, causes, tip_um
-from rtec.metrology.ball_bar.circle import Circle
-from rtec.metrology.ball_bar.rank import Rank, rank_of
+from rtec.metrology.ball_bar.circle import CircleTest
 
 Floats = NDArray[np.float64]
+UNSEEN = 1e-9
+"""A column smaller than this share of the largest is not there."""
+ALIKE = 1e-6
+"""A direction with a singular value below this share of the largest is not separated."""
+IN_IT = 1e-3
+"""Share in such directions from which on a parameter belongs to a confounded set."""
+
+
+@dataclass(frozen=True)
+class Rank:
+    """What a design separates.
+
+    Attributes:
+        count: parameters asked for.
+        rank: combinations of them that can be found.
+        never: that no reading sees.
+        confounded: sets of which only combinations can be found.
+        condition: of the columns that are seen, each scaled to one; over the directions that are separated.
+        kept: places of the parameters that a fit can have: of a confounded set the first ones.
+    """
+
+    count: int
+    rank: int
+    never: tuple[str, ...]
+    confounded: tuple[tuple[str, ...], ...]
+    condition: float
+    kept: tuple[int, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Can every parameter be found?"""
+        return self.rank == self.count
+
+
+def rank_of(design: Floats, names: Sequence[str]) -> Rank:
+    """Judge a design, (readings, parameters), with one name a column."""
+    size = np.linalg.norm(design, axis=0)
+    seen = [int(i) for i in np.flatnonzero(size > UNSEEN * max(float(size.max(initial=0.0)), 1e-300))]
+    never = tuple(n for i, n in enumerate(names) if i not in seen)
+    if not seen:
+        return Rank(len(names), 0, never, (), float("inf"), ())
+    scaled = design[:, seen] / size[seen]
+    _, singular, rows = np.linalg.svd(scaled, full_matrices=False)
+    good = singular > ALIKE * singular[0]
+    sets = _sets(rows[~good].T, [names[i] for i in seen])
+    condition = float(singular[0] / singular[good][-1])
+    return Rank(len(names), int(good.sum()), never, sets, condition, tuple(seen[i] for i in _kept(scaled)))
+
+
+def _kept(scaled: Floats) -> list[int]:
+    """Columns that the ones before them do not make already."""
+    out: list[int] = []
+    basis = np.zeros((len(scaled), 0))
+    for i in range(scaled.shape[1]):
+        left = scaled[:, i] - basis @ (basis.T @ scaled[:, i])
+        left = left - basis @ (basis.T @ left)
+        size = float(np.linalg.norm(left))
+        if size > 10.0 * ALIKE:
+            basis = np.concatenate([basis, left[:, None] / size], axis=1)
+            out.append(i)
+    return out
+
+
+def _sets(unseen: Floats, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Connected parts of the projector on the directions that are not seen."""
+    projector = unseen @ unseen.T
+    left = {i for i in range(len(names)) if projector[i, i] > IN_IT}
+    out = []
+    while left:
+        group: set[int] = set()
+        edge = {min(left)}
+        while edge:
+            i = edge.pop()
+            group.add(i)
+            edge |= {j for j in left - group if abs(projector[i, j]) > IN_IT}
+        left -= group
+        out.append(tuple(names[i] for i in sorted(group)))
+    return tuple(out)
+
+
 Centre = Literal["shared", "each"]
 SETTING_UP = "setting up"
 """Group of what belongs to the instrument's set-up and not to the machine."""
 
 
 @dataclass(frozen=True)
-class Design:
+class BarDesign:
     """All tests, one under the other.
 
     Attributes:
@@ -52,7 +132,7 @@ class Design:
         return np.asarray(exact - first, dtype=np.float64)
 
 
-def stacked_design(of: Sequence[Cause], circles: Sequence[Circle]) -> Floats:
+def stacked_design(of: Sequence[Cause], circles: Sequence[CircleTest]) -> Floats:
     """Columns of causes in all tests, one test under the other, (readings, causes), µm per unit."""
     along = [_bar(c) for c in circles]
     parts = [
@@ -63,8 +143,8 @@ def stacked_design(of: Sequence[Cause], circles: Sequence[Circle]) -> Floats:
 
 
 def design_of(
-    circles: Sequence[Circle], *, bent: bool, centre: Centre = "shared", more: Sequence[Cause] = ()
-) -> Design:
+    circles: Sequence[CircleTest], *, bent: bool, centre: Centre = "shared", more: Sequence[Cause] = ()
+) -> BarDesign:
     """[BB]'s parameters in several tests, and the zero of a bar that was not calibrated.
 
     Args:
@@ -92,18 +172,18 @@ def design_of(
         labels += [label for label, _ in zeros]
         columns = np.concatenate([columns, np.stack([c for _, c in zeros], axis=1)], axis=1)
     still = np.zeros((len(bar), len(zeros), 3))
-    return Design(
+    return BarDesign(
         tuple(labels), columns, np.concatenate([whole, still], axis=1),
         np.concatenate([np.stack(squares, axis=1), still], axis=1), bar,
     )  # fmt: skip
 
 
-def _bar(circle: Circle) -> Floats:
+def _bar(circle: CircleTest) -> Floats:
     return circle.instrument.bar_mm(circle.machine, circle.pose_mm)
 
 
 def _split(
-    cause: Cause, circles: Sequence[Circle], rows: NDArray[np.int64], centre: Centre
+    cause: Cause, circles: Sequence[CircleTest], rows: NDArray[np.int64], centre: Centre
 ) -> Iterator[tuple[Cause, NDArray[np.bool_]]]:
     """The cause in all tests together, or a centre offset in each."""
     if cause.centre is None or centre == "shared" or len(circles) == 1:
@@ -113,7 +193,7 @@ def _split(
         yield replace(cause, name=f"{cause.name}_{i + 1}", title=f"{cause.title}, {circle.name}"), rows == i
 
 
-def _zeros(circles: Sequence[Circle], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
+def _zeros(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
     """Length of a bar that was not calibrated, once in a test or in every run."""
     run = np.concatenate([c.run for c in circles])
     for i, circle in enumerate(circles):
@@ -145,13 +225,13 @@ class NotLookedFor:
         twins: names of what it is not separated from; none where it cannot be seen at all.
     """
 
-    candidate: Candidate
+    candidate: ExtraCause
     why: str
     twins: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Table:
+class CandidateTable:
     """What several tests see of [BB]'s parameters and of the candidates.
 
     Attributes:
@@ -163,10 +243,10 @@ class Table:
         left_out: the others.
     """
 
-    circles: tuple[Circle, ...]
-    design: Design
+    circles: tuple[CircleTest, ...]
+    design: BarDesign
     rank: Rank
-    tried: tuple[Candidate, ...]
+    tried: tuple[ExtraCause, ...]
     columns: tuple[tuple[Floats, ...], ...]
     left_out: tuple[NotLookedFor, ...]
 
@@ -176,7 +256,7 @@ class Table:
         return self.design.columns[:, list(self.rank.kept)]
 
 
-def table_of(circles: Sequence[Circle], centre: Centre) -> Table:
+def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
     """Work out the columns and which candidates separate."""
     design = design_of(circles, bent=True, centre=centre)
     rank = rank_of(design.columns, [c.name for c in design.labels])
@@ -200,7 +280,7 @@ def table_of(circles: Sequence[Circle], centre: Centre) -> Table:
             columns.append(own)
             known = np.concatenate([known, seen], axis=1)
             names += [candidate.name] * seen.shape[1]
-    return Table(tuple(circles), design, rank, tuple(tried), tuple(columns), tuple(left_out))
+    return CandidateTable(tuple(circles), design, rank, tuple(tried), tuple(columns), tuple(left_out))
 
 
 def share_left(known: Floats, own: Floats) -> float:
@@ -212,17 +292,17 @@ def share_left(known: Floats, own: Floats) -> float:
     return float(np.linalg.svd(left, compute_uv=False)[-1] / whole[0])
 
 
-def with_setup(circle: Circle, **changes: float | str) -> Circle:
+def with_setup(circle: CircleTest, **changes: float | str) -> CircleTest:
     """A test like another one in everything but some keys of its set-up."""
     setup = circle.setup.model_copy(update=changes)
     travel = (setup.sense * np.rad2deg(circle.angle_rad) - setup.sense * setup.start_deg) % 360.0
-    return Circle(
+    return CircleTest(
         circle.name, circle.machine, replace(circle.instrument, setup=setup), circle.angle_rad, travel,
         circle.reading_um, circle.run,
     )  # fmt: skip
 
 
-def _unseen(candidate: Candidate, circles: Sequence[Circle]) -> str:
+def _unseen(candidate: ExtraCause, circles: Sequence[CircleTest]) -> str:
     flat = all(abs(c.setup.height_mm) < 1e-9 for c in circles)
     if candidate.effect == "backlash" and flat:
         return "the bar lies flat: a test with a height shows it"

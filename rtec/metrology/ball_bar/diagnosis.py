@@ -1,33 +1,116 @@
-"""Diagnosis of ball-bar tests: [BB]'s parameters, and what they leave out, found together.
+"""Diagnosis of ball-bar tests: [BB]'s parameters and what they leave out, found together; and which test to add.
 
-Choice between the two models of [BB], made as its section 6 advises, with what is found beyond them.
+The choice between the two models of [BB] follows its section 6, with what is found beyond them.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.circle import Circle, circles_of
-from rtec.metrology.ball_bar.design import SETTING_UP, Centre
+from rtec.metrology.ball_bar.causes import same_feed
+from rtec.metrology.ball_bar.circle import CircleTest, circles_of
+from rtec.metrology.ball_bar.design import SETTING_UP, Centre, NotLookedFor, table_of, with_setup
 from rtec.metrology.ball_bar.fit import Beyond, Fitted, fit
 from rtec.metrology.ball_bar.iso230_4 import (
     BothWays,
-    Harmonic,
+    CircleHarmonic,
     Roundness,
     both_ways,
     harmonics,
     least_squares_circle,
     roundness,
 )
-from rtec.metrology.ball_bar.next_test import Wanted, wanted
-from rtec.metrology.ball_bar.phase import Phase, ServoPhase, Shift, if_time, servo_phase
-from rtec.metrology.ball_bar.search import Found, search
+from rtec.metrology.ball_bar.phase import Phase, PhaseChoice, Shift, by_time, if_time, servo_phase
+from rtec.metrology.ball_bar.search import SearchResult, search
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import one_blas_thread
+
+SAME_MM = 1.0
+FASTER = 3.0
+FAST_MM_MIN = 6000.0
+"""From here on the other feed is the slower one."""
+
+
+@dataclass(frozen=True)
+class NextTest:
+    """One more test.
+
+    Attributes:
+        test: in words.
+        feed_mm_min: of it.
+        names: causes that it separates.
+    """
+
+    test: str
+    feed_mm_min: float
+    names: tuple[str, ...]
+
+
+def wanted(
+    circles: Sequence[CircleTest], left_out: Sequence[NotLookedFor], centre: Centre, *, in_time: bool = False
+) -> tuple[NextTest, ...]:
+    """Tests, one at a time added to the given ones, that show causes which these do not; each cause once.
+
+    Args:
+        circles: the given tests.
+        left_out: causes that they do not show.
+        centre: see `design_of`.
+        in_time: the servo phase is taken as one time in all tests.
+    """
+    open_ = [x.candidate.name for x in left_out if not x.candidate.missing]
+    out = []
+    for words, circle in _ideas(circles) if open_ else ():
+        if any(_same_test(circle, c) for c in circles):
+            continue
+        # A spike has its own name at each feed; those are not what a new test is for.
+        shown = _shown((*circles, circle), centre, in_time=in_time)
+        names = tuple(n for n in open_ if n in shown)
+        if names:
+            out.append(NextTest(words, circle.setup.feed_mm_min, names))
+            open_ = [n for n in open_ if n not in names]
+    return tuple(out)
+
+
+def _shown(circles: Sequence[CircleTest], centre: Centre, *, in_time: bool) -> set[str]:
+    """Names of the causes that some tests show."""
+    if not in_time:
+        return {c.name for c in table_of(circles, centre).tried}
+    # A delay is told from one angle, not from one time, which is the same thing.
+    one_angle = _shown([replace(c, phase_rate=1.0) for c in circles], centre, in_time=False)
+    return {c.name for c in table_of(by_time(circles), centre).tried} | (one_angle & {"delay"})
+
+
+def _same_test(one: CircleTest, other: CircleTest) -> bool:
+    a, b = one.setup, other.setup
+    return (
+        a.direction == b.direction
+        and same_feed(a.feed_mm_min, b.feed_mm_min)
+        and abs(a.radius_mm - b.radius_mm) < SAME_MM
+        and abs(a.height_mm - b.height_mm) < SAME_MM
+    )
+
+
+def _ideas(circles: Sequence[CircleTest]) -> Iterator[tuple[str, CircleTest]]:
+    first = circles[0]
+    setup = first.setup
+    feed = setup.feed_mm_min * (FASTER if setup.feed_mm_min * FASTER <= FAST_MM_MIN else 1.0 / FASTER)
+    yield f"{first.name} again at {feed:g} mm/min", with_setup(first, feed_mm_min=float(f"{feed:.3g}"))
+    other = "cw" if setup.sense > 0 else "ccw"
+    yield f"{first.name} again {other}", with_setup(first, direction=other)
+    flat = next((c for c in circles if abs(c.setup.height_mm) < 1e-9), None)
+    if flat is not None:
+        length = flat.setup.length_mm
+        # At the same angular speed a lag of an axis is the same angle.
+        feed = float(f"{0.8 * flat.setup.feed_mm_min:.3g}")
+        leaning = with_setup(flat, height_mm=round(0.6 * length, 1), radius_mm=round(0.8 * length, 1), feed_mm_min=feed)
+        where = f"height {0.6 * length:.0f} mm, radius {0.8 * length:.0f} mm, {feed:g} mm/min"
+        words = f"{flat.name} again with {where}"
+        yield words, leaning
+
 
 Choice = Literal["auto", "linear", "non-linear"]
 SURE = 1e-3
@@ -35,7 +118,7 @@ SURE = 1e-3
 
 
 def chosen(
-    circles: Sequence[Circle], model: Choice, window_deg: float, centre: Centre, beyond: Beyond
+    circles: Sequence[CircleTest], model: Choice, window_deg: float, centre: Centre, beyond: Beyond
 ) -> tuple[Fitted, str]:
     """The model that is taken, fitted, and why in words.
 
@@ -70,7 +153,7 @@ def chosen(
     )
 
 
-def third_harmonic(circles: Sequence[Circle], fitted: Fitted, window_deg: float) -> tuple[float, float]:
+def third_harmonic(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float) -> tuple[float, float]:
     """Largest third harmonic in what a fit leaves, µm, and how often noise alone would make one as large."""
     from rtec.metrology.procedures.fitting import correlation_time
 
@@ -130,12 +213,12 @@ class Spectrum:
     """Harmonics of one full circle, measured and fitted; empty where the arc is not full."""
 
     name: str
-    measured: tuple[Harmonic, ...]
-    fitted: tuple[Harmonic, ...]
+    measured: tuple[CircleHarmonic, ...]
+    fitted: tuple[CircleHarmonic, ...]
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class BallBarDiagnosis:
     """Everything about some tests of one plane.
 
     Attributes:
@@ -155,7 +238,7 @@ class Diagnosis:
         phase: the servo phase taken as one angle in all tests, or as one time, and why.
     """
 
-    circles: tuple[Circle, ...]
+    circles: tuple[CircleTest, ...]
     rounds: tuple[Roundness, ...]
     pairs: tuple[BothWays, ...]
     fitted: Fitted
@@ -166,13 +249,13 @@ class Diagnosis:
     explained_bb: float
     window_deg: float
     near_quadrants: float
-    found: Found = field(default_factory=Found)
+    found: SearchResult = field(default_factory=SearchResult)
     centre: Centre = "shared"
     dynamic: bool = True
-    phase: ServoPhase = field(default_factory=lambda: ServoPhase(()))
+    phase: PhaseChoice = field(default_factory=lambda: PhaseChoice(()))
 
     @cached_property
-    def wanted(self) -> tuple[Wanted, ...]:
+    def wanted(self) -> tuple[NextTest, ...]:
         """Further tests that would show what these do not."""
         with one_blas_thread():
             return wanted(self.circles, self.found.left_out, self.centre, in_time=self.phase.taken == "time")
@@ -195,7 +278,7 @@ def diagnose(
     *,
     dynamic: bool = True,
     phase: Phase = "auto",
-) -> Diagnosis:
+) -> BallBarDiagnosis:
     """Diagnose tests of one plane together.
 
     Args:
@@ -217,15 +300,15 @@ def diagnose(
 
 
 def _diagnose(
-    phase: ServoPhase, model: Choice, window_deg: float, centre: Centre, orders: int, dynamic: bool
-) -> Diagnosis:
+    phase: PhaseChoice, model: Choice, window_deg: float, centre: Centre, orders: int, dynamic: bool
+) -> BallBarDiagnosis:
     circles = phase.circles
     still = fit(circles, bent=False, window_deg=window_deg, centre=centre)
-    found = search(circles, still, window_deg, centre) if dynamic else Found()
+    found = search(circles, still, window_deg, centre) if dynamic else SearchResult()
     fitted, reason = chosen(circles, model, window_deg, centre, found.beyond)
     bb = chosen(circles, model, window_deg, centre, Beyond())[0] if found.beyond.picks else fitted
     near = sum(int(c.near_quadrant(window_deg).sum()) for c in circles) / sum(len(c) for c in circles)
-    return Diagnosis(
+    return BallBarDiagnosis(
         circles=circles,
         rounds=tuple(roundness(c) for c in circles),
         pairs=both_ways(circles),
@@ -244,7 +327,7 @@ def _diagnose(
     )
 
 
-def _shares(circles: Sequence[Circle], fitted: Fitted) -> tuple[Share, ...]:
+def _shares(circles: Sequence[CircleTest], fitted: Fitted) -> tuple[Share, ...]:
     sizes = {
         group: max(_g(c, curve) for c, curve in zip(circles, curves, strict=True))
         for group, curves in fitted.parts_um.items()
@@ -256,11 +339,11 @@ def _shares(circles: Sequence[Circle], fitted: Fitted) -> tuple[Share, ...]:
     return tuple(Share(group, g, g / whole) for group, g in ranked)
 
 
-def _g(circle: Circle, curve: Floats) -> float:
+def _g(circle: CircleTest, curve: Floats) -> float:
     return float(np.ptp(least_squares_circle(circle.angle_rad, curve)[3]))
 
 
-def _spectrum(circle: Circle, fitted: Floats, orders: int) -> Spectrum:
+def _spectrum(circle: CircleTest, fitted: Floats, orders: int) -> Spectrum:
     if not circle.full:
         return Spectrum(circle.name, (), ())
     return Spectrum(
@@ -268,7 +351,7 @@ def _spectrum(circle: Circle, fitted: Floats, orders: int) -> Spectrum:
     )
 
 
-def _explained(circles: Sequence[Circle], fitted: Fitted, best: Fitted) -> float:
+def _explained(circles: Sequence[CircleTest], fitted: Fitted, best: Fitted) -> float:
     """By one fit; the set-up's own part is always taken from the best one."""
     rest, whole = 0.0, 0.0
     for i, circle in enumerate(circles):

@@ -1,156 +1,158 @@
 """Least-squares fit of causes to several ball-bar tests at once, to the exact length of the bar.
 
-Least squares of several ball-bar tests to the exact length of the bar, and how sure it is.
-
-Noise of ball-bar readings: white, and a part that wanders along the circle; and readings made white by it.
-
-    reading = signal + w + g        w independent from reading to reading, variance 1 (over `near`² at the quadrants)
-    g along the way ζ:              Ornstein-Uhlenbeck, variance d, forgets within τ: cov = d exp(-|Δζ| / τ)
-
-A Kalman filter's innovations over their standard deviations are the readings made white, in one pass. d and τ are
-those of the largest restricted likelihood, with everything that is looked for in the mean: what a fit of forty
-parameters has swallowed of a slow noise is accounted for, which the correlation of what is left would not show.
+The fit gives each parameter with its standard error and interval, and what it comes to in words.
 """
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.jit import njit
-from rtec.metrology.ball_bar.beyond import Candidate
-from rtec.metrology.ball_bar.causes import At, Cause
-from rtec.metrology.ball_bar.circle import Circle
-from rtec.metrology.ball_bar.design import SETTING_UP, Centre, Design, design_of
-from rtec.metrology.ball_bar.rank import Rank, rank_of
-from rtec.metrology.ball_bar.values import UNKNOWN, Number, Value, note_of, of_cause, of_wave, of_width, quantile
+from rtec.metrology.ball_bar.beyond import HALF_WAYS, WIDTH, ExtraCause
+from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, same_feed
+from rtec.metrology.ball_bar.circle import CircleTest
+from rtec.metrology.ball_bar.design import SETTING_UP, BarDesign, Centre, Rank, design_of, rank_of
+from rtec.metrology.ball_bar.noise import WHITE, AngleNoise
 from rtec.metrology.procedures.fitting import correlation_time, unit_errors
 
-Floats = NDArray[np.float64]
-SHARES = (0.1, 1.0, 10.0)
-WAYS_RAD = (0.05, 0.2, 0.8, 3.0)
-"""Where the search for d and τ begins."""
-LOWEST, HIGHEST = np.log([1e-3, 0.01]), np.log([1e3, 6.0])
-STEPS = 24
-LIKELY = 4.0
-"""Minus twice the logarithm of the likelihood: a noise that is worse by less than this may be the true one."""
+Number = tuple[float, float]
+"""A value and its standard error."""
+UNKNOWN: Number = (float("nan"), float("nan"))
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Shape of the noise; its size is left open.
+class FittedValue:
+    """A fitted parameter.
 
     Attributes:
-        share: d, variance of the part that wanders over that of the white one.
-        way_rad: τ.
-        near: at the quadrants the white part is so much smaller than elsewhere: 1, or less where it is larger.
-        window_deg: how far the quadrants reach.
+        name, title, unit, group: as `Cause`.
+        value: NaN where it cannot be found.
+        se: standard error.
+        low, high: 95 % confidence interval.
+        with_: parameters that it cannot be separated from; the value is then what they do together.
+        note: what it comes to, in words.
     """
 
-    share: float = 0.0
-    way_rad: float = 1.0
-    near: float = 1.0
-    window_deg: float = 5.0
-
-    def whiten(self, circles: Sequence[Circle], columns: Floats) -> Floats:
-        """Columns over all readings of the tests, (n, p), made white, (n, p)."""
-        return self._filter(circles, columns)[0]
-
-    def _filter(self, circles: Sequence[Circle], columns: Floats) -> tuple[Floats, float]:
-        out = np.ascontiguousarray(columns, dtype=np.float64).copy()
-        white = np.concatenate([np.where(c.near_quadrant(self.window_deg), self.near**-2.0, 1.0) for c in circles])
-        return out, float(_whiten(out, _apart_rad(circles), white, self.share, self.way_rad))
-
-    def cost(self, circles: Sequence[Circle], columns: Floats, reading: Floats) -> float:
-        """Minus twice the restricted likelihood, less what is the same for all noises."""
-        both, log_det = self._filter(circles, np.concatenate([columns, reading[:, None]], axis=1))
-        size = np.linalg.norm(both[:, :-1], axis=0)
-        normal = (both[:, :-1] / size).T @ (both / np.append(size, 1.0))
-        lower = np.linalg.cholesky(normal[:, :-1])
-        made = np.linalg.solve(lower, normal[:, -1])
-        left = max(float(both[:, -1] @ both[:, -1] - made @ made), 1e-300)
-        free = float(len(reading) - columns.shape[1])
-        return log_det + 2.0 * float(np.log(np.diag(lower) * size).sum()) + free * math.log(left / free)
+    name: str
+    title: str
+    unit: str
+    group: str
+    value: float
+    se: float
+    low: float
+    high: float
+    with_: tuple[str, ...] = ()
+    note: str = ""
 
 
-WHITE = Noise()
-
-
-def find_noise(
-    circles: Sequence[Circle], columns: Floats, reading: Floats, near: float, window_deg: float
-) -> tuple[Noise, Noise]:
-    """The noise of the largest restricted likelihood, and the slowest large one that is still likely.
-
-    A wandering noise shows only a few of its turns on a circle, so how large it is stays uncertain; what is to be more
-    than chance must be so beside the second one, too.
+def of_cause(cause: Cause, number: Number | None, wide: float, rank: Rank, note: str = "") -> FittedValue:
+    """A parameter that is one cause's size.
 
     Args:
-        circles: tests.
-        columns: everything that the readings may hold, independent, (n, p).
-        reading: (n,).
-        near: as in `Noise`.
-        window_deg: likewise.
+        cause: which.
+        number: value and standard error; None where it was not fitted.
+        wide: standard errors in half of a 95 % interval.
+        rank: tells what it is not separated from.
+        note: in words.
     """
-    from scipy.optimize import minimize
-
-    plain = Noise(0.0, 1.0, near, window_deg)
-
-    def noise(x: Floats) -> Noise:
-        inside = np.exp(np.clip(x, LOWEST, HIGHEST))
-        return replace(plain, share=float(inside[0]), way_rad=float(inside[1]))
-
-    tried: list[tuple[float, Noise]] = [(plain.cost(circles, columns, reading), plain)]
-
-    def cost(x: Floats) -> float:
-        tried.append((noise(x).cost(circles, columns, reading), noise(x)))
-        return tried[-1][0]
-
-    starts = [np.log([share, way]) for share in SHARES for way in WAYS_RAD]
-    start = min(starts, key=cost)
-    minimize(cost, start, method="Nelder-Mead", options={"maxfev": STEPS, "initial_simplex": _simplex(start)})
-    least, best = min(tried, key=lambda t: t[0])
-    likely = [n for value, n in tried if value < least + LIKELY]
-    return best, max(likely, key=lambda n: n.share * n.way_rad)
+    together = tuple(n for group in rank.confounded if cause.name in group for n in group if n != cause.name)
+    return _value((cause.name, cause.title, cause.unit, cause.group), number or UNKNOWN, wide, together, note)
 
 
-def _simplex(start: Floats) -> Floats:
-    return np.asarray(start + np.diag([0.0, 1.0, 0.7])[:, 1:], dtype=np.float64)
+def of_wave(candidate: ExtraCause, sine: Number, cosine: Number, wide: float) -> tuple[FittedValue, FittedValue]:
+    """Amplitude and phase of a wave."""
+    (s, es), (c, ec) = sine, cosine
+    size = float(np.hypot(s, c))
+    se = float(np.hypot(s * es, c * ec) / size) if size > 0 else float(np.hypot(es, ec))
+    turn_se = float(np.rad2deg(np.hypot(c * es, s * ec)) / size**2) if size > 0 else float("nan")
+    phase = float(np.rad2deg(np.arctan2(c, s)))
+    note = f"one wave every {candidate.wave_mm:g} mm"
+    if candidate.effect == "coupling_misalignment":
+        # [BB 22]: amplitude p γ² / 8π.
+        gamma = np.rad2deg(np.sqrt(8.0 * np.pi * size * 1e-3 / (2.0 * candidate.wave_mm)))
+        note += f"; as of shafts {gamma:.1f}° out of line [BB 22]"
+    name, title, group = candidate.name, candidate.title, candidate.group
+    return (
+        _value((f"{name}_amplitude", f"{title}, amplitude", "um", group), (size, se), wide, (), note),
+        _value((f"{name}_phase", f"{title}, phase at position 0", "deg", group), (phase, turn_se), wide, (), ""),
+    )
 
 
-def _apart_rad(circles: Sequence[Circle]) -> Floats:
-    """Way from the reading before, (n,); infinity where a test or a run begins."""
-    out = []
+def of_width(
+    candidate: ExtraCause, way_mm: float, way_se: float, circles: Sequence[CircleTest], wide: float
+) -> FittedValue:
+    """Width of a spike at half its height, on the axis' way; the note has it as an angle and as a time."""
+    words = {}
     for c in circles:
-        apart = np.abs(np.diff(c.angle_rad, prepend=np.inf))
-        out.append(np.where(np.diff(c.run, prepend=c.run[0]) != 0, np.inf, apart))
-    return np.concatenate(out)
+        if candidate.feed_mm_min and not same_feed(c.setup.feed_mm_min, candidate.feed_mm_min, ALIKE_FEED):
+            continue
+        ends = [np.arccos(max(1.0 - u * way_mm / c.setup.radius_mm, -1.0)) for u in HALF_WAYS]
+        angle = float(ends[1] - ends[0])
+        words[c.name] = f"{np.rad2deg(angle):.1f}°, {1e3 * angle / c.omega_rad_s:.0f} ms"
+    called = (f"{candidate.name}_width", f"{candidate.title}, width at half height", "mm", candidate.group)
+    return _value(called, (WIDTH * way_mm, WIDTH * way_se), wide, (), _by_test(words))
 
 
-@njit
-def _whiten(columns: Floats, apart: Floats, white: Floats, share: float, way: float) -> float:
-    """Whiten in place, (n, p); gives log det of the covariance."""
-    n, p = columns.shape
-    held = np.zeros(p)
-    variance, total = 0.0, 0.0
-    for i in range(n):
-        ratio = apart[i] / way
-        decay = math.exp(-ratio) if ratio < 25.0 else 0.0
-        variance = decay * decay * variance + (1.0 - decay * decay) * share
-        whole = variance + white[i]
-        gain, scale = variance / whole, 1.0 / math.sqrt(whole)
-        variance *= white[i] / whole
-        total += math.log(whole)
-        for j in range(p):
-            before = decay * held[j]
-            fresh = columns[i, j] - before
-            held[j] = before + gain * fresh
-            columns[i, j] = fresh * scale
-    return total
+def note_of(cause: Cause, numbers: Mapping[str, Number], circles: Sequence[CircleTest]) -> str:
+    """What a servo's parameter comes to at the feeds of the tests; which way a squareness leans."""
+    value = numbers.get(cause.name, UNKNOWN)[0]
+    if not np.isfinite(value) or value == 0.0:
+        return ""
+    if cause.name == "squareness" or cause.name.startswith("perpendicularity"):
+        return _leans(cause, value, circles[0])
+    if cause.name == "phase":
+        words = {c.name: f"{1e-3 * value * c.phase_rate / c.omega_rad_s:.3g} ms" for c in circles}
+    elif cause.name == "delay":
+        words = {c.name: f"{1e3 * value * c.omega_rad_s:.3g} µrad" for c in circles}
+    elif cause.name.startswith("gain_"):
+        radius = {c.name: -value * c.omega_rad_s**2 * c.setup.radius_mm * 1e-3 for c in circles}
+        words = {name: f"radius {um:+.2g} µm" for name, um in radius.items()}
+    else:
+        return ""
+    loop = ""
+    if cause.name.startswith("gain_") and value > 0.0:
+        # A loop of first order without feed-forward is ½ τ² a short, K_v = 1/τ.
+        loop = f"; as of a position loop of K_v = {1e3 / np.sqrt(2.0 * value):.0f} 1/s without feed-forward"
+    return _by_test(words) + loop
 
 
+def _leans(cause: Cause, value: float, circle: CircleTest) -> str:
+    """Which way an axis leans that is turned so: `ε × d`; the sign of a turn alone says it to nobody."""
+    a, b, n = circle.setup.letters
+    unit = dict(zip("XYZ", np.eye(3), strict=True))
+    turn = value * unit["XYZ"["ABC".index(cause.component[1])]]
+    if cause.name == "squareness":
+        less = float(np.cross(turn, unit[a]) @ unit[b]) > 0.0
+        return f"the angle between +{a} and +{b} is {'less' if less else 'more'} than 90°"
+    own = cause.name[-1].upper()
+    return f"towards +{own} the line {'climbs' if float(np.cross(turn, unit[own]) @ unit[n]) > 0.0 else 'falls'} in {n}"
+
+
+def _by_test(words: Mapping[str, str]) -> str:
+    """What was said of each test, the same words once."""
+    names: dict[str, list[str]] = {}
+    for name, said in words.items():
+        names.setdefault(said, []).append(name)
+    return "; ".join(f"{said} in {', '.join(of)}" for said, of in names.items())
+
+
+def quantile(free: float) -> float:
+    """Standard errors in half of a 95 % interval."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(free, 0.975))
+
+
+def _value(
+    called: tuple[str, str, str, str], number: Number, wide: float, together: tuple[str, ...], note: str
+) -> FittedValue:
+    value, se = (float(v) for v in number)
+    return FittedValue(*called, value, se, value - wide * se, value + wide * se, together, note)
+
+
+Floats = NDArray[np.float64]
 ROUNDS = 3
 """Linear fits in a row, each with the second order that the one before has found; a third changes nothing any more."""
 
@@ -172,7 +174,9 @@ class Solution:
     correlation: float
 
 
-def solve(design: Design, kept: Sequence[int], reading_um: Floats, circles: Sequence[Circle], noise: Noise) -> Solution:
+def solve(
+    design: BarDesign, kept: Sequence[int], reading_um: Floats, circles: Sequence[CircleTest], noise: AngleNoise
+) -> Solution:
     """Fit columns of a design to readings.
 
     Args:
@@ -214,7 +218,7 @@ class Pick:
         chance: how often noise alone would make as much of it, all that was looked for taken together.
     """
 
-    candidate: Candidate
+    candidate: ExtraCause
     way_mm: float = 0.0
     heights_um: tuple[float, ...] = ()
     chance: float = 0.0
@@ -231,7 +235,7 @@ class Beyond:
     """
 
     picks: tuple[Pick, ...] = ()
-    noise: Noise = WHITE
+    noise: AngleNoise = WHITE
     clearance_um: tuple[float, float] = (0.0, 0.0)
 
 
@@ -252,7 +256,7 @@ class Fitted:
     """
 
     model: str
-    values: tuple[Value, ...]
+    values: tuple[FittedValue, ...]
     rank: Rank
     parts_um: dict[str, tuple[Floats, ...]]
     left_um: tuple[Floats, ...]
@@ -261,7 +265,7 @@ class Fitted:
     correlation: float
     beyond: Beyond = Beyond()
 
-    def value(self, name: str) -> Value:
+    def value(self, name: str) -> FittedValue:
         """One parameter by its name."""
         return {v.name: v for v in self.values}[name]
 
@@ -271,7 +275,12 @@ class Fitted:
 
 
 def fit(
-    circles: Sequence[Circle], *, bent: bool, window_deg: float, centre: Centre = "shared", beyond: Beyond | None = None
+    circles: Sequence[CircleTest],
+    *,
+    bent: bool,
+    window_deg: float,
+    centre: Centre = "shared",
+    beyond: Beyond | None = None,
 ) -> Fitted:
     """Fit one of [BB]'s two models, alone or with causes beyond it.
 
@@ -308,7 +317,7 @@ def fit(
     return Fitted(name, values, rank, parts, after, solved.sigma_um, len(reading), solved.correlation, beyond)
 
 
-def used_rows(circles: Sequence[Circle], window_deg: float, beyond: Beyond) -> tuple[Circle, ...]:
+def used_rows(circles: Sequence[CircleTest], window_deg: float, beyond: Beyond) -> tuple[CircleTest, ...]:
     """The readings that a fit uses."""
     if not beyond.picks:
         return tuple(c.rows(~c.near_quadrant(window_deg)) for c in circles)
@@ -336,7 +345,9 @@ def _longer(pick: Pick) -> Cause:
     return Cause(f"{pick.candidate.name}_way", "", "1", of.group, of.component, shape)
 
 
-def _parts(circles: Sequence[Circle], whole: Design, numbers: dict[int, Number]) -> dict[str, tuple[Floats, ...]]:
+def _parts(
+    circles: Sequence[CircleTest], whole: BarDesign, numbers: dict[int, Number]
+) -> dict[str, tuple[Floats, ...]]:
     second = whole.second_order_um(list(numbers), np.array([v for v, _ in numbers.values()]))
     ends = np.cumsum([len(c) for c in circles])[:-1]
     out: dict[str, Floats] = {SETTING_UP: second}  # a large centre offset makes nearly all of it
@@ -347,8 +358,13 @@ def _parts(circles: Sequence[Circle], whole: Design, numbers: dict[int, Number])
 
 
 def _values(
-    design: Design, numbers: dict[int, Number], wide: float, rank: Rank, circles: Sequence[Circle], beyond: Beyond
-) -> tuple[Value, ...]:
+    design: BarDesign,
+    numbers: dict[int, Number],
+    wide: float,
+    rank: Rank,
+    circles: Sequence[CircleTest],
+    beyond: Beyond,
+) -> tuple[FittedValue, ...]:
     named = {design.labels[i].name: number for i, number in numbers.items()}
     special = {c.name: p for p in beyond.picks if p.candidate.kind != "plain" for c in causes_of(p)}
     out = []

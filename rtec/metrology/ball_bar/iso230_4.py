@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.circle import Circle
+from rtec.metrology.ball_bar.circle import CircleTest
 
 Floats = NDArray[np.float64]
 SAME_MM = 1e-3
@@ -59,7 +59,7 @@ class BothWays:
 
 
 @dataclass(frozen=True)
-class Harmonic:
+class CircleHarmonic:
     """One order: amplitude, µm, and the angle at which it is largest, degrees."""
 
     order: int
@@ -67,7 +67,7 @@ class Harmonic:
     phase_deg: float
 
 
-def roundness(circle: Circle) -> Roundness:
+def roundness(circle: CircleTest) -> Roundness:
     """G and F of one test."""
     radius, first, second, left = least_squares_circle(circle.angle_rad, circle.reading_um)
     g = max(float(np.ptp(least_squares_circle(circle.angle_rad[k], circle.reading_um[k])[3])) for k in _runs(circle))
@@ -76,7 +76,7 @@ def roundness(circle: Circle) -> Roundness:
     return Roundness(circle.name, g, float(radial.max()), float(radial.min()), radius, (first, second), about)
 
 
-def both_ways(circles: Sequence[Circle]) -> tuple[BothWays, ...]:
+def both_ways(circles: Sequence[CircleTest]) -> tuple[BothWays, ...]:
     """G(b), H and D of every pair in both senses with the same centre, radius, height, feed and arc."""
     out = []
     for one in circles:
@@ -86,26 +86,26 @@ def both_ways(circles: Sequence[Circle]) -> tuple[BothWays, ...]:
     return tuple(out)
 
 
-def harmonics(angle_rad: Floats, values_um: Floats, most: int = 15) -> tuple[Harmonic, ...]:
+def harmonics(angle_rad: Floats, values_um: Floats, most: int = 15) -> tuple[CircleHarmonic, ...]:
     """Orders 0 … `most` of a full circle by least squares; angles need not be even."""
     turns = np.arange(1, most + 1)
     waves = np.concatenate([np.cos(np.outer(angle_rad, turns)), np.sin(np.outer(angle_rad, turns))], axis=1)
     design = np.concatenate([np.ones((len(angle_rad), 1)), waves], axis=1)
     found = np.linalg.lstsq(design, values_um, rcond=None)[0]
-    out = [Harmonic(0, float(found[0]), 0.0)]
+    out = [CircleHarmonic(0, float(found[0]), 0.0)]
     for k in turns:
         c, s = float(found[k]), float(found[most + k])
-        out.append(Harmonic(int(k), float(np.hypot(c, s)), float(np.rad2deg(np.arctan2(s, c)) / k)))
+        out.append(CircleHarmonic(int(k), float(np.hypot(c, s)), float(np.rad2deg(np.arctan2(s, c)) / k)))
     return tuple(out)
 
 
-def mean_path(circle: Circle, travel_deg: Floats) -> Floats:
+def mean_path(circle: CircleTest, travel_deg: Floats) -> Floats:
     """Mean of the runs at given places on the arc, µm, (m,)."""
     paths = [np.interp(travel_deg, circle.travel_deg[k], circle.reading_um[k]) for k in _runs(circle) if np.sum(k) > 1]
     return np.asarray(np.mean(paths, axis=0), dtype=np.float64)
 
 
-def _pair(ccw: Circle, cw: Circle) -> BothWays:
+def _pair(ccw: CircleTest, cw: CircleTest) -> BothWays:
     radius, _, _, left = least_squares_circle(
         np.concatenate([ccw.angle_rad, cw.angle_rad]), np.concatenate([ccw.reading_um, cw.reading_um])
     )
@@ -121,13 +121,13 @@ def _pair(ccw: Circle, cw: Circle) -> BothWays:
     return BothWays((ccw.name, cw.name), float(np.ptp(left)), float(apart[worst]), at, radius)
 
 
-def _without(circle: Circle, travel_deg: Floats) -> NDArray[np.bool_]:
+def _without(circle: CircleTest, travel_deg: Floats) -> NDArray[np.bool_]:
     """Which places are in a gap of the readings."""
     inside = [(low < travel_deg) & (travel_deg < high) for low, high in circle.gaps]
     return np.asarray(np.any([np.zeros(len(travel_deg), dtype=np.bool_), *inside], axis=0), dtype=np.bool_)
 
 
-def _same_circle(one: Circle, other: Circle) -> bool:
+def _same_circle(one: CircleTest, other: CircleTest) -> bool:
     a, b = one.setup, other.setup
     numbers = [(a.radius_mm, b.radius_mm), (a.height_mm, b.height_mm), *zip(a.centre_mm, b.centre_mm, strict=True)]
     start = 0.0 if one.closed else a.start_deg + a.arc_deg - b.start_deg
@@ -139,7 +139,7 @@ def _same_circle(one: Circle, other: Circle) -> bool:
     )
 
 
-def _runs(circle: Circle) -> list[NDArray[np.bool_]]:
+def _runs(circle: CircleTest) -> list[NDArray[np.bool_]]:
     return [np.asarray(circle.run == r) for r in np.unique(circle.run)]
 
 

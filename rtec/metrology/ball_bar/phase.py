@@ -13,12 +13,10 @@ from typing import Literal
 import numpy as np
 
 from rtec.metrology.ball_bar.beyond import candidates
-from rtec.metrology.ball_bar.circle import Circle
-from rtec.metrology.ball_bar.design import APART, Centre, design_of, share_left, stacked_design
-from rtec.metrology.ball_bar.fit import Fitted, fit
-from rtec.metrology.ball_bar.rank import rank_of
+from rtec.metrology.ball_bar.circle import CircleTest
+from rtec.metrology.ball_bar.design import APART, Centre, design_of, rank_of, share_left, stacked_design
+from rtec.metrology.ball_bar.fit import Fitted, FittedValue, fit
 from rtec.metrology.ball_bar.search import NOISE_UM
-from rtec.metrology.ball_bar.values import Value
 
 Phase = Literal["auto", "angle", "time"]
 SAME_SPEED = 1e-3
@@ -28,7 +26,7 @@ SURE = 6.0
 
 
 @dataclass(frozen=True)
-class ServoPhase:
+class PhaseChoice:
     """How the servo phase goes from test to test.
 
     Attributes:
@@ -38,7 +36,7 @@ class ServoPhase:
         decided: do the readings tell, or was it asked for?
     """
 
-    circles: tuple[Circle, ...]
+    circles: tuple[CircleTest, ...]
     taken: Literal["angle", "time"] = "angle"
     reason: str = ""
     decided: bool = True
@@ -48,13 +46,13 @@ class ServoPhase:
 class Shift:
     """A parameter, and its value if the servo phase were one time."""
 
-    taken: Value
+    taken: FittedValue
     if_time: float
 
 
 def servo_phase(
-    circles: Sequence[Circle], phase: Phase, window_deg: float, centre: Centre, *, dynamic: bool
-) -> ServoPhase:
+    circles: Sequence[CircleTest], phase: Phase, window_deg: float, centre: Centre, *, dynamic: bool
+) -> PhaseChoice:
     """Decide between one angle and one time.
 
     Args:
@@ -65,11 +63,11 @@ def servo_phase(
     """
     angle, time = tuple(circles), by_time(circles)
     if all(abs(c.phase_rate - 1.0) <= SAME_SPEED for c in time):
-        return ServoPhase(angle)
+        return PhaseChoice(angle)
     if phase != "auto":
-        return ServoPhase(time if phase == "time" else angle, phase, "as asked")
+        return PhaseChoice(time if phase == "time" else angle, phase, "as asked")
     if dynamic and _delay_separates(circles, centre):
-        return ServoPhase(angle)
+        return PhaseChoice(angle)
     fits = {kind: [fit(of, bent=bent, window_deg=window_deg, centre=centre) for bent in (False, True)]
             for kind, of in (("angle", angle), ("time", time))}  # fmt: skip
     least = min((f for both in fits.values() for f in both), key=lambda f: f.sigma_um)
@@ -78,14 +76,14 @@ def servo_phase(
     left = {kind: min(both, key=lambda f: _cost(f, count)).sigma_um for kind, both in fits.items()}
     if costs["time"] < costs["angle"] - SURE:
         words = f"as one time it leaves {left['time']:.3g} µm (standard deviation), as one angle {left['angle']:.3g} µm"
-        return ServoPhase(time, "time", words)
+        return PhaseChoice(time, "time", words)
     if costs["angle"] < costs["time"] - SURE:
         words = f"as one angle it leaves {left['angle']:.3g} µm (standard deviation), as one time {left['time']:.3g} µm"
-        return ServoPhase(angle, "angle", words)
-    return ServoPhase(angle, "angle", "these tests do not tell it from one time; so as [BB]", decided=False)
+        return PhaseChoice(angle, "angle", words)
+    return PhaseChoice(angle, "angle", "these tests do not tell it from one time; so as [BB]", decided=False)
 
 
-def if_time(circles: Sequence[Circle], fitted: Fitted, window_deg: float, centre: Centre) -> tuple[Shift, ...]:
+def if_time(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float, centre: Centre) -> tuple[Shift, ...]:
     """What parameters would be if the phase that was taken as one angle were one time; only those that change.
 
     Args:
@@ -101,12 +99,12 @@ def if_time(circles: Sequence[Circle], fitted: Fitted, window_deg: float, centre
     )
 
 
-def by_time(circles: Sequence[Circle]) -> tuple[Circle, ...]:
+def by_time(circles: Sequence[CircleTest]) -> tuple[CircleTest, ...]:
     """The tests with the servo phase as one time."""
     return tuple(replace(c, phase_rate=c.omega_rad_s / circles[0].omega_rad_s) for c in circles)
 
 
-def _delay_separates(circles: Sequence[Circle], centre: Centre) -> bool:
+def _delay_separates(circles: Sequence[CircleTest], centre: Centre) -> bool:
     design = design_of(circles, bent=True, centre=centre)
     known = design.columns[:, list(rank_of(design.columns, [c.name for c in design.labels]).kept)]
     delay = next(c for c in candidates(circles) if c.name == "delay")

@@ -1,15 +1,13 @@
-"""Which causes beyond [BB]'s some ball-bar tests show: all are fitted together, and what is not significant is dropped.
+"""Which causes beyond [BB]'s some ball-bar tests show: all are fitted together, what is not significant is dropped.
 
-One after another would not do: while half of the causes are missing, what is left looks like noise that goes on for a
+One after another would not do: while half of the causes are missing, the residual looks like noise that goes on for a
 quarter of the circle, and hides the others. So everything that separates is fitted at once, the noise is judged with
 all of it in the mean, and causes are dropped from the least significant on until each that stays would be chance less
 often than `FAMILY` divided by the number of those looked for. [BB]'s own bent guides are always among what explains
 first.
 
-Readings near the quadrants have a noise of their own: where the spikes are not shaped as the catalogue has them, what
-is left there must not pull at the rest.
-
-The search for causes beyond [BB]'s as it stands: columns made white, and least squares of some of them.
+Readings near the quadrants have a noise of their own: where the spikes are not shaped as the catalogue has them, the
+residual there must not pull at the rest.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,10 +16,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.beyond import Candidate
-from rtec.metrology.ball_bar.circle import Circle
-from rtec.metrology.ball_bar.design import Centre, NotLookedFor, Table, stacked_design, table_of
-from rtec.metrology.ball_bar.fit import WHITE, Beyond, Fitted, Noise, Pick, find_noise, in_a_row, solve
+from rtec.metrology.ball_bar.beyond import ExtraCause
+from rtec.metrology.ball_bar.circle import CircleTest
+from rtec.metrology.ball_bar.design import CandidateTable, Centre, NotLookedFor, stacked_design, table_of
+from rtec.metrology.ball_bar.fit import Beyond, Fitted, Pick, in_a_row, solve
+from rtec.metrology.ball_bar.noise import WHITE, AngleNoise, find_noise
 
 Floats = NDArray[np.float64]
 NOISE_UM = 0.02
@@ -49,7 +48,7 @@ class Least:
 
 
 @dataclass(frozen=True)
-class Work:
+class SearchState:
     """The search as it stands.
 
     Attributes:
@@ -62,9 +61,9 @@ class Work:
         way: of each candidate, the place among its ways.
     """
 
-    table: Table
+    table: CandidateTable
     reading: Floats
-    noise: Noise
+    noise: AngleNoise
     base: Floats
     own: tuple[tuple[Floats, ...], ...]
     white: Floats
@@ -89,17 +88,17 @@ class Work:
         return basis, self.white - basis @ (basis.T @ self.white)
 
 
-def work_of(table: Table, reading: Floats, noise: Noise, way: tuple[int, ...]) -> Work:
+def work_of(table: CandidateTable, reading: Floats, noise: AngleNoise, way: tuple[int, ...]) -> SearchState:
     """Make everything white by a noise."""
     flat = [table.base, *(c for ways in table.columns for c in ways), reading[:, None]]
     white = np.split(noise.whiten(table.circles, np.concatenate(flat, axis=1)),
                      np.cumsum([c.shape[1] for c in flat])[:-1], axis=1)  # fmt: skip
     rest = iter(white[1:-1])
     own = tuple(tuple(next(rest) for _ in ways) for ways in table.columns)
-    return Work(table, reading, noise, white[0], own, white[-1][:, 0], way)
+    return SearchState(table, reading, noise, white[0], own, white[-1][:, 0], way)
 
 
-def least(work: Work, places: Sequence[int]) -> Least:
+def least(work: SearchState, places: Sequence[int]) -> Least:
     """Fit [BB]'s parameters and some candidates."""
     columns = work.columns(places)
     size = np.linalg.norm(columns, axis=0)
@@ -112,7 +111,7 @@ def least(work: Work, places: Sequence[int]) -> Least:
     return Least(found, inverse @ inverse.T, left, max(sigma, NOISE_UM))
 
 
-def best_ways(work: Work) -> Work:
+def best_ways(work: SearchState) -> SearchState:
     """The way to the top of each spike that leaves least, one spike after another, twice round."""
     spikes = [i for i, c in enumerate(work.own) if len(c) > 1]
     for _ in range(SWEEPS):
@@ -129,7 +128,7 @@ def gain(basis: Floats, left: Floats, own: Floats) -> float:
     return float(left @ own @ np.linalg.lstsq(own, left, rcond=None)[0])
 
 
-def judged(work: Work, window_deg: float) -> tuple[Noise, Noise]:
+def judged(work: SearchState, window_deg: float) -> tuple[AngleNoise, AngleNoise]:
     """The noise with every candidate in the mean, the likeliest and the worst that is likely.
 
     Its shape along the circle, and how much more is left near the quadrants.
@@ -142,7 +141,7 @@ def judged(work: Work, window_deg: float) -> tuple[Noise, Noise]:
         spread = [max(float(np.sqrt(np.mean(left[k] ** 2))), NOISE_UM) for k in (near, ~near)]
         weight = 1.0 if spread[0] < MORE * spread[1] else spread[1] / spread[0]
     if float(np.sqrt(np.mean(left**2))) <= NOISE_UM:
-        none = Noise(near=weight, window_deg=window_deg)
+        none = AngleNoise(near=weight, window_deg=window_deg)
         return none, none
     return find_noise(work.table.circles, columns, work.reading, weight, window_deg)
 
@@ -168,13 +167,13 @@ class NotFound:
         unit: of it.
     """
 
-    candidate: Candidate
+    candidate: ExtraCause
     limit: float
     unit: str
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """What a search gives.
 
     Attributes:
@@ -188,7 +187,7 @@ class Found:
     left_out: tuple[NotLookedFor, ...] = ()
 
 
-def search(circles: Sequence[Circle], still: Fitted, window_deg: float, centre: Centre) -> Found:
+def search(circles: Sequence[CircleTest], still: Fitted, window_deg: float, centre: Centre) -> SearchResult:
     """Find what the readings show beyond [BB]'s parameters.
 
     Args:
@@ -202,7 +201,7 @@ def search(circles: Sequence[Circle], still: Fitted, window_deg: float, centre: 
     table = table_of([c.rows(~c.taking_up(clearance)) for c in circles], centre)
     count = sum(len(c) for c in table.circles)
     if not table.tried or count < 2 * (table.base.shape[1] + sum(c[0].shape[1] for c in table.columns)):
-        return Found(Beyond(clearance_um=clearance), (), (*table.left_out, *_too_few(table, count)))
+        return SearchResult(Beyond(clearance_um=clearance), (), (*table.left_out, *_too_few(table, count)))
     reading = _reading(table)
     work = work_of(table, reading, replace(WHITE, window_deg=window_deg), tuple(len(c) // 2 for c in table.columns))
     for _ in range(NOISE_ROUNDS):
@@ -216,10 +215,10 @@ def search(circles: Sequence[Circle], still: Fitted, window_deg: float, centre: 
     # The ways are finer now than those on the list.
     best = replace(table, columns=tuple(_at_best(work, picks)))
     noise = judged(work_of(best, reading, work.noise, (0,) * len(work.way)), window_deg)[0]
-    return Found(Beyond(picks, noise, clearance), tuple(_limits(work, stays, rows)), table.left_out)
+    return SearchResult(Beyond(picks, noise, clearance), tuple(_limits(work, stays, rows)), table.left_out)
 
 
-def _too_few(table: Table, count: int) -> Iterator[NotLookedFor]:
+def _too_few(table: CandidateTable, count: int) -> Iterator[NotLookedFor]:
     why = f"{count} readings are too few for so many causes"
     for candidate in table.tried:
         yield NotLookedFor(replace(candidate, missing=why), why)
@@ -230,7 +229,7 @@ def _number(fitted: Fitted, name: str) -> float:
     return value if np.isfinite(value) else 0.0
 
 
-def _reading(table: Table) -> Floats:
+def _reading(table: CandidateTable) -> Floats:
     """Readings less the second order of [BB]'s parameters: a large centre offset makes nearly all of it."""
     reading = np.concatenate([c.reading_um for c in table.circles])
     kept = list(table.rank.kept)
@@ -238,7 +237,7 @@ def _reading(table: Table) -> Floats:
     return reading - table.design.second_order_um(kept, found)
 
 
-def _eliminate(work: Work, rows: float) -> tuple[tuple[int, ...], tuple[float, ...]]:
+def _eliminate(work: SearchState, rows: float) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Drop the least significant until all that stay are; their places, and how often chance would make each."""
     stays = list(work.everything)
     tried = len(stays)
@@ -251,7 +250,7 @@ def _eliminate(work: Work, rows: float) -> tuple[tuple[int, ...], tuple[float, .
     return (), ()
 
 
-def _chances(work: Work, places: Sequence[int], fitted: Least, rows: float) -> list[float]:
+def _chances(work: SearchState, places: Sequence[int], fitted: Least, rows: float) -> list[float]:
     """How often noise alone would make as much of each."""
     from scipy.special import fdtrc
 
@@ -271,7 +270,7 @@ def _chances(work: Work, places: Sequence[int], fitted: Least, rows: float) -> l
     return out
 
 
-def _pick(work: Work, stays: Sequence[int], place: int, chance: float) -> Pick:
+def _pick(work: SearchState, stays: Sequence[int], place: int, chance: float) -> Pick:
     candidate = work.table.tried[place]
     if candidate.kind != "spike":
         return Pick(candidate, chance=chance)
@@ -289,7 +288,7 @@ def _pick(work: Work, stays: Sequence[int], place: int, chance: float) -> Pick:
     return Pick(candidate, float(np.exp(way)), tuple(float(h) for h in heights), chance)
 
 
-def _at_best(work: Work, picks: Sequence[Pick]) -> Iterator[tuple[Floats, ...]]:
+def _at_best(work: SearchState, picks: Sequence[Pick]) -> Iterator[tuple[Floats, ...]]:
     """Columns of every candidate at one way each: the best that is known."""
     ways = {p.candidate.name: p.way_mm for p in picks if p.candidate.kind == "spike"}
     for i, candidate in enumerate(work.table.tried):
@@ -317,7 +316,7 @@ def _golden(gain: Callable[[float], float], low: float, high: float) -> float:
     return 0.5 * (ends[0] + ends[1])
 
 
-def _limits(work: Work, stays: Sequence[int], rows: float) -> Iterator[NotFound]:
+def _limits(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[NotFound]:
     """Of each that was dropped: what would have been found beside those that stay."""
     for i in work.everything:
         if i in stays:

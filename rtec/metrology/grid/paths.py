@@ -1,10 +1,9 @@
 """Straight pieces of a path on a grid plate, each with the smooth curves of its two readings.
 
-Along its own length `u` from -1 to +1 each reading is a sum of Legendre polynomials. All that is reported then is a
-plain number: twice the first coefficient is the deviation of the best-fit line over the piece, the higher ones are
-the straightness, and the standard errors follow from one matrix.
-
-Straight pieces of a path in a plane, found in positions that may be rounded, jitter, or lie closer than either.
+The pieces are found in positions that may be rounded, jitter, or lie closer than either. Along its own length `u` from
+-1 to +1 each reading is a sum of Legendre polynomials. All that is reported then is a plain number: twice the first
+coefficient is the deviation of the best-fit line over the piece, the higher ones are the straightness, and the standard
+errors follow from one matrix.
 """
 
 from collections.abc import Iterator, Sequence
@@ -83,14 +82,14 @@ SAME_MM = 0.5
 
 
 @dataclass(frozen=True)
-class Curve:
+class EdgeCurve:
     """A smooth curve over a piece, µm: coefficients of Legendre polynomials, (6,), and their covariance, µm²."""
 
     coefficients: Floats
     covariance: Floats
 
-    def __sub__(self, other: "Curve") -> "Curve":
-        return Curve(self.coefficients - other.coefficients, self.covariance + other.covariance)
+    def __sub__(self, other: "EdgeCurve") -> "EdgeCurve":
+        return EdgeCurve(self.coefficients - other.coefficients, self.covariance + other.covariance)
 
     @property
     def line_um(self) -> tuple[float, float]:
@@ -156,7 +155,7 @@ class Edge:
     run: int
     place_mm: Floats
     readings_um: Floats
-    curves: tuple[Curve, Curve]
+    curves: tuple[EdgeCurve, EdgeCurve]
 
     @property
     def length_mm(self) -> float:
@@ -164,12 +163,12 @@ class Edge:
         return self.high_mm - self.low_mm
 
     @property
-    def own(self) -> Curve:
+    def own(self) -> EdgeCurve:
         """Positioning: the reading along it."""
         return self.curves[self.along]
 
     @property
-    def across(self) -> Curve:
+    def across(self) -> EdgeCurve:
         """The reading across it."""
         return self.curves[1 - self.along]
 
@@ -220,11 +219,11 @@ def places_mm(measurement: Measurement, setup: GridEncoderSetup) -> Floats:
     return np.stack(out)
 
 
-def mean_curve(curves: Sequence[Curve]) -> Curve:
+def mean_curve(curves: Sequence[EdgeCurve]) -> EdgeCurve:
     """Mean of several curves."""
     n = len(curves)
     whole = np.sum([c.coefficients for c in curves], axis=0) / n
-    return Curve(whole, np.sum([c.covariance for c in curves], axis=0) / n**2)
+    return EdgeCurve(whole, np.sum([c.covariance for c in curves], axis=0) / n**2)
 
 
 def _edge(
@@ -248,7 +247,7 @@ def _edge(
     )  # fmt: skip
 
 
-def _curve(u: Floats, reading: Floats) -> Curve:
+def _curve(u: Floats, reading: Floats) -> EdgeCurve:
     """Least squares, readings in the order of `u`."""
     basis = _legendre(u)
     found = np.asarray(np.linalg.lstsq(basis, reading, rcond=None)[0], dtype=np.float64)
@@ -257,7 +256,7 @@ def _curve(u: Floats, reading: Floats) -> Curve:
     power = float(left @ left) / free * correlation_time(left)
     # A display that shows no noise at all still has some.
     inverse = np.asarray(np.linalg.inv(basis.T @ basis), dtype=np.float64)
-    return Curve(found, max(power, 1e-12) * inverse)
+    return EdgeCurve(found, max(power, 1e-12) * inverse)
 
 
 def _legendre(u: Floats) -> Floats:

@@ -4,8 +4,6 @@ Signs are those of `e = ε × p`. [XT 1] prints `-EB z` in e_x beside `-EB x` in
 `e_x = +EB z`. For a plane with letters a, b and the rotation R about its normal, an axis along b leans by
 `σ_b · de_a/db`, one along a by `σ_a · de_b/da`, with `r × b = σ_b a` and `r × a = σ_a b`. The difference is the
 squareness `ER0b`; the plate's own turn is in both and falls out.
-
-What a report on a grid plate is made of: its lines, and the names and signs of a plane.
 """
 
 from collections.abc import Sequence
@@ -16,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
-from rtec.metrology.grid.paths import SAME_MM, TRIM_MM, Curve, Edge, edges_of, mean_curve
+from rtec.metrology.grid.paths import SAME_MM, TRIM_MM, Edge, EdgeCurve, edges_of, mean_curve
 from rtec.metrology.instruments.ball_bar import axis_along
 from rtec.metrology.instruments.grid_encoder import GridEncoder, GridEncoderSetup
 from rtec.metrology.measurement import Measurement
@@ -295,6 +293,6 @@ def _first_corner(edges: Sequence[Edge]) -> tuple[float, float]:
     return (own, first.beside_mm) if first.along == 0 else (first.beside_mm, own)
 
 
-def curve_of(edges: Sequence[Edge], *, across: bool) -> Curve:
+def curve_of(edges: Sequence[Edge], *, across: bool) -> EdgeCurve:
     """Mean curve of some edges along or across them."""
     return mean_curve([e.across if across else e.own for e in edges])

@@ -1,0 +1,140 @@
+"""Noise of ball-bar readings: white, and a part that wanders along the circle; and readings made white by it.
+
+    reading = signal + w + g        w independent from reading to reading, variance 1 (over `near`² at the quadrants)
+    g along the way ζ:              Ornstein-Uhlenbeck, variance d, forgets within τ: cov = d exp(-|Δζ| / τ)
+
+A Kalman filter's innovations over their standard deviations are the readings made white, in one pass. d and τ are
+those of the largest restricted likelihood, with everything that is looked for in the mean: what a fit of forty
+parameters has swallowed of a slow noise is accounted for, which the correlation of the residual would not show.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.jit import njit
+from rtec.metrology.ball_bar.circle import CircleTest
+
+Floats = NDArray[np.float64]
+SHARES = (0.1, 1.0, 10.0)
+WAYS_RAD = (0.05, 0.2, 0.8, 3.0)
+"""Where the search for d and τ begins."""
+LOWEST, HIGHEST = np.log([1e-3, 0.01]), np.log([1e3, 6.0])
+STEPS = 24
+LIKELY = 4.0
+"""Minus twice the logarithm of the likelihood: a noise that is worse by less than this may be the true one."""
+
+
+@dataclass(frozen=True)
+class AngleNoise:
+    """Shape of the noise; its size is left open.
+
+    Attributes:
+        share: d, variance of the part that wanders over that of the white one.
+        way_rad: τ.
+        near: at the quadrants the white part is so much smaller than elsewhere: 1, or less where it is larger.
+        window_deg: how far the quadrants reach.
+    """
+
+    share: float = 0.0
+    way_rad: float = 1.0
+    near: float = 1.0
+    window_deg: float = 5.0
+
+    def whiten(self, circles: Sequence[CircleTest], columns: Floats) -> Floats:
+        """Columns over all readings of the tests, (n, p), made white, (n, p)."""
+        return self._filter(circles, columns)[0]
+
+    def _filter(self, circles: Sequence[CircleTest], columns: Floats) -> tuple[Floats, float]:
+        out = np.ascontiguousarray(columns, dtype=np.float64).copy()
+        white = np.concatenate([np.where(c.near_quadrant(self.window_deg), self.near**-2.0, 1.0) for c in circles])
+        return out, float(_whiten(out, _apart_rad(circles), white, self.share, self.way_rad))
+
+    def cost(self, circles: Sequence[CircleTest], columns: Floats, reading: Floats) -> float:
+        """Minus twice the restricted likelihood, less what is the same for all noises."""
+        both, log_det = self._filter(circles, np.concatenate([columns, reading[:, None]], axis=1))
+        size = np.linalg.norm(both[:, :-1], axis=0)
+        normal = (both[:, :-1] / size).T @ (both / np.append(size, 1.0))
+        lower = np.linalg.cholesky(normal[:, :-1])
+        made = np.linalg.solve(lower, normal[:, -1])
+        left = max(float(both[:, -1] @ both[:, -1] - made @ made), 1e-300)
+        free = float(len(reading) - columns.shape[1])
+        return log_det + 2.0 * float(np.log(np.diag(lower) * size).sum()) + free * math.log(left / free)
+
+
+WHITE = AngleNoise()
+
+
+def find_noise(
+    circles: Sequence[CircleTest], columns: Floats, reading: Floats, near: float, window_deg: float
+) -> tuple[AngleNoise, AngleNoise]:
+    """The noise of the largest restricted likelihood, and the slowest large one that is still likely.
+
+    A wandering noise shows only a few of its turns on a circle, so how large it is stays uncertain; what is to be more
+    than chance must be so beside the second one, too.
+
+    Args:
+        circles: tests.
+        columns: everything that the readings may hold, independent, (n, p).
+        reading: (n,).
+        near: as in `Noise`.
+        window_deg: likewise.
+    """
+    from scipy.optimize import minimize
+
+    plain = AngleNoise(0.0, 1.0, near, window_deg)
+
+    def noise(x: Floats) -> AngleNoise:
+        inside = np.exp(np.clip(x, LOWEST, HIGHEST))
+        return replace(plain, share=float(inside[0]), way_rad=float(inside[1]))
+
+    tried: list[tuple[float, AngleNoise]] = [(plain.cost(circles, columns, reading), plain)]
+
+    def cost(x: Floats) -> float:
+        tried.append((noise(x).cost(circles, columns, reading), noise(x)))
+        return tried[-1][0]
+
+    starts = [np.log([share, way]) for share in SHARES for way in WAYS_RAD]
+    start = min(starts, key=cost)
+    minimize(cost, start, method="Nelder-Mead", options={"maxfev": STEPS, "initial_simplex": _simplex(start)})
+    least, best = min(tried, key=lambda t: t[0])
+    likely = [n for value, n in tried if value < least + LIKELY]
+    return best, max(likely, key=lambda n: n.share * n.way_rad)
+
+
+def _simplex(start: Floats) -> Floats:
+    return np.asarray(start + np.diag([0.0, 1.0, 0.7])[:, 1:], dtype=np.float64)
+
+
+def _apart_rad(circles: Sequence[CircleTest]) -> Floats:
+    """Way from the reading before, (n,); infinity where a test or a run begins."""
+    out = []
+    for c in circles:
+        apart = np.abs(np.diff(c.angle_rad, prepend=np.inf))
+        out.append(np.where(np.diff(c.run, prepend=c.run[0]) != 0, np.inf, apart))
+    return np.concatenate(out)
+
+
+@njit
+def _whiten(columns: Floats, apart: Floats, white: Floats, share: float, way: float) -> float:
+    """Whiten in place, (n, p); gives log det of the covariance."""
+    n, p = columns.shape
+    held = np.zeros(p)
+    variance, total = 0.0, 0.0
+    for i in range(n):
+        ratio = apart[i] / way
+        decay = math.exp(-ratio) if ratio < 25.0 else 0.0
+        variance = decay * decay * variance + (1.0 - decay * decay) * share
+        whole = variance + white[i]
+        gain, scale = variance / whole, 1.0 / math.sqrt(whole)
+        variance *= white[i] / whole
+        total += math.log(whole)
+        for j in range(p):
+            before = decay * held[j]
+            fresh = columns[i, j] - before
+            held[j] = before + gain * fresh
+            columns[i, j] = fresh * scale
+    return total
