@@ -86,6 +86,7 @@ class Screen:
         text = f"{status.time_s:.0f}{of} s   {status.cycles} cycles, {status.misses} deadlines missed   Ctrl-C ends"
         why = "   ".join(status.reasons)
         wrong = [f"device {name}: {'; '.join(texts)}" for name, texts in status.devices.items()]
+        wrong += [f"{name}: {text}" for name, text in status.parts.items()]
         lines = "".join(f"\n{line}" for line in (*wrong, status.reload, status.log) if line)
         return Text.assemble(text, ("\n" + why if why else "", "bold yellow"), (lines, "bold red"))
 

@@ -110,6 +110,7 @@ def troubles(found: Mapping[str, Any]) -> list[str]:
     """What is wrong, a line each."""
     status = found["status"]
     lines = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
+    lines += [f"{name}: {text}" for name, text in status["parts"].items()]
     if status["log"]:
         lines.append(f"log: {status['log']}")
     if found["status_age_s"] is not None and found["status_age_s"] > STANDS_S:

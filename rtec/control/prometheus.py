@@ -51,6 +51,7 @@ def _families(found: Mapping[str, Any]) -> Iterator[tuple[str, str, str, _Values
     yield "cycles_total", "counter", "Cycles of the loop.", [({}, status["cycles"])]
     yield "deadline_misses_total", "counter", "Missed deadlines.", [({}, status["misses"])]
     yield "rows_lost_total", "counter", "Rows that did not reach the log.", [({}, status["overruns"])]
+    yield "faults_total", "counter", "Faults of a part of the daemon.", _by("part", status["faults"])
     yield "reloads_total", "counter", "Reloads carried out.", [({}, status["reloads"])]
     yield "control_requests_total", "counter", "Requests by what came of them.", _by("result", found["control"])
 

@@ -1,17 +1,18 @@
 """Everything that the supervisor writes to disk, in a thread of its own: a disk that stalls keeps nobody waiting.
 
-Rows wait in memory, up to a number; what comes then is dropped and counted.
+Rows wait in memory, up to a number; what comes then is dropped and counted. A fault that nobody foresaw costs the job
+that met it: the file of the log ends there, and the thread begins again behind it (`rtec.daemon.supervision`).
 """
 
 import queue
-import threading
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
 
 from rtec.daemon.run_log import Keeper
+from rtec.daemon.supervision import KeptThread, Part
 from rtec.log.events import Event, Events
 from rtec.log.recording import Begin, Recording
 from rtec.loop.records import Commands, Samples
@@ -42,6 +43,7 @@ class DiskThread:
         state: the copy of the state; None: none is kept.
         newest: gives the newest state.
         most_rows: so many rows may wait.
+        part: counts the thread's faults.
         keeper: begins new files and tidies the old ones; None: the log is one file.
 
     Attributes:
@@ -55,6 +57,7 @@ class DiskThread:
         state: DiskState | None,
         newest: Callable[[], Saved | None],
         most_rows: int,
+        part: Part,
         keeper: Keeper | None = None,
     ) -> None:
         self.recording, self.dropped, self.state_trouble = recording, 0, ""
@@ -62,7 +65,7 @@ class DiskThread:
         self._state, self._newest, self._most_rows, self._keeper = state, newest, most_rows, keeper
         self._jobs: queue.SimpleQueue[_Rows | _Do | None] = queue.SimpleQueue()
         self._waiting = self._done = 0
-        self._thread = threading.Thread(target=self._work, name="rtec-disk", daemon=True)
+        self._thread = KeptThread(part, self._work)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -72,8 +75,7 @@ class DiskThread:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._jobs.put(None)
-        self._thread.join(END_S)
-        if self._thread.is_alive():
+        if not self._thread.end(END_S):
             self.recording.warnings.append("the disk did not answer at the end: the last rows may not be in the log")
 
     @property
@@ -142,17 +144,21 @@ class DiskThread:
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
             if isinstance(job, _Rows):
-                self.recording.write(job.samples, job.commands, job.first_row)
-                self._done += len(job.samples)
+                try:
+                    self.recording.write(job.samples, job.commands, job.first_row)
+                finally:
+                    self._done += len(job.samples)
             else:
                 job.action()
             if self.recording.wants_to_try_again() and (saved := self._newest()) is not None:
                 self.recording.cut(Begin.behind(saved))
             if self._keeper is not None:
                 self._keeper.look(self.recording, self._newest)
-        self.recording.close()
-        if self._keeper is not None:
-            self._keeper.close()
-        self._keep_state()
-        if self._state is not None:
-            self._state.close()
+        self._jobs.put(None)  # for the next try, if this end fails
+        with ExitStack() as last:  # each of them, whatever becomes of the others; the last comes first
+            if self._state is not None:
+                last.callback(self._state.close)
+            last.callback(self._keep_state)
+            if self._keeper is not None:
+                last.callback(self._keeper.close)
+            last.callback(self.recording.close)

@@ -6,7 +6,8 @@ Tells the service manager how the daemon is: the protocol of `sd_notify(3)`, a d
 
 READY is told after the first good cycle: one whose counts were fresh, and every temperature that the model reads.
 WATCHDOG is told only while the loop does cycles. Its rows are what is counted, so a loop that stands still, or a
-supervisor that no longer gets any, is found out by the service manager, which starts the daemon anew.
+supervisor that no longer gets any, is found out by the service manager, which restarts the daemon. Where a part of the
+daemon is lost that it must not correct without, the service manager is told so at once.
 
 Says lines without ever waiting for whoever should hear them: a terminal that stands, a journal that is full.
 """
@@ -151,7 +152,7 @@ class Notifier:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self.asked = bool(address)
         self._clock, self._period_ns = clock, watchdog_ns // _PARTS
-        self._ready = False
+        self._ready = self._lost = False
         self._cycles, self._text = -1, ""
         self._next_life_ns = self._next_text_ns = 0
 
@@ -169,12 +170,17 @@ class Notifier:
         now = self._clock.now_ns()
         if not self._ready and status.cycles and not status.flags & NOT_GOOD:
             self._ready = self._send(f"READY=1\nSTATUS={_words(status)}")
-        lives, self._cycles = status.cycles != self._cycles, status.cycles
+        lives, self._cycles = status.cycles != self._cycles and not self._lost, status.cycles
         if self._period_ns and lives and now >= self._next_life_ns and self._send("WATCHDOG=1"):
             self._next_life_ns = now + self._period_ns
         if now >= self._next_text_ns:
             self._next_text_ns = now + STATUS_NS
             self._tell(_words(status))
+
+    def lost(self) -> None:
+        """Ask for a restart: an essential part of the daemon cannot be counted on. No further sign of life is told."""
+        if self._period_ns and not self._lost:
+            self._lost = self._send("WATCHDOG=trigger")
 
     def stopping(self) -> None:
         """Tell that the run comes to its end."""
@@ -201,6 +207,7 @@ def _words(status: Status) -> str:
     if not status.cycles:
         return "starting"
     wrong = [f"{name}: {'; '.join(texts)}" for name, texts in status.devices.items()]
+    wrong += [f"{name}: {text}" for name, text in status.parts.items()]
     parts = [f"correction {status.mode}", *status.reasons, *wrong, status.log]
     return "; ".join(part.replace("\n", " ") for part in parts if part)
 
@@ -214,7 +221,7 @@ class Aloud:
     """Entering starts a thread that says what it is given; leaving lets it finish, for a moment.
 
     Args:
-        say: prints a line; may take as long as it likes.
+        say: prints a line; may take as long as it likes. A line that it cannot print is left out.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -245,4 +252,5 @@ class Aloud:
     def _work(self) -> None:
         with suppress(OSError):  # a pipe whose reader is gone: there is nobody to tell
             while (text := self._lines.get()) is not None:
-                self._say(text)
+                with suppress(ValueError, TypeError, LookupError):  # no text for this terminal; the events have it
+                    self._say(text)

@@ -15,6 +15,7 @@ from typing import Any
 
 from rtec.daemon.disk import DiskThread
 from rtec.daemon.ring import Ring
+from rtec.daemon.supervision import Part, fault
 from rtec.errors import RtecError
 from rtec.log.recording import Begin
 from rtec.loop.orders import OrderRefused
@@ -111,10 +112,11 @@ class Reader:
 
     Args:
         setup: what is in force.
+        part: counts the faults that nobody foresaw.
     """
 
-    def __init__(self, setup: Setup) -> None:
-        self._setup = setup
+    def __init__(self, setup: Setup, part: Part) -> None:
+        self._setup, self._part = setup, part
         self._results: queue.SimpleQueue[Reloaded | str] = queue.SimpleQueue()
         self.busy = False
 
@@ -142,6 +144,9 @@ class Reader:
             self._results.put(read_again(self._setup))
         except RtecError as e:
             self._results.put(f"not reloaded, {STAYS}: {e}")
+        except Exception as e:  # noqa: BLE001 - whatever it is: the order is answered, and the next may come
+            self._part.failed(fault(e))
+            self._results.put(f"not reloaded, {STAYS}: {fault(e)}")
 
 
 Note = Callable[[Ring, str, str, str], None]
@@ -154,16 +159,17 @@ class ReloadDesk:
         setup: what is in force.
         memory: file of the kept state.
         note: notes an event: ring, what, text, who.
+        part: counts the faults of reading.
 
     Attributes:
         setup: what is in force now.
         text: what came of the last order; "" before the first.
     """
 
-    def __init__(self, setup: Setup, memory: Path, note: Note) -> None:
+    def __init__(self, setup: Setup, memory: Path, note: Note, part: Part) -> None:
         self.setup, self.text = setup, ""
         self._memory, self._note = memory, note
-        self._reader, self._generation = Reader(setup), 0
+        self._reader, self._generation = Reader(setup, part), 0
         self._coming: Reloaded | None = None
 
     @property

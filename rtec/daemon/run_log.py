@@ -82,14 +82,15 @@ class Keeper:
 
     def close(self) -> None:
         """End the process that tidies; it is taken up again in the next run."""
-        if self._tidier is None:
+        tidier, self._tidier = self._tidier, None
+        if tidier is None:
             return
-        self._tidier.terminate()
+        tidier.terminate()
         with suppress(TimeoutExpired):
-            self._tidier.communicate(timeout=END_S)
+            tidier.communicate(timeout=END_S)
             return
-        self._tidier.kill()
-        self._tidier.communicate()
+        tidier.kill()
+        tidier.communicate()
 
     def _begin(self, path: Path, now: int) -> None:
         self._path, self._begun_ns, self._ordered = path, now, False

@@ -39,6 +39,8 @@ class Status:
         reloads: reloads that the loop has taken over.
         log: what goes on with the log; "" where all is well.
         overruns: rows so far that are in no log: the ring was full, or the disk.
+        faults: how often a part of the daemon (a thread, a worker) failed and was begun again, by part.
+        parts: by part, why it does not work now; a part that is well is not there.
     """
 
     time_s: float = 0.0
@@ -61,6 +63,8 @@ class Status:
     reloads: int = 0
     log: str = ""
     overruns: int = 0
+    faults: dict[str, int] = field(default_factory=dict)
+    parts: dict[str, str] = field(default_factory=dict)
 
     @property
     def reasons(self) -> list[str]:

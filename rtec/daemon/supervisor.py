@@ -24,6 +24,7 @@ from rtec.daemon.ring import Ring
 from rtec.daemon.run_log import Keeper, log_folder, new_log
 from rtec.daemon.sign_check import StepOrders
 from rtec.daemon.status import Alarms, Report, Status, Watch
+from rtec.daemon.supervision import Parts
 from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
 from rtec.log.events import Event, Events, events_path
@@ -59,6 +60,9 @@ class Supervisor:
         on_start: told when the loop begins.
         on_rows: told every row that passes.
         on_event: told every event, from any thread; does not wait.
+
+    Attributes:
+        parts: of the daemon, kept alive (`rtec.daemon.supervision`); whoever runs a thread in this process adds one.
     """
 
     def __init__(
@@ -80,14 +84,16 @@ class Supervisor:
         self._watch = Watch(self.layout)
         self._recording = Recording(log_path, self._clock, self._new_log, self.warnings)
         self.events = Events(events_path(log_path))
-        self._alarms, self._warnings_told = Alarms(self._note_of_disk), 0
+        self.parts = Parts(self._clock, self.note)
+        self._alarms, self._warnings_told = Alarms(self.note), 0
         folder = setup.file.run.state_folder or setup.file.run.log_folder
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
         self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
-        self._reload = ReloadDesk(setup, self._places.memory, self._note)
+        self._reload = ReloadDesk(setup, self._places.memory, self._note, self.parts.add("reload"))
         self._step_orders = StepOrders(setup, self._clock)
         self._interrupted, self._ended, self._at_once = False, False, False
         self._disk: DiskThread | None = None
+        self._held_without: list[str] = []
 
     @property
     def setup(self) -> Setup:
@@ -97,11 +103,13 @@ class Supervisor:
     @property
     def status(self) -> Status:
         """Of the newest row."""
-        status, disk = self._watch.status, self._disk
+        disk = self._disk
+        status = replace(
+            self._watch.status, reload=self._reload.text, faults=self.parts.faults, parts=self.parts.troubles
+        )
         if disk is None:
-            return replace(status, reload=self._reload.text)
-        lost = status.overruns + disk.missed
-        return replace(status, reload=self._reload.text, log=disk.trouble, overruns=lost)
+            return status
+        return replace(status, log=disk.trouble, overruns=status.overruns + disk.missed)
 
     def order(self, order: Order, text: str = "", who: str = "local") -> str:
         """Order something, from any thread; give an answer in words. Carried out within some 20 ms, while it runs.
@@ -130,7 +138,7 @@ class Supervisor:
 
     def note(self, what: str, text: str) -> None:
         """Put something that rtec saw itself into the events; from any thread."""
-        self._note_of_disk(what, text)
+        self._keep(Event(self._watch.rows - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, "rtec"))
 
     def recent_events(self, most: int) -> tuple[int, list[Event]]:
         """How many events there were, and the newest of them; from any thread."""
@@ -151,7 +159,7 @@ class Supervisor:
             self._step_orders.lasts_s, cycles = duration_s, None
         capacity = max(64, round(RING_SECONDS * self.setup.file.run.rate_hz))
         context = multiprocessing.get_context("spawn")
-        workers = Workers(self.setup, self._clock, lambda text: self._note_of_disk("worker", text))
+        workers = Workers(self.setup, self._clock, self.parts)
         with Ring.create(self.layout, capacity) as ring, signals(self._on_signal), workers:
             ring.orders.mode = MODES_BY_NAME[self.setup.file.run.mode]
             here, there = context.Pipe()
@@ -213,6 +221,7 @@ class Supervisor:
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
             self._tell_what_is_wrong(now)
+            self._hold_without(self.parts.lost)
             if now >= next_flush:
                 disk.flush()
                 next_flush = now + flush_ns
@@ -248,14 +257,11 @@ class Supervisor:
         state = None if self._places.disk is None else DiskState(self._places.disk)
         most_rows = round(MOST_SECONDS * self.setup.file.run.rate_hz)
         folder = log_folder(self.setup)
-        keeper = None if folder is None else Keeper(folder, self.setup.file.log, self._clock, self._note_of_disk)
-        with DiskThread(self._recording, state, lambda: read_memory(self._places.memory), most_rows, keeper) as disk:
+        keeper = None if folder is None else Keeper(folder, self.setup.file.log, self._clock, self.note)
+        newest, part = (lambda: read_memory(self._places.memory)), self.parts.add("disk", essential=True)
+        with DiskThread(self._recording, state, newest, most_rows, part, keeper) as disk:
             self._disk = disk
             yield disk
-
-    def _note_of_disk(self, what: str, text: str) -> None:
-        """Note what the thread that writes the log, or who keeps the workers, saw itself."""
-        self._keep(Event(self._watch.rows - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, "rtec"))
 
     def _keep(self, event: Event) -> None:
         self.events.note(event)
@@ -269,6 +275,14 @@ class Supervisor:
             self._warnings_told += 1
             self.note("note", text)
         self._alarms.look(now_ns, self._watch.take_passed(), self._watch.status.devices)
+
+    def _hold_without(self, lost: list[str]) -> None:
+        """Hold, once for each, where a part is lost that the daemon must not correct without; ask for a restart."""
+        if new := [name for name in lost if name not in self._held_without]:
+            self._orders.put((Order.HOLD, f"rtec does not correct without: {', '.join(new)}", "rtec"))
+        self._held_without = lost
+        if lost:
+            self._notifier.lost()
 
     def _tidy(self, one_way: bool) -> None:
         """The run ended in order, and what the memory held is on disk, or the actuator knows it: nobody needs it."""

@@ -30,6 +30,7 @@ import numpy as np
 
 from rtec.daemon.process import SIGNALS, signals_wait, starter
 from rtec.daemon.published import FAILED, NEVER, OPEN, STARTING, Published, Reader
+from rtec.daemon.supervision import Part, Parts
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError, unforeseen
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import driver_class, make_device
@@ -225,18 +226,16 @@ class _Desk:
 
 HANGS_NS: Final = OPENS_NS
 """A worker that shows no life for so long is killed and started again; opening may take that long too."""
-FIRST_WAIT_NS: Final = 500_000_000
-LONGEST_WAIT_NS: Final = 30_000_000_000
 STOP_TIMEOUT_S: Final = 3.0
 
 
 class Kept:
     """One worker and its restarts."""
 
-    def __init__(self, task: Task, clock: Clock, tell: Callable[[str], None]) -> None:
-        self._task, self._clock, self._tell = task, clock, tell
+    def __init__(self, task: Task, clock: Clock, part: Part) -> None:
+        self._task, self._clock, self._part = task, clock, part
         self._process: Any = None
-        self._wait_ns, self._begun_ns, self._again_ns = FIRST_WAIT_NS, 0, 0
+        self._begun_ns = 0
 
     def start(self) -> None:
         """Start it; what an earlier one left in the memory is forgotten."""
@@ -250,20 +249,18 @@ class Kept:
             self._process.start()
 
     def look(self, again: bool) -> None:
-        """See how it does; start it anew when its time has come, where that is wanted."""
+        """See how it does; start it again when its time has come, where that is asked for."""
         now_ns, memory = self._clock.now_ns(), self._task.memory
         if self._process is None:
-            if again and now_ns >= self._again_ns:
+            if again and self._part.due:
                 self.start()
         elif not self._process.is_alive():
-            self._ended(now_ns, again)
+            self._ended(again)
         elif now_ns - max(memory.heartbeat_ns, self._begun_ns) > HANGS_NS:
             self._process.kill()
         elif memory.state == OPEN and memory.said.read():
             memory.said.write({})
-            self._tell(f"[device.{self._task.name}] its new worker has opened it")
-        if self._process is not None and now_ns - self._begun_ns > 2 * LONGEST_WAIT_NS:
-            self._wait_ns = FIRST_WAIT_NS
+            self._part.report("its new worker has opened it")
 
     def ask_to_end(self) -> None:
         """Ask; `end` waits."""
@@ -279,18 +276,15 @@ class Kept:
                 process.join()
         clean_up()
 
-    def _ended(self, now_ns: int, again: bool) -> None:
+    def _ended(self, again: bool) -> None:
         self._process.join()
         memory, process = self._task.memory, self._process
         why = memory.told.read().get("open") if memory.state == FAILED else None
         text = why[0] if why else f"its worker, process {process.pid}, ended ({_how(process.exitcode)})"
         self._process = None
-        self._again_ns = now_ns + self._wait_ns
         if again:
-            text = f"{text}; a new one is started in {self._wait_ns * 1e-9:g} s"
-            self._tell(f"[device.{self._task.name}] {text}")
+            text = self._part.failed(text, "a new one is started")
         memory.said.write({"worker": [text]})
-        self._wait_ns = min(2 * self._wait_ns, LONGEST_WAIT_NS)
 
 
 def _how(code: int) -> str:
@@ -327,13 +321,13 @@ class Workers:
     Args:
         setup: what runs.
         clock: the monotonic one.
-        tell: is told in words when a worker ends and when a new one is there.
+        parts: each worker is one of them.
 
     Attributes:
         memories: by device, for the loop's process.
     """
 
-    def __init__(self, setup: Setup, clock: Clock, tell: Callable[[str], None]) -> None:
+    def __init__(self, setup: Setup, clock: Clock, parts: Parts) -> None:
         role, machine = setup.file.role, setup.machine
         self.memories: dict[str, Published] = {}
         self._kept: Sequence[Kept] = []
@@ -341,7 +335,8 @@ class Workers:
         for name in names_for_workers(setup):
             memory = self.memories[name] = Published.create(len(machine.sensor_names))
             does = (name in role.temperatures, name == role.spindle)
-            kept.append(Kept(Task(name, setup.file.device[name], machine, setup.path, *does, memory), clock, tell))
+            part = parts.add(f"device {name}", device=True)
+            kept.append(Kept(Task(name, setup.file.device[name], machine, setup.path, *does, memory), clock, part))
         self._kept = kept
 
     def __enter__(self) -> Self:

@@ -7,11 +7,12 @@ it was before the file's first row.
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from rtec.errors import LogError
+from rtec.errors import LogError, unforeseen
 from rtec.loop.clock import Clock
 from rtec.loop.records import Commands, Samples
 from rtec.loop.state import Saved, state_text
@@ -109,15 +110,23 @@ class Recording:
             self._from = self._next = begin.row
 
     def write(self, samples: Samples, commands: Commands, first_row: int) -> None:
-        """Record rows; `first_row` is the number of the first of them."""
+        """Record rows; `first_row` is the number of the first of them.
+
+        Raises:
+            Exception: a fault that is no LogError; as after one of those, the file ends and the rows count as missed.
+        """
         stop = first_row + len(samples)
-        if self._pending is not None and stop > self._pending.row:
-            at = max(0, self._pending.row - first_row)
-            self._put(samples.rows(0, at), commands.rows(0, at), first_row)
-            self._change(self._pending)
-            self._put(samples.rows(at, len(samples)), commands.rows(at, len(samples)), first_row + at)
-        else:
-            self._put(samples, commands, first_row)
+        try:
+            if self._pending is not None and stop > self._pending.row:
+                at = max(0, self._pending.row - first_row)
+                self._put(samples.rows(0, at), commands.rows(0, at), first_row)
+                self._change(self._pending)
+                self._put(samples.rows(at, len(samples)), commands.rows(at, len(samples)), first_row + at)
+            else:
+                self._put(samples, commands, first_row)
+        except Exception:
+            self.missed, self._next = self.missed + max(0, stop - self._next), max(self._next, stop)
+            raise
 
     def flush(self) -> None:
         """Bring them to the disk."""
@@ -187,8 +196,11 @@ class Recording:
             self._from = self._next = begin.row
             self._given = 0
         except LogError as e:
-            self._fail(e)
+            self._fail(str(e))
             return
+        except Exception as e:
+            self._fail(unforeseen(e))
+            raise
         self.path = path
         if self.trouble:
             self._retry_ns = self.clock.now_ns() + RETRY_NS
@@ -200,18 +212,19 @@ class Recording:
         try:
             action(self._writer)
         except LogError as e:
-            self._fail(e)
+            self._fail(str(e))
+        except Exception as e:
+            self._fail(unforeseen(e))
+            raise
 
-    def _fail(self, error: LogError) -> None:
-        self._tell_stop(f"{error}; tried again every {RETRY_NS // 1_000_000_000} s")
+    def _fail(self, why: str) -> None:
+        self._tell_stop(f"{why}; tried again every {RETRY_NS // 1_000_000_000} s")
         self._retry_ns = self.clock.now_ns() + RETRY_NS
         writer, self._writer = self._writer, None
         if writer is not None:
             self.missed += self._given - writer.rows  # what it held back
-            try:
+            with suppress(Exception):  # told already
                 writer.close()
-            except LogError:
-                return  # told already
 
 
 def free_path(path: Path) -> Path:

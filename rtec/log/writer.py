@@ -55,13 +55,13 @@ class LogWriter:
             fcntl.flock(self._fd, fcntl.LOCK_EX)  # nobody else holds an empty file for longer than a look at it
             self._append(self._schema.serialize())
             self._sync()
+            _sync_folder(path)
         except LogError:  # a file without its header is no log
             self._remove()
             raise
-        except OSError as error:  # a file system without locks
+        except OSError as error:  # a file system without locks, a disk that fails
             self._remove()
-            raise LogError(f"log {path}: cannot be locked: {error.strerror}") from error
-        _sync_folder(path)
+            raise LogError(f"log {path}: cannot be locked or brought to the disk: {error.strerror}") from error
 
     def write(self, samples: Samples, commands: Commands) -> None:
         """Take n rows (copied); each time a batch is full it goes into the file.

@@ -21,6 +21,7 @@ from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.step import Step, StepSettings, lags_of, slots_to_carry
 from rtec.model import Model, save_model
 from tests.support import setups
+from tests.support.parts import part
 
 MS = 1_000_000
 SLEW_UM_S = 50.0
@@ -235,7 +236,7 @@ def test_an_older_model_file_is_refused_and_the_reader_tells(setup: Setup) -> No
     """Through the thread that the supervisor uses: a text that says that the old one stays."""
     path = setup.base / "model.toml"
     path.write_text(path.read_text(encoding="utf-8").replace("[model]", "[model]\nformat = 0"), encoding="utf-8")
-    reader = Reader(setup)
+    reader = Reader(setup, part())
     reader.begin(setup)
     with pytest.raises(OrderRefused, match="an earlier order"):
         reader.begin(setup)
@@ -247,3 +248,29 @@ def test_an_older_model_file_is_refused_and_the_reader_tells(setup: Setup) -> No
     assert load_setup.__name__ == "load_setup"
     reader.begin(setup)
     reader._results.get(timeout=60)
+
+
+@pytest.mark.parametrize("error", [OverflowError("cannot convert float infinity"), ZeroDivisionError(), MemoryError()])
+def test_a_fault_that_nobody_foresaw_is_an_answer_too(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """The order is answered with it, it is counted, and the next order is read."""
+    told: list[str] = []
+    reads = part(told.append)
+    reader = Reader(setup, reads)
+
+    def wrong(_: Path) -> Setup:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr("rtec.daemon.reload.load_setup", wrong)
+        reader.begin(setup)
+        found = reader._results.get(timeout=60)
+    assert isinstance(found, str)
+    assert found.startswith("not reloaded, the old one stays in force: fault in the program")
+    assert type(error).__name__ in found
+    assert type(error).__name__ in told[0]
+    assert reads.faults == 1
+    reader.done()
+    reader.begin(setup)
+    assert not isinstance(reader._results.get(timeout=60), str)

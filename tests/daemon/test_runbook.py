@@ -47,27 +47,27 @@ def test_every_flag_is_in_the_table_with_its_text_and_a_way_on() -> None:
 @pytest.mark.parametrize(
     ("module", "text"),
     [
-        ("recording", "logging stopped, the correction went on"),
-        ("recording", "logging goes on in"),
-        ("recording", "rows came too fast and are in no log"),
-        ("disk_thread", "the disk is slow"),
-        ("disk_thread", "the state is not on disk"),
-        ("loop", "the actuator has"),
-        ("reload", "not reloaded"),
-        ("fastpath", "the state that the run before kept in"),
-        ("recover", "the run before had other axes, counts_per_mm or output units"),
-        ("log_writer", "somebody removed it while it was written"),
-        ("supervisor", "the loop's process"),
-        ("realtime", "no real-time treatment for"),
+        ("log/recording", "logging stopped, the correction went on"),
+        ("log/recording", "logging goes on in"),
+        ("log/recording", "rows came too fast and are in no log"),
+        ("daemon/disk", "the disk is slow"),
+        ("daemon/disk", "the state is not on disk"),
+        ("loop/loop", "the actuator has"),
+        ("daemon/reload", "not reloaded"),
+        ("daemon/fastpath", "the state that the run before kept in"),
+        ("daemon/recover", "the run before had other axes, counts_per_mm or output units"),
+        ("log/writer", "somebody removed it while it was written"),
+        ("daemon/supervisor", "the loop's process"),
+        ("daemon/process", "no real-time treatment for"),
     ],
 )
 def test_what_else_it_says_is_in_the_other_table(module: str, text: str) -> None:
     """The text is what the code says, and the table has it."""
-    assert text in (ROOT / "rtec" / "runtime" / f"{module}.py").read_text(encoding="utf-8")
+    assert text in (ROOT / "rtec" / f"{module}.py").read_text(encoding="utf-8")
     assert any(row[0].startswith(text) for row in table_rows(RUNBOOK, 3))
 
 
-EVENT_AT = {"note": 0, "_note_of_disk": 0, "_tell": 0, "_note": 1, "_done": 2}
+EVENT_AT = {"note": 0, "_tell": 0, "_note": 1, "_done": 2}
 """Where the kind of an event stands among the arguments of what notes one."""
 
 
@@ -86,9 +86,9 @@ def kinds_in(source: str) -> set[str]:
 def test_every_event_is_in_its_table() -> None:
     """Oracle: the program's own text, read as a program; and the orders, each of which is an event."""
     said = {str(order) for order in Order}
-    for path in (ROOT / "rtec" / "runtime").glob("*.py"):
+    for path in (path for room in ("daemon", "control", "log") for path in (ROOT / "rtec" / room).glob("*.py")):
         said |= kinds_in(path.read_text(encoding="utf-8"))
-    assert {"worker", "clock step", "logs removed", "not reloaded", "refused"} <= said
+    assert {"fault", "worker", "clock step", "logs removed", "not reloaded", "refused"} <= said
     found = {row[0].strip("`") for row in table_rows(RUNBOOK, 3) if row[0].startswith("`")}
     assert found == said
 

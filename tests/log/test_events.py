@@ -13,6 +13,7 @@ from rtec.log.events import REMEMBERED, Event, Events
 from rtec.log.recording import Recording
 from rtec.loop.clock import VirtualClock
 from rtec.loop.state_files import DiskState
+from tests.support.parts import part
 
 
 def event(k: int) -> Event:
@@ -75,7 +76,7 @@ def test_the_next_flush_catches_up(tmp_path: Path) -> None:
     def newest() -> None:  # the first thing that a flush asks for: somebody makes room just then
         path.parent.mkdir(exist_ok=True)
 
-    with DiskThread(log, DiskState(tmp_path / "run.state"), newest, most_rows=100) as thread:
+    with DiskThread(log, DiskState(tmp_path / "run.state"), newest, most_rows=100, part=part()) as thread:
         thread.event(events, event(0))
         thread.event(events, event(1))
         thread.flush()

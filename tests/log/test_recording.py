@@ -12,6 +12,7 @@ from rtec.errors import LogError
 from rtec.log.recording import RETRY_NS, Begin, Recording, free_path
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
+from tests.support.parts import part
 
 LAYOUT = Layout(("X",), ())
 
@@ -165,7 +166,7 @@ def test_a_stalled_disk_keeps_nobody_waiting() -> None:
     """While the disk does nothing, rows are taken, up to a number; then dropped and counted; then it goes on."""
     disk = Disk()
     log = recording(disk, VirtualClock())
-    with DiskThread(log, None, lambda: None, most_rows=100) as thread:
+    with DiskThread(log, None, lambda: None, most_rows=100, part=part()) as thread:
         disk.go.clear()
         for k in range(30):
             thread.write(*rows(10 * k, 10), 10 * k)
