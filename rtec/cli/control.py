@@ -84,14 +84,25 @@ def resume(config: Config = None, at: At = None, key: KeyFile = None, as_json: J
 
 
 @app.command()
-def reload(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
+def reload(
+    config: Config = None,
+    at: At = None,
+    key: KeyFile = None,
+    as_json: Json = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Take also what turns the correction round, or moves it by much.")
+    ] = False,
+) -> None:
     """Read run file and model again; limits and model change without a jump.
 
-    Exit status 1 where the old ones stay, with the reason.
+    Exit status 1 where the old ones stay, with the reason. A model against which the running one speaks (a turned sign,
+    a step of more than a fifth of warning_um) is taken with --yes only.
 
     Example: rtec ctl reload
     """
-    _give("reload", "", config, at, key, as_json)
+    from rtec.loop.orders import YES
+
+    _give("reload", YES if yes else "", config, at, key, as_json)
 
 
 @app.command()

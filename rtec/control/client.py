@@ -161,6 +161,8 @@ PERIOD_NS: Final = 50_000_000
 SEEN_NS: Final = 100_000_000
 """Rows that are so much newer than an order were made under it."""
 _MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
+KEPT: Final = (Order.HOLD, Order.FADE)
+"""Orders that a daemon that is restarted must not forget: they are done when they are on disk."""
 _TOGETHER: Final = {
     Order.ENABLE: "the correction follows the model",
     Order.HOLD: "the correction stays where it is",
@@ -199,7 +201,9 @@ def carry_out(client: Client, order: Order, text: str, clock: Clock) -> Outcome:
         if outcome is not None:
             return outcome
         if clock.now_ns() >= last_ns:
-            return Outcome(False, f"{answer}, and not carried out after {LONGEST_NS / 1e9:g} s", after)
+            kept = order in KEPT and after["status"]["mode"] == _MODE_NAMES[MODE_OF[order]]
+            what = "not kept: it is not on disk" if kept else "not carried out"
+            return Outcome(False, f"{answer}, and {what} after {LONGEST_NS / 1e9:g} s", after)
         clock.sleep_until_ns(clock.now_ns() + PERIOD_NS)
 
 
@@ -229,10 +233,23 @@ def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], af
     """What came of an order that is a mode; None: no row that was made under it has been seen."""
     why = held(status)
     if not why:
-        return Outcome(True, _mode_text(order, status), after)
+        return _kept(order, status, new, after)
     if not new or status["time_ns"] - new[-1]["time_ns"] < SEEN_NS:
         return None
     return Outcome(False, f"enabled, but the correction stays where it is: {why}", after)
+
+
+def _kept(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
+    """What came of an order that was carried out: is it on disk, where a power cut leaves it? None: not yet."""
+    text = _mode_text(order, status)
+    if order not in KEPT or status["kept_mode"] == status["mode"]:
+        return Outcome(True, text, after)
+    if status["kept_mode"] is None:
+        return Outcome(True, f"{text}; not kept over a power cut: the run file names no state_folder", after)
+    trouble = status["parts"].get("disk") or status["log"]
+    if status["kept_mode"] or not trouble or not new or status["time_ns"] - new[-1]["time_ns"] < SEEN_NS:
+        return None
+    return Outcome(False, f"{text}; but not kept: {trouble}", after)
 
 
 def _mode_text(order: Order, status: dict[str, Any]) -> str:

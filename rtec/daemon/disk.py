@@ -49,6 +49,7 @@ class DiskThread:
     Attributes:
         dropped: rows that found no room.
         state_trouble: why the state is not on disk; "" where it is.
+        kept_mode: the mode that the state on disk has; None where none has been brought there.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class DiskThread:
         keeper: Keeper | None = None,
     ) -> None:
         self.recording, self.dropped, self.state_trouble = recording, 0, ""
+        self.kept_mode: int | None = None
         self._behind: Events | None = None
         self._state, self._newest, self._most_rows, self._keeper = state, newest, most_rows, keeper
         self._jobs: queue.SimpleQueue[_Rows | _Do | None] = queue.SimpleQueue()
@@ -77,6 +79,11 @@ class DiskThread:
         self._jobs.put(None)
         if not self._thread.end(END_S):
             self.recording.warnings.append("the disk did not answer at the end: the last rows may not be in the log")
+
+    @property
+    def keeps(self) -> bool:
+        """Is a copy of the state to be on disk?"""
+        return self._state is not None
 
     @property
     def missed(self) -> int:
@@ -133,13 +140,16 @@ class DiskThread:
         saved = self._newest() if self._state is not None else None
         if self._state is None or saved is None:
             return
+        kept = None
         try:
             self._state.write(saved)
-            self.state_trouble = ""
+            kept, self.state_trouble = saved.mode, ""
         except OSError as e:
             if not self.state_trouble:
                 self.recording.warnings.append(f"state {self._state.path}: cannot be written: {e.strerror}")
             self.state_trouble = f"the state is not on disk: {e.strerror}"
+        finally:
+            self.kept_mode = kept
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:

@@ -1,6 +1,11 @@
-"""Reading run file, machine and model again while the loop runs: what may change, what must not, and what changed.
+"""A reload: run file, machine and model are read again, judged whole, and taken over while the loop goes on.
 
-The supervisor's side of a reload: reads again, hands it to the loop, sees that the loop has it.
+What needs a new start is refused. So is what the loop could not take (too large for the pipe or for the kept state). A
+correction that turns round, or that would move by much at once, is taken only where the order says so (`YES`): a sign
+that somebody turned in a file is a fault far more often than it is meant.
+
+A thread reads and judges (`Reader`); the supervisor hands on what came of it and sees that the loop has it
+(`ReloadDesk`).
 """
 
 import queue
@@ -11,22 +16,49 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rtec.daemon.disk import DiskThread
 from rtec.daemon.ring import Ring
 from rtec.daemon.supervision import Part, fault
 from rtec.errors import RtecError
 from rtec.log.recording import Begin
-from rtec.loop.orders import OrderRefused
+from rtec.loop.orders import YES, OrderRefused
+from rtec.loop.records import MODE_ON, Samples
 from rtec.loop.run_file import Setup, load_setup
-from rtec.loop.state_files import read_snapshot
+from rtec.loop.state import IMAGE_BYTES, Saved, StateWriter, structure_of
+from rtec.loop.state_files import read_memory, read_snapshot
 from rtec.loop.step import Step
 
 MOST_BYTES = 65_536
 """So much fits into the pipe while the loop is not yet reading."""
 _ORDERS = {"on": "enable", "hold": "hold", "off": "fade"}
 STAYS = "the old one stays in force"
+STEP_SHARE: Final = 0.2
+"""Of an axis' `warning_um`: a reload that moves the correction by more is asked about."""
+CLIMATES: Final = 16
+POSES: Final = 32
+"""Temperatures and spindle speeds, and positions under each of them, at which two models are compared."""
+USUAL_K: Final = 10.0
+"""Temperatures on either side of the model's reference, where it does not say in which it was fitted."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Now:
+    """Where the loop is.
+
+    Attributes:
+        samples: its newest row.
+        saved: its memory at about that row; None where it is not known.
+    """
+
+    samples: Samples
+    saved: Saved | None
 
 
 @dataclass(frozen=True)
@@ -44,8 +76,13 @@ class Reloaded:
     changed: list[str]
 
 
-def read_again(old: Setup) -> Reloaded:
-    """Read the run file of a setup and all that it names again; compile the step.
+def read_again(old: Setup, now: Now | None = None, sure: bool = False) -> Reloaded:
+    """Read the run file of a setup and all that it names again; compile the step, and judge it.
+
+    Args:
+        old: what is in force.
+        now: where the loop is; None: it has not begun.
+        sure: whoever ordered it wants it, however much it differs.
 
     Raises:
         RtecError: something is wrong with it, or something changed that needs a new start; everything at once.
@@ -56,12 +93,112 @@ def read_again(old: Setup) -> Reloaded:
     if faults := _fixed(old, new):
         raise OrderRefused("\n".join(f"{old.path}: {fault}" for fault in faults))
     step, before = Step(new.step_settings()), Step(old.step_settings())
+    StateWriter(np.zeros(IMAGE_BYTES, np.uint8), step, MODE_ON)  # does its memory fit?
     step.warm_up()
     same = step.source.text == before.source.text
     message = _bytes(step.all_numbers() if same else new.step_settings())
     if len(message) > MOST_BYTES:
         raise OrderRefused(f"{new.model.name}: too large to be taken up while the loop runs; start it again")
+    if not sure and (found := doubts(before, step, now)):
+        raise OrderRefused(f"{'; '.join(found)}; if that is meant: `rtec ctl reload --yes`")
     return Reloaded(new, message, _changed(old, new))
+
+
+def doubts(old: Step, new: Step, now: Now | None) -> list[str]:
+    """Why a new step may not be what is meant, an axis each: it turns the correction round, or moves it by much.
+
+    Both steps are run over the same positions, temperatures and spindle speeds of the machine. Their memory is used up.
+
+    Raises:
+        OrderRefused: the new step gives no finite correction somewhere where the old one does.
+    """
+    running_um, coming_um = _over_the_machine(old, new)
+    known = [bool(np.isfinite(running_um[..., k]).all()) for k in range(len(new.layout.axes))]
+    if not np.isfinite(coming_um[..., known]).all():
+        raise OrderRefused(f"{new.settings.model.name}: gives no finite correction where the running model does")
+    moves_um = [] if now is None else _at_this_moment(old, new, now)
+    out = []
+    for k, axis in enumerate(new.layout.axes):
+        if axis not in new.settings.limits or not known[k]:
+            continue
+        quantum_um = abs(float(new.constants("quantum")[k] / new.constants("per_um")[k]))
+        why = _turned(running_um[..., k], coming_um[..., k], quantum_um)
+        limits = new.settings.limits[axis]
+        from_um, to_um = (min(max(um, -limits.stop_um), limits.stop_um) for um in moves_um[k]) if moves_um else (0, 0)
+        if abs(to_um - from_um) > STEP_SHARE * limits.warning_um:
+            why.append(
+                f"the correction would go from {from_um:+.1f} µm to {to_um:+.1f} µm, more than a fifth of warning_um "
+                f"({limits.warning_um:g} µm)"
+            )
+        out += [f"axis {axis}: {text}" for text in why]
+    return out
+
+
+def _turned(running_um: Floats, coming_um: Floats, quantum_um: float) -> list[str]:
+    """Say which part of a correction turns round: what varies with positions, with the climate, or what is constant.
+
+    Args:
+        running_um, coming_um: of one axis, (climates, poses).
+        quantum_um: one unit of the output; what varies by less is nothing.
+    """
+    a, b = running_um, coming_um
+    parts = {
+        "positions": (a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)),
+        "temperatures and speeds": (a.mean(axis=1) - a.mean(), b.mean(axis=1) - b.mean()),
+    }
+    out = []
+    for over, (old, new) in parts.items():
+        sizes = float(old.std()), float(new.std())
+        together = float(np.mean(old * new)) / (sizes[0] * sizes[1]) if min(sizes) > quantum_um else 1.0
+        if together < 0:
+            out.append(
+                f"over the machine's {over} the new correction runs against the running one (correlation "
+                f"{together:+.2f}; {sizes[1]:.1f} µm and {sizes[0]:.1f} µm rms), as after a turned sign"
+            )
+    if a.mean() * b.mean() < 0 and min(abs(a.mean()), abs(b.mean())) > max(quantum_um, a.std(), b.std()):
+        out.append(f"the new correction is {b.mean():+.1f} µm on average, the running one {a.mean():+.1f} µm")
+    return out
+
+
+def _over_the_machine(old: Step, new: Step) -> tuple[Floats, Floats]:
+    """What both ask for, µm, (climates, poses, axes) each: the same poses under each climate."""
+    model, layout = old.settings.model, old.layout
+    machine, chance = model.machine, np.random.default_rng(0)
+    travel_mm = np.array([a.travel_mm for a in machine.axes])
+    usual = (model.reference_degc - USUAL_K, model.reference_degc + USUAL_K)
+    degc = np.array([model.valid_range.get(name, usual) for name in machine.sensor_names]).reshape(-1, 2)
+    rows = Samples.empty(layout, POSES)
+    rows.time_ns[:] = rows.counts_time_ns[:] = 1_000_000_000 * (1 + np.arange(POSES))
+    rows.mode[:] = MODE_ON
+    rows.counts[:] = np.rint(
+        chance.uniform(travel_mm[:, 0], travel_mm[:, 1], (POSES, len(travel_mm)))
+        * [a.counts_per_mm for a in machine.axes]
+    )
+    rows.degc_time_ns[:] = rows.time_ns[:, None]
+    out = np.empty((2, CLIMATES, POSES, len(layout.axes)))
+    for climate in range(CLIMATES):
+        rows.degc[:] = chance.uniform(degc[:, 0], degc[:, 1])
+        rows.spindle_rpm[:] = chance.uniform(*model.valid_range.get("spindle_rpm", (0.0, 0.0)))
+        for step, into in zip((old, new), out, strict=True):
+            into[climate] = step.advance(step.fresh_state(), rows)[1].requested_um
+    return out[0], out[1]
+
+
+def _at_this_moment(old: Step, new: Step, now: Now) -> list[tuple[float, float]]:
+    """What both ask for at this moment, µm, by axis; nothing where that is not known."""
+    if now.saved is not None and now.saved.structure == structure_of(old):
+        old.restore(now.saved.state)
+    else:
+        old.run(now.samples)
+    if old.source.text == new.source.text:
+        new.restore(old.state)
+    else:
+        new.adopt(old, now.samples)
+    asked = []
+    for step in (old, new):
+        step.look_anew()
+        asked.append(step.run(now.samples).requested_um[0])
+    return list(zip(*np.array(asked).tolist(), strict=True)) if np.isfinite(asked).all() else []
 
 
 def _bytes(content: object) -> bytes:
@@ -119,16 +256,18 @@ class Reader:
         self._setup, self._part = setup, part
         self._results: queue.SimpleQueue[Reloaded | str] = queue.SimpleQueue()
         self.busy = False
+        self._now: Now | None = None
+        self._sure = False
 
-    def begin(self, setup: Setup) -> None:
-        """Start reading.
+    def begin(self, setup: Setup, now: Now | None = None, sure: bool = False) -> None:
+        """Start reading; as for `read_again`.
 
         Raises:
             OrderRefused: an earlier order is not done with.
         """
         if self.busy:
             raise OrderRefused("an earlier order to reload is not done with yet; wait for it")
-        self.busy, self._setup = True, setup
+        self.busy, self._setup, self._now, self._sure = True, setup, now, sure
         threading.Thread(target=self._work, name="rtec-read-again", daemon=True).start()
 
     def poll(self) -> Reloaded | str | None:
@@ -141,7 +280,7 @@ class Reader:
 
     def _work(self) -> None:
         try:
-            self._results.put(read_again(self._setup))
+            self._results.put(read_again(self._setup, self._now, self._sure))
         except RtecError as e:
             self._results.put(f"not reloaded, {STAYS}: {e}")
         except Exception as e:  # noqa: BLE001 - whatever it is: the order is answered, and the next may come
@@ -177,10 +316,16 @@ class ReloadDesk:
         """Is an order not done with yet?"""
         return self._reader.busy
 
-    def begin(self) -> None:
-        """Start reading."""
+    def begin(self, samples: Samples | None = None, text: str = "") -> None:
+        """Start reading.
+
+        Args:
+            samples: the loop's newest row; None: there is none.
+            text: of the order; `YES` takes also what differs much.
+        """
+        now = None if samples is None else Now(samples, read_memory(self._memory))
         try:
-            self._reader.begin(self.setup)
+            self._reader.begin(self.setup, now, text == YES)
         except OrderRefused as e:
             self.text = str(e)
 

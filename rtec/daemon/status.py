@@ -40,6 +40,8 @@ class Status:
         log: what goes on with the log; "" where all is well.
         overruns: rows so far that are in no log: the ring was full, or the disk.
         faults: how often a part of the daemon (a thread, a worker) failed and was begun again, by part.
+        kept_mode: mode of the state on disk, which a power cut leaves; "" where it is not there (yet), None where
+            no folder is named for it.
         parts: by part, why it does not work now; a part that is well is not there.
     """
 
@@ -65,6 +67,7 @@ class Status:
     overruns: int = 0
     faults: dict[str, int] = field(default_factory=dict)
     parts: dict[str, str] = field(default_factory=dict)
+    kept_mode: str | None = None
 
     @property
     def reasons(self) -> list[str]:
@@ -98,7 +101,7 @@ class Report:
 
 
 NS = 1e-9
-_NAMES = {number: name for name, number in MODES_BY_NAME.items()}
+MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
 
 
 class Watch:
@@ -108,10 +111,12 @@ class Watch:
         status: of the newest row.
         rows: seen so far.
         largest_um: largest applied correction so far, by axis.
+        newest: the newest row; None before the first.
     """
 
     def __init__(self, layout: Layout) -> None:
         self.layout, self.status, self.rows = layout, Status(), 0
+        self.newest: Samples | None = None
         self._first_ns: int | None = None
         self._flag_counts = np.zeros(len(Flag), dtype=np.int64)
         self._largest = np.zeros(len(layout.axes))
@@ -122,6 +127,7 @@ class Watch:
         if self._first_ns is None:
             self._first_ns = int(samples.time_ns[0])
         self.rows += len(samples)
+        self.newest = samples.rows(len(samples) - 1, len(samples))
         self._flag_counts += [np.count_nonzero(commands.flags & int(flag)) for flag in Flag]
         self._passed |= Flag(int(np.bitwise_or.reduce(commands.flags)))
         self._largest = np.maximum(self._largest, np.abs(commands.applied_um).max(axis=0))
@@ -133,7 +139,7 @@ class Watch:
             time_ns=now_ns,
             cycles=self.rows + ring.overruns,
             misses=ring.deadline_misses,
-            mode=_NAMES.get(ring.orders.mode, ""),
+            mode=MODE_NAMES.get(ring.orders.mode, ""),
             requested_um=dict(zip(axes, commands.requested_um[-1].tolist(), strict=True)),
             applied_um=dict(zip(axes, commands.applied_um[-1].tolist(), strict=True)),
             output=dict(zip(axes, commands.output[-1].tolist(), strict=True)),

@@ -23,7 +23,7 @@ from rtec.daemon.reload import ReloadDesk
 from rtec.daemon.ring import Ring
 from rtec.daemon.run_log import Keeper, log_folder, new_log
 from rtec.daemon.sign_check import StepOrders
-from rtec.daemon.status import Alarms, Report, Status, Watch
+from rtec.daemon.status import MODE_NAMES, Alarms, Report, Status, Watch
 from rtec.daemon.supervision import Parts
 from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
@@ -94,6 +94,7 @@ class Supervisor:
         self._interrupted, self._ended, self._at_once = False, False, False
         self._disk: DiskThread | None = None
         self._held_without: list[str] = []
+        self._flush_ns = 0
 
     @property
     def setup(self) -> Setup:
@@ -109,7 +110,8 @@ class Supervisor:
         )
         if disk is None:
             return status
-        return replace(status, log=disk.trouble, overruns=status.overruns + disk.missed)
+        kept = ("" if disk.kept_mode is None else MODE_NAMES.get(disk.kept_mode, "")) if disk.keeps else None
+        return replace(status, log=disk.trouble, overruns=status.overruns + disk.missed, kept_mode=kept)
 
     def order(self, order: Order, text: str = "", who: str = "local") -> str:
         """Order something, from any thread; give an answer in words. Carried out within some 20 ms, while it runs.
@@ -209,7 +211,7 @@ class Supervisor:
 
     def _until_done(self, ring: Ring, pipe: Connection, process: Any, disk: DiskThread, workers: Workers) -> None:
         flush_ns = round(self.setup.file.run.flush_s * 1e9)
-        next_flush = self._clock.now_ns() + flush_ns
+        self._flush_ns = self._clock.now_ns() + flush_ns
         while not pipe.poll() and process.is_alive():
             now = self._clock.now_ns()
             ring.consumer_heartbeat_ns = now
@@ -222,9 +224,9 @@ class Supervisor:
             self._drain(ring, disk)
             self._tell_what_is_wrong(now)
             self._hold_without(self.parts.lost)
-            if now >= next_flush:
+            if now >= self._flush_ns:
                 disk.flush()
-                next_flush = now + flush_ns
+                self._flush_ns = now + flush_ns
             self._notifier.look(self.status)
             self._on_status(self.status)
             self._clock.sleep_until_ns(now + DRAIN_PERIOD_NS)
@@ -243,10 +245,13 @@ class Supervisor:
             order, text, who = self._orders.get()
             if order in MODE_OF:
                 ring.orders.mode = MODE_OF[order]
+                self._flush_ns = min(
+                    self._flush_ns, self._clock.now_ns() + max(DRAIN_PERIOD_NS, 2 * self.setup.period_ns)
+                )
             elif order is Order.RESUME:
                 ring.orders.resumes += 1
             elif order is Order.RELOAD:
-                self._reload.begin()
+                self._reload.begin(self._watch.newest, text)
             self._note(ring, str(order), text, who)
 
     def _note(self, ring: Ring, what: str, text: str, who: str) -> None:

@@ -35,6 +35,8 @@ class Order(StrEnum):
 MODE_OF: Final = {Order.ENABLE: MODE_ON, Order.HOLD: MODE_HOLD, Order.FADE: MODE_OFF}
 """The mode that an order stands for."""
 LONGEST_TEXT: Final = 400
+YES: Final = "yes"
+"""Text of an order to reload that also takes what turns the correction round, or moves it by much."""
 
 
 class OrderRefused(RtecError):

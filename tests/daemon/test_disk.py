@@ -19,8 +19,11 @@ from rtec.log.events import Event, Events
 from rtec.log.reader import LogReader, LogWriter
 from rtec.log.recording import RETRY_NS, Begin, Recording
 from rtec.loop.clock import VirtualClock
-from rtec.loop.records import Commands, Layout, Samples
-from rtec.loop.state import Saved
+from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Layout, Samples
+from rtec.loop.state import IMAGE_BYTES, Saved, StateWriter, newest
+from rtec.loop.state_files import DiskState, read_disk
+from rtec.loop.step import Step
+from tests.support import setups
 from tests.support.parts import part
 
 LAYOUT = Layout(("X",), ())
@@ -155,3 +158,33 @@ def test_a_fault_at_the_very_end_closes_the_rest_all_the_same(run: Run) -> None:
     assert closed.faults == 1
     assert run.written() == list(range(PIECE))
     assert not any("did not answer" in text for text in run.log.warnings)
+
+
+@pytest.mark.parametrize("error", [EIO, ZeroDivisionError()])
+def test_the_mode_on_disk_is_told_and_what_is_not_there_is_not(run: Run, tmp_path: Path, error: Exception) -> None:
+    """Oracle: the file itself, read by the function that a start uses."""
+    kept, image = [MODE_HOLD], np.zeros(IMAGE_BYTES, np.uint8)
+    step = Step(setups.setup(tmp_path).step_settings())
+    writer, place = StateWriter(image, step, MODE_ON), tmp_path / "run.state"
+
+    def newest_one() -> Saved | None:
+        rows = Samples.empty(step.layout, 1)
+        rows.mode[0] = kept[0]
+        writer.keep(rows, step.output_of(step.state), 0)
+        return newest(image.tobytes())
+
+    with DiskThread(run.log, DiskState(place), newest_one, most_rows=1000, part=part()) as thread:
+        assert thread.kept_mode is None
+        thread.flush()
+        settle(thread)
+        saved, _ = read_disk(place)
+        assert saved is not None
+        assert thread.kept_mode == saved.mode == MODE_HOLD
+        kept[0] = MODE_ON
+        run.fails(DiskState, "write", error)
+        thread.flush()
+        settle(thread)
+        assert thread.kept_mode is None
+        thread.flush()
+        settle(thread)
+        assert thread.kept_mode == MODE_ON

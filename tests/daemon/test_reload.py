@@ -3,6 +3,8 @@
 Oracles: the slew limit; a step that had the new numbers from the start; a lag that was never interrupted.
 """
 
+import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +15,15 @@ import pytest
 import tomli_w
 
 from rtec.correction.guard import Flag, Limits
-from rtec.daemon.reload import MOST_BYTES, Reader, read_again
+from rtec.daemon.reload import MOST_BYTES, Now, Reader, read_again
+from rtec.effects import EFFECTS
 from rtec.errors import RtecError
 from rtec.loop.orders import OrderRefused
 from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Samples
 from rtec.loop.run_file import Setup, load_setup
+from rtec.loop.state import IMAGE_BYTES, StateWriter, newest
 from rtec.loop.step import Step, StepSettings, lags_of, slots_to_carry
-from rtec.model import Model, save_model
+from rtec.model import FittedEffect, Model, save_model
 from tests.support import setups
 from tests.support.parts import part
 
@@ -274,3 +278,99 @@ def test_a_fault_that_nobody_foresaw_is_an_answer_too(
     reader.done()
     reader.begin(setup)
     assert not isinstance(reader._results.get(timeout=60), str)
+
+
+def rewrite_model(setup: Setup, change: Callable[[Model], Model]) -> None:
+    """Change the model file."""
+    save_model(change(setup.model), setup.base / "model.toml")
+
+
+def times(factor: float, *names: str) -> Callable[[Model], Model]:
+    """These effects' coefficients, so many times as large."""
+
+    def change(model: Model) -> Model:
+        return replace(
+            model,
+            effects=tuple(
+                replace(e, values={k: factor * v for k, v in e.values.items()}) if e.effect.effect in names else e
+                for e in model.effects
+            ),
+        )
+
+    return change
+
+
+def now(setup: Setup, degc: float = 27.0) -> Now:
+    """The loop, 1.5 s after its start."""
+    step = Step(setup.step_settings())
+    rows = samples(step, 0, 1500, lambda _: degc)
+    step.run(rows)
+    image = np.zeros(IMAGE_BYTES, np.uint8)
+    writer = StateWriter(image, step, MODE_ON)
+    writer.keep(rows.rows(1499, 1500), step.output_of(step.state), 1499)
+    return Now(rows.rows(1499, 1500), newest(image.tobytes()))
+
+
+@pytest.mark.parametrize(
+    ("names", "axis"),
+    [
+        (("scale", "backlash"), "X"),
+        (("spindle_growth",), "X"),  # it acts along X on this machine, and scale is the larger: said by the step
+        (("ambient_drift", "cyclic_screw"), "Z"),
+        (("scale", "backlash", "cyclic_screw", "spindle_growth", "ambient_drift"), "X"),
+    ],
+)
+def test_a_turned_sign_is_asked_about_with_its_numbers(setup: Setup, names: tuple[str, ...], axis: str) -> None:
+    """Every effect of the axis times -1. Oracle: the correlation of a correction with its negative is -1."""
+    small = [e for e in setup.model.effects if e.effect.effect in names]
+    alone = load_setup(setups.write(setup.base, setups.tables(setup.base)))
+    rewrite_model(alone, lambda model: replace(model, effects=tuple(small)))
+    alone = load_setup(alone.path)
+    rewrite_model(alone, times(-1.0, *names))
+    with pytest.raises(OrderRefused, match=rf"axis {axis}: .*\(correlation -1\.00; .*rtec ctl reload --yes"):
+        read_again(alone, now(alone))
+    assert read_again(alone, now(alone), sure=True).changed == ["model"]
+    rewrite_model(alone, times(1.05, *names))
+    assert read_again(alone, now(alone)).changed == ["model"]
+
+
+def test_a_large_step_is_asked_about_and_a_small_one_is_not(setup: Setup) -> None:
+    """X is at 27 mm: 30 µm/m make 0.8 µm there; 19 times as much on top is more than a fifth of warning_um = 60."""
+    rewrite_model(setup, times(20.0, "scale"))
+    old, new = Step(setup.step_settings()), Step(load_setup(setup.path).step_settings())
+    from_um, to_um = (float(step.run(samples(step, 0, 1500)).requested_um[-1, 0]) for step in (old, new))
+    assert abs(to_um - from_um) > 12.0
+    told = f"axis X: the correction would go from {from_um:+.1f} µm to {to_um:+.1f} µm, more than a fifth of warning_um"
+    with pytest.raises(OrderRefused, match=re.escape(told)):
+        read_again(setup, now(setup))
+    rewrite_model(setup, times(10.0, "scale"))
+    assert read_again(setup, now(setup)).changed == ["model"]
+
+
+def test_an_average_that_turns_round_is_asked_about(setup: Setup) -> None:
+    """A correction that is the same all over the machine has no correlation with anything."""
+    table = {"effect": "expression", "component": "EXX", "expression": "k * cos(0 * x)", "linear": {"k": "um"}}
+    offset = FittedEffect(EFFECTS["expression"].model_validate(table), {"k": 5.0})
+    rewrite_model(setup, lambda model: replace(model, effects=(offset,)))
+    constant = load_setup(setup.path)
+    rewrite_model(constant, times(-1.0, "expression"))
+    with pytest.raises(OrderRefused, match="on average, the running one"):
+        read_again(constant, now(constant))
+
+
+def test_before_the_first_row_and_before_the_first_temperature(setup: Setup) -> None:
+    """There is no moment to compare; the machine can be compared all the same."""
+    rewrite_model(setup, times(-1.0, "scale", "backlash"))
+    unknown = now(setup, math.nan)
+    for moment in (None, unknown):
+        with pytest.raises(OrderRefused, match="correlation -"):
+            read_again(setup, moment)
+
+
+def test_a_model_that_the_kept_state_has_no_room_for_is_refused(setup: Setup) -> None:
+    """Each lag needs memory; the loop would die of what it cannot keep."""
+    drift = setup.model.effects[-1]
+    many = tuple(replace(drift, theta={"tau": 900.0 + k}) for k in range(2200))
+    rewrite_model(setup, lambda model: replace(model, effects=many))
+    with pytest.raises(RtecError, match=r"words of memory; at most \d+ can be kept"):
+        read_again(setup)

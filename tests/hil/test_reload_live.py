@@ -141,8 +141,8 @@ def test_orders_reach_the_loop(setup: Setup) -> None:
     """Hold, fade, enable; to resume makes the loop take over the ledger of a box that is well, without a jump."""
     orders = Script(
         (lambda _: None, lambda s: abs(s.applied_um["X"]) > 5.0),
-        (lambda s: s.order(Order.HOLD), lambda s: s.mode == "hold" and Flag.ORDERED_HOLD in s.flags),
-        (lambda s: s.order(Order.FADE), lambda s: s.mode == "off" and abs(s.applied_um["X"]) < 0.1),
+        (lambda s: s.order(Order.HOLD), lambda s: s.kept_mode == s.mode == "hold" and Flag.ORDERED_HOLD in s.flags),
+        (lambda s: s.order(Order.FADE), lambda s: s.kept_mode == s.mode == "off" and abs(s.applied_um["X"]) < 0.1),
         (lambda s: s.order(Order.ENABLE), lambda s: s.mode == "on" and abs(s.applied_um["X"]) > 5.0),
         (lambda s: s.order(Order.RESUME), lambda s: s.takeovers == 1),
     )
