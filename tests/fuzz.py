@@ -1,6 +1,6 @@
 """Feeds spoilt text to everything that reads text from outside: `python -m tests.fuzz [COUNT] [SEED]`.
 
-COUNT inputs each for requests to the daemon, expressions, comparisons, lists of clients, run files, machine files and
+COUNT inputs each for requests to the daemon, expressions, comparisons, run files, machine files and
 model files. Every input is a good one with a few changes by chance, from a seed. What may come of it: it is read, or it
 is refused with an error of rtec. What may not: any other error, more than `LONGEST_S` for one input, a program or an
 import started by it. Whatever does worse is printed whole.
@@ -20,8 +20,7 @@ from types import FrameType
 from typing import Any, Final
 
 from rtec.control.desk import Desk, Peer
-from rtec.control.keys import add_client, make_server, read_clients
-from rtec.control.residual import Left
+from rtec.control.residual import Residual
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.clock import RealClock, VirtualClock
@@ -185,8 +184,6 @@ def kinds(folder: Path) -> dict[str, tuple[Callable[[bytes], bool], tuple[bytes,
     own = Expression.model_validate({"effect": "expression", "component": "EXX", **_OWN})
     model = Model(setup.machine, (*setup.model.effects, FittedEffect(own, {"A": 1.4, "B": -0.2}, {"p": 37.3})))
     save_model(model, folder / "own.toml")
-    make_server(folder / "keys")
-    add_client(folder / "keys", "cell", "operate", None, folder / "cell.key")
     left = {"name": "laser-x", "column": "reading_um", "unit": "um", "n": 812, "components": ["EXX", "EBX"]}
     compared = {"model": model.name, "measurements": [{**left, "rms_residual_um": 2.3, "noise_floor_um": 0.4}]}
 
@@ -206,10 +203,9 @@ def kinds(folder: Path) -> dict[str, tuple[Callable[[bytes], bool], tuple[bytes,
         "requests": _requests(setup),
         "expressions": (lambda text: _expression(text, setup.machine), tuple(t.encode() for t in _EXPRESSIONS)),
         "comparisons": (
-            written(lambda: _not_trouble(Left(trial).facts(setup.model))),
+            written(lambda: _not_trouble(Residual(trial).facts(setup.model))),
             (json.dumps(compared).encode(),),
         ),
-        "lists of clients": (written(lambda: read_clients(trial)), files(folder / "keys" / "clients.toml")),
         "run files": (written(lambda: validated(RunFile, read_toml(trial), "trial")), files(*sorted(configs))),
         "run files, whole": (written(lambda: load_setup(trial)), files(setup.path)),
         "machine files": (written(lambda: load_machine(trial)), files(*sorted(machines))),
@@ -229,7 +225,14 @@ def _requests(setup: Setup) -> tuple[Callable[[bytes], bool], tuple[bytes, ...]]
         return "error" not in answer
 
     orders = (json.dumps({**order, "order": str(name)}).encode() for name in Order)
-    return read, (b'{"schema":1,"ask":"status","id":1}', b'{"schema":1,"ask":"status"}', *orders)
+    return read, (*_ASKS, *orders)
+
+
+_ASKS: Final = (
+    b'{"schema":1,"ask":"status","id":1}',
+    b'{"schema":1,"ask":"watch"}',
+    b'{"schema":1,"ask":"as","name":"cell","role":"operate"}',
+)
 
 
 def _expression(text: bytes, machine: Machine) -> bool:

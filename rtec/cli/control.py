@@ -1,15 +1,8 @@
-"""`rtec ctl`: orders to a running daemon.
-
-`rtec status`: how a running daemon does.
-
-What `rtec status` shows.
-
-What `rtec status` and `rtec ctl` have in common: how a daemon is named.
-"""
+"""`rtec status` shows how a running daemon does; `rtec ctl` gives it orders."""
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -19,33 +12,33 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.common import PIPED_WIDTH
-from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles
+from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
 
 if TYPE_CHECKING:
     from rtec.control.client import Client
     from rtec.loop.clock import Clock
     from rtec.loop.orders import Order
 
-
 Config = Annotated[
     Path | None,
     typer.Argument(metavar="[CONFIG]", help="Run file of the daemon; without it, the only one.", show_default=False),
 ]
 At = Annotated[
-    str | None, typer.Option("--at", metavar="HOST:PORT", help="A daemon on the network.", show_default=False)
+    str | None,
+    typer.Option("--at", metavar="USER@HOST", help="A daemon on another computer, by ssh.", show_default=False),
 ]
 KeyFile = Annotated[
-    Path | None, typer.Option("--key", help="For the network: this client's own file.", show_default=False)
+    Path | None, typer.Option("--key", help="For --at: the key file that ssh shows there.", show_default=False)
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
 
-app = typer.Typer(no_args_is_help=True, help="Order a running daemon about: enable, hold, fade, resume, reload, mark.")
+app = typer.Typer(no_args_is_help=True, help="Control a running daemon: enable, hold, fade, resume, reload, mark.")
 
 
 @app.command()
 def enable(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
-    """Let the correction follow the model, from where it stands, within its limits.
+    """Let the correction follow the model, from where it is, within its limits.
 
     Exit status 1 where it stays where it is all the same, with the reason.
 
@@ -74,7 +67,7 @@ def fade(config: Config = None, at: At = None, key: KeyFile = None, as_json: Jso
 
 @app.command()
 def resume(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
-    """Let devices that stopped by themselves go on: a box that started anew, a position that was lost.
+    """Let devices that stopped by themselves go on: a box that restarted, a position that was lost.
 
     Exit status 1 where a device is still in trouble.
 
@@ -118,6 +111,24 @@ def mark(
     Example: rtec ctl mark "new tool, first part"
     """
     _give("mark", text, config, at, key, as_json)
+
+
+@app.command()
+def relay(
+    config: Config = None,
+    role: Annotated[Literal["read", "operate"], typer.Option(help="read: status only; operate: orders, too.")] = "read",
+    name: Annotated[str, typer.Option(help="Of the client, as the events show it.")] = "ssh",
+) -> None:
+    """Connect standard input and output to a daemon: what sshd runs for a client on the network.
+
+    Example, in authorized_keys: restrict,command="rtec ctl relay /etc/rtec/mill.toml --role read --name office" ssh-…
+    """
+    from rtec.control.client import find
+    from rtec.control.relay import relay
+
+    path = find(config, None, None).path
+    if path is not None:
+        relay(path, name, role)
 
 
 def _give(name: str, text: str, config: Path | None, at: str | None, key: Path | None, as_json: bool) -> None:
@@ -166,7 +177,7 @@ def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
 
 def page(found: dict[str, Any]) -> RenderableType:
     """Everything in one piece."""
-    axes = _table(("axis", "requested, µm", "applied, µm", "left, µm", "output, units", "counts"), axis_rows(found))
+    axes = _table(("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts"), axis_rows(found))
     inputs = _table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else [])
     return Group(
         *(Text(line) for line in headline(found)),
@@ -201,7 +212,6 @@ def status(
     Example: rtec status configs/turning-centre-sim.toml --watch
     """
     from rtec.control.client import Client, find
-    from rtec.control.facts import well
     from rtec.loop.clock import RealClock
 
     with Client(find(config, at, key)) as client:

@@ -23,7 +23,6 @@ from rtec.cli import (
     grid,
     hil,
     import_,
-    keys,
     log,
     plan,
     procedures,
@@ -68,7 +67,6 @@ for _instrument in (ballbar.ballbar, grid.grid):
     app.command()(_instrument)
 app.command("status")(status_command.status)
 app.add_typer(ctl.app, name="ctl")
-app.add_typer(keys.app, name="keys")
 app.add_typer(log.app, name="log")
 
 

@@ -1,27 +1,32 @@
-"""The other end of control: asks a running daemon, and gives it orders.
-
-Gives an order and waits for what comes of it.
-"""
+"""The other end of control: asks a running daemon, gives it an order, and waits for what comes of it."""
 
 import os
+import re
+import shlex
+import socket
+import struct
+import subprocess
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-import zmq
-
 from rtec.control.facts import held, um_text
-from rtec.control.keys import ClientKeys, read_client
 from rtec.control.messages import RequestError, may_be_text, read_answer, request
 from rtec.control.places import all_of, answers, of_config
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.loop.records import MODES_BY_NAME
-from rtec.loop.run_file import PLACE
 
-WAIT_S: Final = 2.0
+WAIT_S: Final = 5.0
+SSH_WAIT_S: Final = 20.0
+"""Logging in takes its time."""
+LARGEST_ANSWER: Final = 4 * 1024 * 1024
+HOST: Final = re.compile(
+    r"(?P<host>([A-Za-z0-9_][\w.-]*@)?([A-Za-z0-9][\w.-]*|\[[0-9a-fA-F:.]+\]))(:(?P<port>\d{1,5}))?"
+)
 
 
 @dataclass(frozen=True)
@@ -29,12 +34,15 @@ class Place:
     """Where a daemon answers.
 
     Attributes:
-        address: as ZeroMQ writes it.
-        keys: of this client; None: on this computer.
+        path: of its local socket; None: it is on another computer.
+        command: whose input and output lead to the daemon there.
     """
 
-    address: str
-    keys: ClientKeys | None = None
+    path: Path | None = None
+    command: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return str(self.path) if self.path is not None else shlex.join(self.command)
 
 
 def find(config: Path | None, at: str | None, key: Path | None) -> Place:
@@ -42,25 +50,32 @@ def find(config: Path | None, at: str | None, key: Path | None) -> Place:
 
     Args:
         config: its run file; None: the only one that runs on this computer.
-        at: "host:port" of a daemon on the network.
-        key: this client's own file, for the network.
+        at: "user@host:port" of another computer, which is reached by ssh; user and port may be left to ssh.
+        key: file of the key that ssh shows there; None: as ssh is configured.
 
     Raises:
         RtecError: none runs, several run, or it may not be used; the message says what to do.
     """
     if at is not None:
-        if key is None or not PLACE.fullmatch(at):
-            raise RtecError(
-                'a daemon on the network needs --at "host:port" and --key FILE (made by `rtec keys client`)'
-            )
-        return Place(f"tcp://{at}", read_client(key))
+        return Place(command=_by_ssh(config, at, key))
     candidates = all_of() if config is None else of_config(config)
     alive = [path for path in candidates if answers(path)]
     if config is not None and alive:
-        return Place(f"ipc://{alive[0]}")
+        return Place(alive[0])
     if len(alive) == 1:
-        return Place(f"ipc://{alive[0]}")
+        return Place(alive[0])
     raise RtecError(_several(alive) if alive else _none(config))
+
+
+def _by_ssh(config: Path | None, at: str, key: Path | None) -> tuple[str, ...]:
+    match = HOST.fullmatch(at)
+    if match is None:
+        raise RtecError(f'--at {at!r} is not "user@host" or "user@host:port"')
+    there = ["rtec", "ctl", "relay", "--role", "operate", *([] if config is None else [str(config)])]
+    port = [] if match["port"] is None else ["-p", match["port"]]
+    identity = [] if key is None else ["-o", "IdentitiesOnly=yes", "-i", str(key)]
+    options = ("-T", "-o", "BatchMode=yes", "-o", "ServerAliveInterval=5")
+    return ("ssh", *options, *port, *identity, "--", match["host"].replace("[", "").replace("]", ""), shlex.join(there))
 
 
 class Client:
@@ -69,20 +84,19 @@ class Client:
     Args:
         place: where it answers.
         wait_s: longest wait for an answer.
+
+    Raises:
+        RtecError: nobody is there.
     """
 
-    def __init__(self, place: Place, wait_s: float = WAIT_S) -> None:
-        self._place, self._wait_s = place, wait_s
+    def __init__(self, place: Place, wait_s: float | None = None) -> None:
+        self._place = place
+        self._wait_s = (SSH_WAIT_S if place.path is None else WAIT_S) if wait_s is None else wait_s
         self._id = self._seq = 0
-        self._context: Any = zmq.Context()
-        self._socket: Any = self._context.socket(zmq.DEALER)
-        self._socket.linger = 0
-        self._socket.ipv6 = "[" in place.address
-        if place.keys is not None:
-            self._socket.curve_serverkey = place.keys.server.encode()
-            self._socket.curve_publickey = place.keys.public.encode()
-            self._socket.curve_secretkey = place.keys.secret.encode()
-        self._socket.connect(place.address)
+        self._received = b""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket = self._connected() if place.path is not None else self._begun()
+        self._socket.settimeout(self._wait_s)
 
     def __enter__(self) -> Self:
         return self
@@ -90,18 +104,35 @@ class Client:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._context.destroy(linger=0)
+        self.close()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait()
 
     def status(self) -> dict[str, Any]:
-        """Everything that the daemon tells of itself (`docs/control.md`).
+        """Everything that the daemon reports of itself (`docs/control.md`).
 
         Raises:
             RtecError: it does not answer.
         """
         return self._ask("status")
 
+    def watch(self) -> Iterator[dict[str, Any]]:
+        """Give the status again and again, as the daemon sends it.
+
+        Raises:
+            RtecError: it does not answer any more.
+        """
+        yield self._ask("watch")
+        while True:
+            yield self._read()
+
     def order(self, order: Order, text: str = "") -> str:
-        """Give an order; give what the daemon says to it.
+        """Give an order; give the daemon's answer.
 
         Raises:
             OrderRefused: the daemon does not take it; the message says why.
@@ -113,30 +144,63 @@ class Client:
         self._seq += 1
         return str(self._ask("order", session=session, seq=self._seq, order=str(order), text=text)["done"])
 
+    def _connected(self) -> socket.socket:
+        made = socket.socket(socket.AF_UNIX)
+        # A full queue is waited for by a blocking socket only.
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", max(1, round(self._wait_s)), 0))
+        try:
+            made.connect(str(self._place.path))
+        except OSError as e:
+            made.close()
+            raise RtecError(f"{self._place}: nobody answers ({e.strerror or e}); does the daemon run?") from e
+        return made
+
+    def _begun(self) -> socket.socket:
+        """Begin the command; a socket is its input and its output, and what it complains of the user reads."""
+        here, there = socket.socketpair()
+        try:
+            with there:
+                ends = there.fileno()
+                self._process = subprocess.Popen(self._place.command, stdin=ends, stdout=ends)  # noqa: S603 (no shell)
+        except OSError as e:
+            here.close()
+            raise RtecError(f"{self._place.command[0]}: cannot be started: {e.strerror}; is ssh installed?") from e
+        return here
+
     def _ask(self, ask: str, **more: object) -> dict[str, Any]:
         self._id += 1
-        self._socket.send_multipart([b"", request(ask, self._id, **more)])
-        while self._socket.poll(round(self._wait_s * 1e3)):
-            try:
-                found = read_answer(self._socket.recv_multipart()[-1])
-            except RequestError as e:
-                raise RtecError(f"the daemon's answer {e}: is it of another version of rtec?") from e
+        try:
+            self._socket.sendall(request(ask, self._id, **more) + b"\n")
+        except OSError as e:
+            raise RtecError(self._silence()) from e
+        while True:
+            found = self._read()
             if "error" in found:
                 raise RtecError(f"the daemon cannot read the request: {found['error']}; another version of rtec?")
             if "refused" in found:
                 raise OrderRefused(f"refused: {found['refused']}")
             if found.get("id") == self._id:
                 return found
-        raise RtecError(self._silence())
+
+    def _read(self) -> dict[str, Any]:
+        while b"\n" not in self._received:
+            try:
+                data = self._socket.recv(65536)
+            except OSError as e:
+                raise RtecError(self._silence()) from e
+            self._received += data
+            if not data or len(self._received) > LARGEST_ANSWER:
+                raise RtecError(self._silence())
+        line, self._received = self._received.split(b"\n", 1)
+        try:
+            return read_answer(line)
+        except RequestError as e:
+            raise RtecError(f"the daemon's answer {e}: is it of another version of rtec?") from e
 
     def _silence(self) -> str:
-        head = f"no answer from {self._place.address} within {self._wait_s:g} s"
-        if self._place.keys is None:
-            return f"{head}: the daemon is busy starting or has just ended; try again"
-        return (
-            f"{head}: does the daemon run, does its [control] say this port, is this key on its list "
-            "(`rtec keys list`), and is the file of the server whose key it was made for?"
-        )
+        if self._process is None:
+            return f"no answer from {self._place}: the daemon is busy, or has just ended; try again"
+        return f"no answer by `{self._place}`: is it allowed there, and does the daemon run? See docs/control.md"
 
 
 def _none(config: Path | None) -> str:
@@ -151,7 +215,7 @@ def _none(config: Path | None) -> str:
 def _several(alive: list[Path]) -> str:
     names = []
     for path in alive:
-        with Client(Place(f"ipc://{path}")) as client:
+        with Client(Place(path)) as client:
             names.append(str(client.status()["config"]))
     return f"{len(alive)} daemons run: name the run file of one: {', '.join(names)}"
 
@@ -210,7 +274,7 @@ def carry_out(client: Client, order: Order, text: str, clock: Clock) -> Outcome:
 def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Outcome | None:
     """What came of it; None: nothing yet."""
     if after["pid"] != before["pid"]:
-        raise RtecError("the daemon was started anew meanwhile; look at `rtec status`")
+        raise RtecError("the daemon was restarted meanwhile; look at `rtec status`")
     status = after["status"]
     count = after["events_total"] - before["events_total"]
     new = [e for e in after["events"][-count:] if e["what"] in _NOTED.get(order, (str(order),))] if count else []

@@ -5,17 +5,17 @@ import secrets
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Protocol
 
-from rtec.control.messages import Request, RequestError, answer, numbers, read_request
-from rtec.control.residual import Left
+from rtec.control.messages import Request, RequestError, Role, answer, numbers, read_request
+from rtec.control.residual import Residual
 from rtec.daemon.status import Status
+from rtec.errors import unforeseen
 from rtec.log.events import Event
 from rtec.loop.clock import Clock
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup
 
-Role = Literal["read", "operate"]
 SESSION_NS: Final = 10_000_000_000
 """An order that was held up for longer is old: whoever gave it has long looked away."""
 SESSIONS: Final = 256
@@ -49,24 +49,31 @@ class Daemon(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass
 class Peer:
-    """Who asks.
+    """Who asks, over one connection.
 
     Attributes:
-        name: stands in the events.
+        name: as the events show it.
         role: what it may.
         line: of its connection; another one after each time that it connects.
+        watches: it is sent the status again and again.
     """
 
     name: str
     role: Role
     line: bytes
+    watches: bool = False
+
+    def lower(self, name: str, role: Role) -> None:
+        """Take another name beside its own, and a role: rights that it has not it does not get by that."""
+        self.name = f"{name} ({self.name})"
+        self.role = "operate" if self.role == role == "operate" else "read"
 
 
 @dataclass
 class Tally:
-    """How often requests were answered, refused, could not be read; and lines that were not let in."""
+    """How often requests were answered, refused, could not be read; and connections that were cut for others."""
 
     answered: int = 0
     refused: int = 0
@@ -97,7 +104,7 @@ class Desk:
         daemon: is told the orders.
         clock: monotonic.
         origin: what does not change while the daemon runs; stands in every status.
-        left: knows what the last measurement says.
+        residual: knows what the last measurement says.
 
     Attributes:
         tally: of everything so far.
@@ -106,7 +113,7 @@ class Desk:
     daemon: Daemon
     clock: Clock
     origin: Mapping[str, Any]
-    left: Left = field(default_factory=lambda: Left(None))
+    residual: Residual = field(default_factory=lambda: Residual(None))
     tally: Tally = field(default_factory=Tally)
     _sessions: OrderedDict[bytes, _Session] = field(default_factory=OrderedDict)
     _tell: _Tell = field(default_factory=_Tell)
@@ -120,13 +127,17 @@ class Desk:
             self.refusal(f"{peer.name}: {e}")
             return answer(None, {"error": str(e)})
         try:
-            content = self._content(request, peer)
+            text = answer(request.id, self._content(request, peer))
         except OrderRefused as e:
             self.tally.refused += 1
             self.refusal(f"{peer.name}: {request.ask}: {e}")
             return answer(request.id, {"refused": str(e)})
+        except Exception as e:  # noqa: BLE001 (a status that cannot be had keeps no order out)
+            self.tally.refused += 1
+            self.refusal(f"{peer.name}: {request.ask}: {unforeseen(e)}")
+            return answer(request.id, {"refused": unforeseen(e)})
         self.tally.answered += 1
-        return answer(request.id, content)
+        return text
 
     def status(self) -> dict[str, Any]:
         """Everything that the daemon tells of itself."""
@@ -137,7 +148,7 @@ class Desk:
         content = {
             **self.origin,
             "model": model.name,
-            "left": self.left.facts(model),
+            "left": self.residual.facts(model),
             "status": facts,
             "status_age_s": age_s,
             "events_total": total,
@@ -157,7 +168,11 @@ class Desk:
         tell.next_ns, tell.kept_back = now_ns + TELL_NS, 0
 
     def _content(self, request: Request, peer: Peer) -> Mapping[str, Any]:
-        if request.ask == "status":
+        if request.ask == "as":
+            peer.lower(request.name, request.role)
+            return {"name": peer.name, "role": peer.role}
+        if request.ask in ("status", "watch"):
+            peer.watches |= request.ask == "watch"
             return self.status()
         if peer.role != "operate":
             raise OrderRefused(f"{peer.name} may read, not operate")

@@ -20,14 +20,14 @@ def well(found: Mapping[str, Any]) -> bool:
 
 
 def axis_rows(found: Mapping[str, Any]) -> list[list[str]]:
-    """Of each axis: name, requested and applied correction, what the last measurement says is left, output, counts."""
-    status, left = found["status"], found["left"]["axes"]
+    """Of each axis: name, requested and applied correction, residual of the last measurement, output, counts."""
+    status, residual = found["status"], found["left"]["axes"]
     return [
         [
             axis,
             um_text(status["requested_um"][axis]),
             um_text(status["applied_um"][axis]),
-            f"{left[axis]['rms_um']:.2f}" if axis in left else "not known",
+            f"{residual[axis]['rms_um']:.2f}" if axis in residual else "not known",
             f"{status['output'][axis]:+d}",
             f"{status['counts'][axis]:d}",
         ]
@@ -77,7 +77,7 @@ def footer(found: Mapping[str, Any]) -> list[str]:
     lines = [f"{status['cycles']} cycles in {lasted}, {status['misses']} deadlines missed"]
     if status["overruns"]:
         lines.append(f"{status['overruns']} rows of this run are in no log; the events say when and why")
-    lines += _left(found["left"])
+    lines += _residual(found["left"])
     if status["reload"]:
         lines.append(status["reload"])
     control = found["control"]
@@ -85,23 +85,23 @@ def footer(found: Mapping[str, Any]) -> list[str]:
     if bad:
         lines.append(
             f"control: {control['refused']} requests refused, {control['malformed']} not understood, "
-            f"{control['not_let_in']} not let in"
+            f"{control['not_let_in']} connections cut to make room"
         )
     return lines
 
 
-def _left(left: Mapping[str, Any]) -> list[str]:
-    """Where the figures of what is left come from; without a comparison, what the model's history says."""
+def _residual(residual: Mapping[str, Any]) -> list[str]:
+    """Where the residuals come from; without a comparison, what the model's history says."""
     lines = [
-        f"left of {axis}: root mean square of {', '.join(of['from'])}; noise {of['noise_um']:.2f} µm"
-        for axis, of in left["axes"].items()
+        f"residual of {axis}: root mean square of {', '.join(of['from'])}; noise {of['noise_um']:.2f} µm"
+        for axis, of in residual["axes"].items()
     ]
-    if left["trouble"]:
-        lines.append(f"left: {left['trouble']}")
-    elif not lines and left["model"]["rms"] is not None:
-        unit = _UNITS.get(left["model"]["unit"], left["model"]["unit"])
+    if residual["trouble"]:
+        lines.append(f"residual: {residual['trouble']}")
+    elif not lines and residual["model"]["rms"] is not None:
+        unit = _UNITS.get(residual["model"]["unit"], residual["model"]["unit"])
         lines.append(
-            f"left by the model: {left['model']['rms']:.2f} {unit} on runs left out of its fit, all axes together"
+            f"residual of the model: {residual['model']['rms']:.2f} {unit} on held-out runs, all axes together"
         )
     return lines
 

@@ -12,14 +12,17 @@ from rtec.loop.orders import LONGEST_TEXT, Order, OrderRefused, order_named
 SCHEMA: Final = 1
 LARGEST_REQUEST: Final = 4096
 """Bytes; a longer one is not read."""
-TOPIC: Final = b"rtec.status"
 _KEYS: Final = {
     "status": {"schema", "ask", "id"},
+    "watch": {"schema", "ask", "id"},
+    "as": {"schema", "ask", "id", "name", "role"},
     "session": {"schema", "ask", "id"},
     "order": {"schema", "ask", "id", "session", "seq", "order", "text"},
 }
 _SESSION: Final = re.compile("[0-9a-f]{32}")
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
 _LARGEST: Final = 2**53
+Role = Literal["read", "operate"]
 
 
 class RequestError(ValueError):
@@ -34,14 +37,17 @@ class Request:
         ask: what for.
         id: comes back with the answer; None: none was given.
         session, seq, order, text: of an order.
+        name, role: of whoever asks from now on.
     """
 
-    ask: Literal["status", "session", "order"]
+    ask: Literal["status", "watch", "as", "session", "order"]
     id: int | None = None
     session: str = ""
     seq: int = 0
     order: Order = Order.MARK
     text: str = ""
+    name: str = ""
+    role: Role = "read"
 
 
 def read_request(message: bytes) -> Request:
@@ -58,8 +64,10 @@ def read_request(message: bytes) -> Request:
     if unknown:
         raise RequestError(f"unknown key {unknown[0][:40]!r}")
     number = _integer(data, "id") if "id" in data else None
+    if ask == "as":
+        return Request("as", number, name=name_of(data.get("name")), role=_role(data))
     if ask != "order":
-        return Request("status" if ask == "status" else "session", number)
+        return Request(ask, number)  # type: ignore[arg-type]
     return Request("order", number, _session(data), _integer(data, "seq"), _order(data), _text(data))
 
 
@@ -86,6 +94,17 @@ def read_answer(message: bytes) -> dict[str, Any]:
 def may_be_text(value: str) -> bool:
     """May it go with an order? In logs and terminals control characters do things; half a surrogate breaks a file."""
     return len(value) <= LONGEST_TEXT and value.isprintable()
+
+
+def name_of(value: object) -> str:
+    """Give the name of a client, if it is one.
+
+    Raises:
+        RequestError: it is none.
+    """
+    if not isinstance(value, str) or not _NAME.fullmatch(value):
+        raise RequestError("'name' must have letters, digits, '.', '-' and '_', at most 40")
+    return value
 
 
 def numbers(value: Any) -> Any:
@@ -117,6 +136,13 @@ def _integer(data: Mapping[str, Any], key: str) -> int:
     if type(value) is not int or not 0 <= value <= _LARGEST:
         raise RequestError(f"{key!r} must be an integer from 0 to 2^53")
     return value
+
+
+def _role(data: Mapping[str, Any]) -> Role:
+    role = data.get("role")
+    if role not in ("read", "operate"):
+        raise RequestError("'role' must be 'read' or 'operate'")
+    return "read" if role == "read" else "operate"
 
 
 def _session(data: Mapping[str, Any]) -> str:

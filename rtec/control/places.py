@@ -1,6 +1,6 @@
-"""Local sockets of a running daemon: where they are, how they are made so that nobody else can use them.
+"""The local socket of a running daemon: where it is, how it is made so that nobody else can use it.
 
-They lie beside the state in memory (`rtec.loop.state_files`), under its name.
+It lies beside the state in memory (`rtec.loop.state_files`), under its name.
 """
 
 import os
@@ -15,7 +15,7 @@ from typing import Final
 from rtec.errors import RtecError
 from rtec.loop.state_files import state_places
 
-ORDERS, STATUS = ".control", ".telemetry"
+ORDERS: Final = ".control"
 MODES: Final = {"user": 0o600, "group": 0o660}
 LONGEST_PATH: Final = 107
 """Of a Unix socket's address on Linux."""
@@ -31,12 +31,12 @@ class LocalSocket:
 
     Attributes:
         path: its file.
-        fd: its descriptor; whoever takes it closes it.
+        socket: whoever takes it closes it.
         inode: of the file, as long as it is this socket's.
     """
 
     path: Path
-    fd: int
+    socket: socket.socket
     inode: int
 
     def remove(self) -> None:
@@ -46,14 +46,13 @@ class LocalSocket:
                 self.path.unlink()
 
 
-def socket_path(config: Path, suffix: str) -> Path:
+def socket_path(config: Path) -> Path:
     """Give the place of a daemon's local socket, for the user that calls this.
 
     Args:
         config: its run file.
-        suffix: `ORDERS` or `STATUS`.
     """
-    return state_places(config, None).memory.with_suffix(suffix)
+    return state_places(config, None).memory.with_suffix(ORDERS)
 
 
 def listen(path: Path, access: str) -> LocalSocket:
@@ -75,16 +74,17 @@ def listen(path: Path, access: str) -> LocalSocket:
         )
     if answers(path):
         raise RtecError(f"another rtec runs with this run file ({path} answers): end that one first")
-    with socket.socket(socket.AF_UNIX) as made:
+    made = socket.socket(socket.AF_UNIX)
+    try:
         # Before it has a name: no instant in which somebody else could connect.
         os.fchmod(made.fileno(), MODES[access])
-        try:
-            path.unlink(missing_ok=True)
-            made.bind(str(path))
-            made.listen(BACKLOG)
-        except OSError as e:
-            raise RtecError(f"control socket {path}: cannot be made: {e.strerror}") from e
-        return LocalSocket(path, os.dup(made.fileno()), path.lstat().st_ino)
+        path.unlink(missing_ok=True)
+        made.bind(str(path))
+        made.listen(BACKLOG)
+        return LocalSocket(path, made, path.lstat().st_ino)
+    except OSError as e:
+        made.close()
+        raise RtecError(f"control socket {path}: cannot be made: {e.strerror}") from e
 
 
 def answers(path: Path) -> bool:
@@ -108,7 +108,7 @@ def answers(path: Path) -> bool:
 
 def of_config(config: Path) -> list[Path]:
     """Sockets for orders that a daemon with this run file would have, this user's first; they may be left behind."""
-    own = socket_path(config, ORDERS)
+    own = socket_path(config)
     name = own.name.split(".", maxsplit=2)[2]
     return sorted(_found(f"rtec.*.{name}"), key=lambda p: (p.name != own.name, str(p)))
 
@@ -121,7 +121,7 @@ def all_of() -> list[Path]:
 
 def _found(pattern: str) -> Iterator[Path]:
     """Files of that name whose owner is who the name says: in a folder for all, anybody can make any name."""
-    for folder in {socket_path(Path(), ORDERS).parent, _SHM, *_service_folders()}:
+    for folder in {socket_path(Path()).parent, _SHM, *_service_folders()}:
         with suppress(OSError):
             for path in folder.glob(pattern):
                 found = path.lstat()

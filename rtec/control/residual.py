@@ -1,7 +1,7 @@
-"""What the last measurement says is left, axis by axis: the third of the three numbers that stand in every status.
+"""Residual of the last measurement, axis by axis: the third of the three numbers in every status.
 
-The daemon cannot know it: it measures nothing. What it shows is what `rtec compare --json` said last, in a file that
-the run file names; without one, what the model's own history says of runs that were left out of its fit.
+The daemon cannot know it: it measures nothing. It shows what `rtec compare --json` reported last, in a file that
+the run file names; without one, what the model's own history says of held-out runs.
 """
 
 import math
@@ -42,14 +42,14 @@ class _Compared(BaseModel):
 
 @dataclass(frozen=True)
 class _Read:
-    """What stood in the file when it was looked at: its stamp, the comparison, or what is wrong with it."""
+    """Content of the file when it was looked at: its stamp, the comparison, or what is wrong with it."""
 
     stamp: tuple[int, int, int] | None = None
     compared: _Compared | None = None
     trouble: str = ""
 
 
-class Left:
+class Residual:
     """Reads the comparison again whenever its file has changed; asked from several threads.
 
     Args:
@@ -64,7 +64,7 @@ class Left:
         read = self._look()
         found, trouble = read.compared, read.trouble
         if found is not None and found.model != model.name:
-            trouble = f"{self._path}: compares model {found.model!r}, and {model.name!r} runs: compare anew"
+            trouble = f"{self._path}: compares model {found.model!r}, and {model.name!r} runs: compare again"
             found = None
         axes = {} if found is None else _by_axis(found.measurements, model.machine)
         return {"axes": axes, "model": _of_history(model), "trouble": trouble}
@@ -124,7 +124,7 @@ def _pooled(sizes: list[tuple[int, float]]) -> float:
 
 
 def _of_history(model: Model) -> dict[str, Any]:
-    """What the newest entry that says it says: left on runs that were left out of the fit."""
+    """What the newest entry that says it says: residual on held-out runs."""
     for entry in reversed(model.history):
         rms = _number(entry, "rms_after", "rms_held_out")
         if rms is not None:

@@ -1,151 +1,135 @@
-"""Control and telemetry: a thread in the supervisor's process that answers clients and publishes the status.
+"""Control of a running daemon: a thread of the supervisor's process that answers clients and publishes the status.
 
-The loop is another process; all that it ever sees of this are the orders that the supervisor hands on. A client can be
-slow, dead, or talk nonsense: nothing here waits for it, keeps more than a few messages for it, or reads faster than
-some thousand messages a second.
-
-The daemon's ZeroMQ sockets: made so that nothing that goes on at the other end can make it wait or grow.
+The loop is another process; all that it ever sees of this are the orders that the supervisor hands on. Clients speak
+lines of JSON through a local socket; Prometheus asks by HTTP. A client can be slow, dead or hostile: connections, bytes
+and requests are limited, nobody waits for anybody, and a new client always finds room.
 """
 
+import asyncio
 import os
 import pwd
+import socket
+import struct
 import threading
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass
-from pathlib import Path
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
 from types import TracebackType
 from typing import Any, Final, Self
 
-import zmq
-
 from rtec.control.desk import Daemon, Desk, Peer
-from rtec.control.keys import CLIENTS, AllowList, Door, Pair, read_server
-from rtec.control.messages import LARGEST_REQUEST, TOPIC, answer
-from rtec.control.places import ORDERS, STATUS, LocalSocket, answers, listen, socket_path
-from rtec.control.prometheus import Endpoint
-from rtec.control.residual import Left
-from rtec.errors import ConfigError
+from rtec.control.messages import LARGEST_REQUEST, answer
+from rtec.control.places import LocalSocket, answers, listen, socket_path
+from rtec.control.prometheus import http_answer
+from rtec.control.residual import Residual
+from rtec.errors import ConfigError, unforeseen
 from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.run_file import Setup
 
-QUEUED: Final = 64
-"""Messages that wait at most, in either direction, for each client."""
-DOMAIN: Final = b"rtec"
-HANDSHAKE_MS: Final = 5000
-
-
-@dataclass(frozen=True)
-class Incoming:
-    """A message.
-
-    Attributes:
-        line: of its connection, as the socket calls it.
-        content: its last part.
-        key: public key of the client, over the network; "" on this computer.
-        address: of the other end, as libzmq says it.
-    """
-
-    line: bytes
-    content: bytes
-    key: str
-    address: str
-
-
-def local_socket(context: Any, kind: int, local: LocalSocket) -> Any:
-    """A socket at a file that listens already."""
-    made = _socket(context, kind)
-    made.setsockopt(zmq.USE_FD, os.dup(local.fd))  # closed with the socket
-    made.bind(f"ipc://{local.path}")
-    return made
-
-
-def network_socket(context: Any, kind: int, place: str, pair: Pair) -> Any:
-    """A socket on the network, CURVE only.
-
-    Raises:
-        ConfigError: the place cannot be had.
-    """
-    made = _socket(context, kind)
-    made.curve_server = True
-    made.curve_publickey, made.curve_secretkey = pair.public.encode(), pair.secret.encode()
-    made.zap_domain = DOMAIN
-    made.ipv6 = "[" in place
-    try:
-        made.bind(f"tcp://{place}")
-    except zmq.ZMQError as e:
-        made.close(0)
-        raise ConfigError(f"[control] {place}: cannot listen there: {e.strerror}") from e
-    return made
-
-
-def failed_handshakes(context: Any, socket: Any) -> Any:
-    """A socket that gets a message for every connection that ended before anybody's key could be looked at.
-
-    Such a client has no key, or speaks with the key of another server: libzmq asks nobody about it (ZAP), it hangs up.
-    """
-    place = f"inproc://rtec-failed-{id(socket):x}"
-    socket.monitor(place, zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL)
-    made = context.socket(zmq.PAIR)
-    made.linger = 0
-    made.rcvhwm = 0  # libzmq's own thread would wait where there is no room
-    made.connect(place)
-    return made
-
-
-def receive(socket: Any) -> Incoming | None:
-    """Take a message; None where none waits."""
-    try:
-        frames = socket.recv_multipart(zmq.NOBLOCK, copy=False)
-    except zmq.ZMQError:
-        return None
-    last = frames[-1]
-    return Incoming(
-        bytes(frames[0].buffer), bytes(last.buffer), _property(last, "User-Id"), _property(last, "Peer-Address")
-    )
-
-
-def drain(socket: Any) -> int:
-    """Throw away all that waits; give how many messages that were."""
-    count = 0
-    while True:
-        try:
-            socket.recv_multipart(zmq.NOBLOCK)
-        except zmq.ZMQError:
-            return count
-        count += 1
-
-
-def send(socket: Any, *frames: bytes) -> None:
-    """Send, or let it be where there is no room: nobody is waited for."""
-    try:
-        socket.send_multipart(frames, zmq.NOBLOCK)
-    except zmq.ZMQError:
-        return
-
-
-def _socket(context: Any, kind: int) -> Any:
-    made = context.socket(kind)
-    made.linger = 0
-    made.sndhwm = made.rcvhwm = QUEUED
-    made.maxmsgsize = LARGEST_REQUEST
-    made.handshake_ivl = HANDSHAKE_MS
-    made.heartbeat_ivl, made.heartbeat_timeout = 5000, 15000
-    made.tcp_keepalive = 1
-    return made
-
-
-def _property(frame: Any, name: str) -> str:
-    try:
-        return str(frame.get(name))
-    except zmq.ZMQError:
-        return ""
-
-
-AT_ONCE: Final = 50
-BREATH_NS: Final = 10_000_000
-"""Rest after so many messages at once: the supervisor's own work comes first."""
+MOST_CONNECTIONS: Final = 256
+"""To the local socket. One more, and the one that has been idle for longest is closed, of whoever has most."""
+MOST_SCRAPES: Final = 16
+"""Connections of Prometheus at a time; the same rule."""
+REQUEST_NS: Final = 2_000_000
+"""Requests and new connections of all clients together are taken no faster than this, one behind the other."""
+BURST_NS: Final = 50_000_000
+"""So far ahead of that pace may they be."""
+LARGEST_BUFFER: Final = 65536
+"""Bytes that wait for a client that does not read."""
+SLOW_S: Final = 5.0
+"""A client that does not take its answer within this time is cut off; so is an HTTP request that is not whole."""
 END_S: Final = 2.0
 ENDING_NS: Final = 2_000_000_000
+LOOK_NS: Final = 10_000_000
+FULL_S: Final = 0.1
+"""Rest where the process has no file descriptors left."""
+_CREDENTIALS: Final = struct.Struct("3i")
+
+
+Serve = Callable[["Line", asyncio.StreamReader], Awaitable[None]]
+
+
+@dataclass(eq=False)
+class Line:
+    """One connection.
+
+    Attributes:
+        socket: of it.
+        uid, pid: user and process at the other end; -1 where the kernel does not say.
+        used_ns: when it was last of use.
+        writer: its stream; None before it is served.
+        peer: what the desk knows of it.
+        task: serves it.
+    """
+
+    socket: socket.socket
+    uid: int
+    pid: int
+    used_ns: int
+    writer: asyncio.StreamWriter | None = None
+    peer: Peer = field(default_factory=lambda: Peer("", "read", b""))
+    task: asyncio.Task[None] | None = None
+
+    def end(self) -> None:
+        """Have it served no more."""
+        if self.task is not None:
+            self.task.cancel()
+
+    def close(self) -> None:
+        """Close it; what waits for it is thrown away."""
+        if self.writer is not None:
+            self.writer.transport.abort()
+        else:
+            self.socket.close()
+
+
+class Pace:
+    """Lets one after the other through, at a steady pace, with some grace.
+
+    Args:
+        clock: monotonic.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._due_ns = clock, 0
+
+    async def turn(self) -> None:
+        """Wait for one's turn."""
+        now_ns = self._clock.now_ns()
+        self._due_ns = max(self._due_ns, now_ns) + REQUEST_NS
+        await asyncio.sleep(max(0, self._due_ns - now_ns - BURST_NS) * 1e-9)
+
+
+class Guests:
+    """The connections of one listening socket, never more than a number.
+
+    Args:
+        most: that number.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most, self.lines = most, list[Line]()
+
+    def admit(self, line: Line) -> Line | None:
+        """Take one in; give the one that has to go for it: idle for longest, of the process and user with most."""
+        self.lines.append(line)
+        if len(self.lines) <= self._most:
+            return None
+        users = Counter(one.uid for one in self.lines)
+        processes = Counter((one.uid, one.pid) for one in self.lines)
+        goes = max(
+            self.lines[:-1], key=lambda one: (users[one.uid], processes[one.uid, one.pid], line.used_ns - one.used_ns)
+        )
+        self.lines.remove(goes)
+        return goes
+
+    def leave(self, line: Line) -> None:
+        """Forget one, which may have had to go already, and close it."""
+        with suppress(ValueError):
+            self.lines.remove(line)
+        line.close()
 
 
 class Control:
@@ -157,147 +141,177 @@ class Control:
         clock: monotonic.
 
     Raises:
-        RtecError: on entering: a socket cannot be had, or keys cannot be read.
+        RtecError: on entering: a socket cannot be had.
     """
 
     def __init__(self, setup: Setup, daemon: Daemon, clock: Clock) -> None:
-        self._setup, self._table, self._clock = setup, setup.file.control, clock
+        self._setup, self._table, self._clock, self._daemon = setup, setup.file.control, clock, daemon
         compared = None if self._table.compared is None else setup.base / self._table.compared
-        self.desk = Desk(daemon, clock, _origin(setup), Left(compared))
-        self._daemon = daemon
-        self._stop = threading.Event()
+        self.desk = Desk(daemon, clock, _origin(setup), Residual(compared))
+        self.guests, self.scrapes = Guests(MOST_CONNECTIONS), Guests(MOST_SCRAPES)
+        self._local: LocalSocket | None = None
+        self._http: socket.socket | None = None
         self._thread = threading.Thread(target=self._work, name="rtec-control", daemon=True)
-        self._locals: list[LocalSocket] = []
-        self._routers: list[Any] = []
-        self._publishers: list[Any] = []
-        self._failed: list[Any] = []
-        self._door: Door | None = None
-        self._allowed: AllowList | None = None
-        self._told = ""
-        self._endpoint = ExitStack()
+        self._events: asyncio.AbstractEventLoop | None = None
+        self._stop = asyncio.Event()
+        self._pace, self._number = Pace(clock), 0
 
     def __enter__(self) -> Self:
-        self._context = zmq.Context(io_threads=1)
         try:
             if self._table.local:
-                self._open_local()
+                path = socket_path(self._setup.path)
+                self._until_free(path)
+                self._local = listen(path, self._table.access)
             if self._table.prometheus is not None:
-                self._endpoint.enter_context(Endpoint(self._table.prometheus, self.desk.status))
-            if self._table.keys is not None:
-                self._open_network(self._setup.base / self._table.keys)
+                self._http = _loopback(self._table.prometheus)
         except BaseException:
             self._close()
             raise
-        if self._routers or self._publishers:
+        if self._local is not None or self._http is not None:
             self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stop.set()
+        if self._events is not None:
+            with suppress(RuntimeError):  # it has ended by itself
+                self._events.call_soon_threadsafe(self._stop.set)
         if self._thread.is_alive():
             self._thread.join(END_S)
-        if self._thread.is_alive():  # it still uses the sockets; they go with the process
-            return
         self._close()
 
-    def _open_local(self) -> None:
-        for suffix, kind, sockets in ((ORDERS, zmq.ROUTER, self._routers), (STATUS, zmq.PUB, self._publishers)):
-            path = socket_path(self._setup.path, suffix)
-            self._until_free(path)
-            local = listen(path, self._table.access)
-            self._locals.append(local)
-            sockets.append(local_socket(self._context, kind, local))
-
-    def _until_free(self, path: Path) -> None:
+    def _until_free(self, path: Any) -> None:
         """A daemon that is just ending gets two seconds for it, as for its state."""
         last_ns = self._clock.now_ns() + ENDING_NS
         while answers(path) and self._clock.now_ns() < last_ns:
-            self._clock.sleep_until_ns(self._clock.now_ns() + BREATH_NS)
-
-    def _open_network(self, folder: Path) -> None:
-        pair, self._allowed = read_server(folder), AllowList(folder / CLIENTS)
-        self._door = Door(self._context, self._allowed)
-        wanted = ((self._table.tcp, zmq.ROUTER, self._routers), (self._table.tcp_status, zmq.PUB, self._publishers))
-        for place, kind, sockets in wanted:
-            if place is not None:
-                made = network_socket(self._context, kind, place, pair)
-                self._failed.append(failed_handshakes(self._context, made))
-                sockets.append(made)
+            self._clock.sleep_until_ns(self._clock.now_ns() + LOOK_NS)
 
     def _close(self) -> None:
-        self._endpoint.close()
-        self._context.destroy(linger=0)
-        for local in self._locals:
-            local.remove()
-            os.close(local.fd)
-        self._locals = []
+        if self._local is not None:
+            self._local.remove()
+            self._local.socket.close()
+        if self._http is not None:
+            self._http.close()
 
     def _work(self) -> None:
-        poller = zmq.Poller()
-        for socket in (*self._routers, *self._failed, *([self._door.socket] if self._door else [])):
-            poller.register(socket, zmq.POLLIN)
-        period_ns = round(1e9 / self._table.status_hz)
-        next_ns = self._clock.now_ns()
-        while not self._stop.is_set():
-            left_ms = max(0, (next_ns - self._clock.now_ns()) // 1_000_000)
-            ready = dict(poller.poll(min(left_ms + 1, 100)))
-            if self._door is not None and self._door.socket in ready:
-                self._let_in(self._door)
-            for socket in self._failed:
-                if socket in ready and (count := drain(socket)):
-                    self.desk.tally.not_let_in += count
-                    self.desk.refusal("a connection over the network without a key, or for another server's key")
-            answered = [self._answer(socket) for socket in self._routers if socket in ready]
-            if AT_ONCE in answered:
-                self._clock.sleep_until_ns(self._clock.now_ns() + BREATH_NS)
-            if self._clock.now_ns() >= next_ns:
-                self._publish()
-                next_ns = max(next_ns + period_ns, self._clock.now_ns())
+        asyncio.run(self._serve())
 
-    def _let_in(self, door: Door) -> None:
-        door.serve()
-        for address in door.turned_away:
-            self.desk.tally.not_let_in += 1
-            self.desk.refusal(f"{address}: its key is not on the list")
+    async def _serve(self) -> None:
+        self._events = asyncio.get_running_loop()
+        tasks: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
+        if self._local is not None:
+            tasks.append(asyncio.create_task(self._accept(self._local.socket, self.guests, self._talk)))
+            tasks.append(asyncio.create_task(self._publish()))
+        if self._http is not None:
+            tasks.append(asyncio.create_task(self._accept(self._http, self.scrapes, self._scrape)))
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
 
-    def _answer(self, socket: Any) -> int:
-        """Answer what waits at a socket, up to a number; give how many."""
-        for k in range(AT_ONCE):
-            if (incoming := receive(socket)) is None:
-                return k
-            peer = self._peer(socket, incoming)
-            if peer is None:
+    async def _accept(self, listener: socket.socket, guests: Guests, serve: Serve) -> None:
+        listener.setblocking(False)
+        pace = Pace(self._clock)
+        while True:
+            await pace.turn()
+            try:
+                accepted, _ = await asyncio.get_running_loop().sock_accept(listener)
+            except OSError as e:  # out of files, or whoever came has left
+                self.desk.refusal(f"a connection that cannot be taken: {e.strerror}")
+                await asyncio.sleep(FULL_S)
+                continue
+            line = Line(accepted, *_whose(accepted), self._clock.now_ns())
+            if (goes := guests.admit(line)) is not None:
                 self.desk.tally.not_let_in += 1
-                send(socket, incoming.line, b"", answer(None, {"refused": "this key is not on the list any more"}))
-            else:
-                send(socket, incoming.line, b"", self.desk.answer(incoming.content, peer))
-        return AT_ONCE
+                self.desk.refusal(f"more than {len(guests.lines)} connections, most of them of {_user(goes.uid)}")
+                goes.end()
+            line.task = asyncio.create_task(self._serve_line(line, serve))
+            line.task.add_done_callback(partial(_left, guests, line))
 
-    def _peer(self, socket: Any, incoming: Incoming) -> Peer | None:
-        if self._table.local and socket is self._routers[0]:
-            return Peer(_user(incoming.address), "operate", b"local " + incoming.line)
-        found = self._allowed.find(incoming.key) if self._allowed is not None else None
-        return None if found is None else Peer(found[0], found[1], incoming.key.encode() + incoming.line)
+    async def _serve_line(self, line: Line, serve: Serve) -> None:
+        """Serve a connection to its end; whatever goes wrong with it ends it and nothing else."""
+        try:
+            reader, line.writer = await asyncio.open_connection(sock=line.socket, limit=LARGEST_REQUEST)
+            line.writer.transport.set_write_buffer_limits(LARGEST_BUFFER)
+            await serve(line, reader)
+        except (OSError, TimeoutError, EOFError, asyncio.LimitOverrunError):
+            return  # it left, or is cut off
+        except Exception as e:  # noqa: BLE001 (one client's fault is no other's)
+            self.desk.refusal(unforeseen(e))
 
-    def _publish(self) -> None:
-        if self._allowed is not None and self._allowed.trouble != self._told:
-            self._told = self._allowed.trouble
-            self._daemon.note("control", self._told or "the list of clients can be read again")
-        if not self._publishers:
-            return
-        message = answer(None, self.desk.status())
-        for socket in self._publishers:
-            send(socket, TOPIC, message)
+    async def _talk(self, line: Line, reader: asyncio.StreamReader) -> None:
+        self._number += 1
+        line.peer = Peer(_user(line.uid), "operate", b"%d" % self._number)
+        while True:
+            try:
+                message = await reader.readuntil(b"\n")
+            except asyncio.LimitOverrunError:
+                message = b" " * (LARGEST_REQUEST + 1)
+            await self._pace.turn()
+            line.used_ns = self._clock.now_ns()
+            await self._send(line, self.desk.answer(message, line.peer) + b"\n")
+            if len(message) > LARGEST_REQUEST:
+                return
+
+    async def _scrape(self, line: Line, reader: asyncio.StreamReader) -> None:
+        async with asyncio.timeout(SLOW_S):
+            head = await reader.readuntil(b"\r\n\r\n")
+        await self._pace.turn()
+        await self._send(line, http_answer(head, self.desk.status))
+        if line.writer is not None:
+            line.writer.write_eof()
+            async with asyncio.timeout(SLOW_S):
+                await reader.read(1)  # until it has taken all of it and hangs up
+
+    async def _send(self, line: Line, text: bytes) -> None:
+        if line.writer is not None:
+            line.writer.write(text)
+            async with asyncio.timeout(SLOW_S):
+                await line.writer.drain()
+
+    async def _publish(self) -> None:
+        """Send the status to those who watch; one that has not taken the last one is passed over."""
+        while True:
+            await asyncio.sleep(1.0 / self._table.status_hz)
+            watching = [one for one in self.guests.lines if one.peer.watches and one.writer is not None]
+            if not watching:
+                continue
+            try:
+                text = answer(None, self.desk.status()) + b"\n"
+            except Exception as e:  # noqa: BLE001 (orders get through all the same)
+                self.desk.refusal(unforeseen(e))
+                continue
+            for line in watching:
+                if line.writer is not None and line.writer.transport.get_write_buffer_size() == 0:
+                    line.writer.write(text)
+                    line.used_ns = self._clock.now_ns()
 
 
-def _user(address: str) -> str:
-    """Name of the user at the other end of a local socket; libzmq tells ":uid:gid:pid"."""
-    parts = address.split(":")
-    with suppress(ValueError, KeyError, IndexError):
-        return pwd.getpwuid(int(parts[-3])).pw_name
-    return "local"
+def _left(guests: Guests, line: Line, task: asyncio.Task[None]) -> None:
+    del task
+    guests.leave(line)
+
+
+def _loopback(place: str) -> socket.socket:
+    host, port = place.rsplit(":", 1)
+    try:
+        return socket.create_server((host, int(port)))
+    except OSError as e:
+        raise ConfigError(f"[control] prometheus {place}: cannot listen there: {e.strerror}") from e
+
+
+def _whose(accepted: socket.socket) -> tuple[int, int]:
+    """User and process at the other end of a local socket."""
+    if accepted.family != socket.AF_UNIX:
+        return -1, -1
+    pid, uid, _ = _CREDENTIALS.unpack(accepted.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    return uid, pid
+
+
+def _user(uid: int) -> str:
+    with suppress(KeyError):
+        return pwd.getpwuid(uid).pw_name
+    return "local" if uid < 0 else f"user {uid}"
 
 
 def _origin(setup: Setup) -> dict[str, Any]:

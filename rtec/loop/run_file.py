@@ -26,15 +26,12 @@ LOOPBACK: Final = re.compile(r"(127\.\d{1,3}\.\d{1,3}\.\d{1,3}|localhost):\d{1,5
 
 
 class ControlTable(Strict):
-    """Sockets of the daemon. The local ones are files beside the state; what leaves them needs keys.
+    """Sockets of the daemon. None of them leaves this computer; who comes by the network comes by ssh.
 
     Attributes:
         local: answer on this computer, by a socket that file permissions guard.
         access: who may use it: "user" (the one that the daemon runs as, and root) or "group" (its group, too).
-        status_hz: how often the status is published.
-        tcp: "host:port" at which clients with a key are answered; not given: nothing listens on the network.
-        tcp_status: "host:port" at which the status is published to clients with a key.
-        keys: folder made by `rtec keys server`; needed with `tcp` or `tcp_status`.
+        status_hz: how often the status is sent to clients that watch it.
         prometheus: "host:port" of this computer at which Prometheus reads figures; not given: nothing listens.
         compared: file with what `rtec compare --json` printed last; what it says is left stands in the status.
     """
@@ -42,24 +39,26 @@ class ControlTable(Strict):
     local: bool = True
     access: Literal["user", "group"] = "user"
     status_hz: Annotated[float, Field(ge=0.1, le=50)] = 10.0
-    tcp: str | None = None
-    tcp_status: str | None = None
-    keys: Path | None = None
     prometheus: str | None = None
     compared: Path | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _gone(cls, data: Any) -> Any:
+        gone = sorted({"tcp", "tcp_status", "keys"} & set(data)) if isinstance(data, dict) else []
+        if gone:
+            raise ValueError(
+                f"{', '.join(gone)}: the daemon itself is not on the network any more; clients come by ssh: "
+                "take this out, and see docs/control.md"
+            )
+        return data
+
     @model_validator(mode="after")
     def _places(self) -> Self:
-        for name, place in (("tcp", self.tcp), ("tcp_status", self.tcp_status), ("prometheus", self.prometheus)):
-            if not isinstance(place, str):
-                continue
-            match = PLACE.fullmatch(place)
+        if self.prometheus is not None:
+            match = PLACE.fullmatch(self.prometheus)
             if match is None or not 0 < int(match["port"]) < 65536:
-                raise ValueError(f'{name}: {place!r} is not "host:port"')
-            if self.keys is None and name != "prometheus":
-                raise ValueError(f"{name} needs keys: make them with `rtec keys server FOLDER`, name the folder here")
-        if self.tcp is not None and self.tcp == self.tcp_status:
-            raise ValueError("tcp and tcp_status need different ports")
+                raise ValueError(f'prometheus: {self.prometheus!r} is not "host:port"')
         if self.prometheus is not None and not LOOPBACK.fullmatch(self.prometheus):
             raise ValueError(
                 f'prometheus: {self.prometheus!r} is not "127.0.0.1:PORT" or "localhost:PORT": it asks for no key, '

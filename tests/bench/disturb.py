@@ -3,25 +3,24 @@ a hundred subscribers."""
 
 import json
 import os
+import selectors
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import zmq
-
-from rtec.control.messages import TOPIC
-from rtec.control.places import STATUS, socket_path
 from rtec.daemon.supervisor import Supervisor
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup
 from tests.bench.table import Row
 from tests.support import setups
+from tests.support.control_rig import Line
 
 SECONDS = 10.0
 DISTURBED_S = 5.0
@@ -90,30 +89,25 @@ def _subscribed(folder: Path) -> Facts:
 
     def disturb(config: Path, pid: int) -> str:
         del pid
-        heard, count = _listen(f"ipc://{socket_path(config, STATUS)}")
+        heard, count = _listen(config)
         return f"; {heard} subscribers heard {count} statuses"
 
     return _elsewhere(folder, disturb)
 
 
-def _listen(address: str) -> tuple[int, int]:
+def _listen(config: Path) -> tuple[int, int]:
     """Attach; give how many heard anything, and how many statuses all of them heard together."""
-    clock, context, heard = RealClock(), zmq.Context(), [0] * SUBSCRIBERS
-    poller, numbers = zmq.Poller(), dict[Any, int]()
-    try:
+    clock, heard = RealClock(), [0] * SUBSCRIBERS
+    with ExitStack() as opened, selectors.DefaultSelector() as ready:
         for k in range(SUBSCRIBERS):
-            made: Any = context.socket(zmq.SUB)
-            made.subscribe(TOPIC)
-            made.connect(address)
-            poller.register(made, zmq.POLLIN)
-            numbers[made] = k
+            line = opened.enter_context(Line.to(config))
+            line.send(b'{"schema":1,"ask":"watch"}')
+            ready.register(line.socket, selectors.EVENT_READ, k)
         last_ns = clock.now_ns() + round(DISTURBED_S * 1e9)
         while clock.now_ns() < last_ns:
-            for socket, _ in poller.poll(100):
-                socket.recv_multipart()
-                heard[numbers[socket]] += 1
-    finally:
-        context.destroy(linger=0)
+            for key, _ in ready.select(0.1):
+                assert isinstance(key.fileobj, socket.socket)
+                heard[key.data] += key.fileobj.recv(65536).count(b"\n")
     return sum(n > 0 for n in heard), sum(heard)
 
 

@@ -12,7 +12,7 @@ from rtec.errors import ConfigError
 from tests import fuzz
 
 KINDS = (
-    *("requests", "expressions", "comparisons", "lists of clients"),
+    *("requests", "expressions", "comparisons"),
     *("run files", "run files, whole", "machine files", "model files"),
 )
 

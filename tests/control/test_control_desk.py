@@ -72,11 +72,12 @@ def test_sessions_and_refusals_take_no_more_room_however_many_come(daemon: FakeD
         (b"{}", "'schema' must be 1"),
         (b'{"schema":true,"ask":"status"}', "'schema' must be 1"),
         (b'{"schema":2,"ask":"status"}', "'schema' must be 1"),
-        (b'{"schema":1}', "'ask' must be one of status, session, order"),
+        (b'{"schema":1}', "'ask' must be one of status, watch, as, session, order"),
         (b'{"schema":1,"ask":["status"]}', "'ask' must be"),
         (b'{"schema":1,"ask":"status","order":"hold"}', "unknown key 'order'"),
         (b'{"schema":1,"ask":"status","id":1.0}', "'id' must be an integer"),
         (b'{"schema":1,"ask":"order"}', "'session' must be"),
+        (b'{"schema":1,"ask":"as","name":"cell","role":"root"}', "'role' must be 'read' or 'operate'"),
         (b'{"schema":1,"ask":"status","x":"' + b"a" * LARGEST_REQUEST + b'"}', "longer than 4096 bytes"),
     ],
 )
@@ -102,7 +103,7 @@ _likely = st.fixed_dictionaries(
     {},
     optional={
         "schema": st.just(1) | _json,
-        "ask": st.sampled_from(["status", "session", "order"]) | _json,
+        "ask": st.sampled_from(["status", "watch", "as", "session", "order"]) | _json,
         "id": st.integers(0, 9) | _json,
         "session": st.just("0" * 32) | _json,
         "seq": st.integers(0, 9) | _json,

@@ -1,4 +1,4 @@
-"""What `rtec status` and `rtec keys` print.
+"""What `rtec status` prints.
 
 Oracles: the figures that went in; `json`; a real pseudo-terminal for what only a terminal gets.
 """
@@ -9,13 +9,11 @@ import pty
 import sys
 import threading
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, cast
 
 import pytest
 
 from rtec.cli.control import show, watched
-from rtec.cli.main import status
 from rtec.control.client import Client
 from rtec.control.desk import Desk
 from rtec.loop.clock import VirtualClock
@@ -93,37 +91,3 @@ def test_watched_on_a_terminal_the_page_is_drawn_over(desk: Desk, monkeypatch: p
     assert drawn.count(b"mode on:") >= 3
     assert b"\x1b[1A" in drawn
     assert drawn.rstrip().endswith(b"\x1b[?25h")
-
-
-def test_keys_by_the_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Every command in words and as JSON; wrong use is 2 with one message."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*words: str) -> tuple[int, str]:
-        code = status(["keys", *words])
-        said = capsys.readouterr()
-        return code, said.out + said.err
-
-    assert call("list", "keys") == (
-        2,
-        "rtec: keys/clients.toml: no such file; `rtec keys server keys` makes keys and an empty list\n",
-    )
-    code, said = call("server", "keys", "--json")
-    assert (code, len(json.loads(said)["public"])) == (0, 40)
-    assert call("list", "keys") == (0, "nobody is on the list\n")
-    code, said = call("client", "keys", "office")
-    assert code == 0
-    assert said.startswith("office is on the list (read)\noffice.key: take it to the client's computer")
-    code, said = call("client", "keys", "cell", "--role", "operate", "--json")
-    assert json.loads(said) == {"name": "cell", "role": "operate", "file": "cell.key"}
-    code, said = call("list", "keys", "--json")
-    assert {name: found["role"] for name, found in json.loads(said).items()} == {"office": "read", "cell": "operate"}
-    assert call("remove", "keys", "offic") == (
-        2,
-        "rtec: keys/clients.toml: no client 'offic'; did you mean 'office'?\n",
-    )
-    assert call("remove", "keys", "office") == (0, "office is off the list\n")
-    assert call("client", "keys", "x", "--role", "admin")[0] == 2
-    assert "cell: operate, public key " in call("list", "keys")[1]

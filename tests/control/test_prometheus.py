@@ -2,16 +2,20 @@
 
 import http.client
 import re
+import socket
 from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rtec.control.desk import Desk
-from rtec.control.prometheus import Endpoint, metrics
+from rtec.control.prometheus import metrics
+from rtec.control.server import MOST_SCRAPES, Control
 from rtec.errors import ConfigError
-from rtec.loop.clock import VirtualClock
+from rtec.loop.clock import RealClock, VirtualClock
 from rtec.loop.run_file import ControlTable
 from rtec.tomlfile import validated
 from tests.support import setups
@@ -47,29 +51,49 @@ def test_every_line_is_of_the_format_and_has_its_figure(found: dict[str, Any]) -
     assert not [line for line in lines if "nan" in line or ("T_air" in line and "celsius" in line)]
 
 
+def control(folder: Path, place: str) -> Control:
+    setup = setups.setup(folder)
+    file = setup.file.model_copy(update={"control": ControlTable(local=False, prometheus=place)})
+    return Control(replace(setup, file=file), FakeDaemon(setup), RealClock())
+
+
 @pytest.fixture
-def place(found: dict[str, Any]) -> Iterator[str]:
+def place(tmp_path: Path) -> Iterator[str]:
     place = free_place()
-    with Endpoint(place, lambda: found):
+    with control(tmp_path, place):
         yield place
 
 
-def test_by_http(place: str, found: dict[str, Any]) -> None:
+def get(place: str, method: str, path: str) -> tuple[int, str]:
+    connection = http.client.HTTPConnection(place, timeout=20)
+    connection.request(method, path)
+    answer = connection.getresponse()
+    body = answer.read().decode()
+    connection.close()
+    return answer.status, body
+
+
+def test_by_http(place: str, tmp_path: Path) -> None:
     """Only this path, only to be read; the place is taken while it is served."""
-    for method, path, status in (("GET", "/metrics", 200), ("GET", "/", 404), ("POST", "/metrics", 501)):
-        connection = http.client.HTTPConnection(place, timeout=20)
-        connection.request(method, path)
-        answer = connection.getresponse()
-        assert answer.status == status
-        body = answer.read().decode()
-        connection.close()
-        if status == 200:
-            assert body == metrics(found)
-    with pytest.raises(ConfigError, match="cannot listen there"), Endpoint(place, lambda: found):
+    assert [get(place, *what)[0] for what in (("GET", "/"), ("POST", "/metrics"))] == [404, 501]
+    status, body = get(place, "GET", "/metrics")
+    assert status == 200
+    assert [line for line in body.splitlines() if not LINE.fullmatch(line)] == []
+    with pytest.raises(ConfigError, match="cannot listen there"), control(tmp_path, place):
         pass
 
 
-@pytest.mark.parametrize("other", ["0.0.0.0:9464", "192.168.10.5:9464", "mill:9464", "9464"])
+def test_slow_clients_keep_nobody_out(place: str) -> None:
+    """More of them than there are places; each says half a request. Oracle: the scrape behind them."""
+    host, port = place.split(":")
+    with ExitStack() as opened:
+        for _ in range(2 * MOST_SCRAPES):
+            slow = opened.enter_context(socket.create_connection((host, int(port))))
+            slow.sendall(b"GET /metrics HTTP/1.1\r\n")
+        assert get(place, "GET", "/metrics")[0] == 200
+
+
+@pytest.mark.parametrize("other", ["0.0.0.0:9464", "192.168.10.5:9464", "mill:9464", "9464", "127.0.0.1:99999"])
 def test_it_does_not_leave_this_computer(other: str) -> None:
     with pytest.raises(ConfigError, match=r"prometheus: .*(loopback|host:port)"):
         validated(ControlTable, {"prometheus": other}, "run.toml")

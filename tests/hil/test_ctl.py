@@ -10,24 +10,22 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import tomli_w
-import zmq
 
 from rtec.control.client import Client, find
-from rtec.control.keys import add_client, make_server, read_client
-from rtec.control.messages import TOPIC
-from rtec.control.places import ORDERS, STATUS, answers, socket_path
+from rtec.control.places import answers, socket_path
 from rtec.correction.guard import Flag
 from rtec.log.reader import LogReader
 from rtec.loop.clock import RealClock
 from tests.hil.test_run import rtec
 from tests.support import setups
-from tests.support.control_rig import free_place, lock
+from tests.support.control_rig import Line
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 PERIOD_NS = 20_000_000
@@ -51,7 +49,7 @@ class Running:
         last_ns = clock.now_ns() + START_NS
         while clock.now_ns() < last_ns:
             assert self.process.poll() is None, self.process.communicate()[1]
-            if answers(socket_path(self.config, ORDERS)):
+            if answers(socket_path(self.config)):
                 with Client(find(self.config, None, None), wait_s=20.0) as client:
                     if client.status()["status"]["cycles"]:
                         return
@@ -71,11 +69,8 @@ class Running:
 @pytest.fixture
 def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    make_server(tmp_path / "keys")
-    add_client(tmp_path / "keys", "office", "read", None, tmp_path / "office.key")
-    add_client(tmp_path / "keys", "cell", "operate", None, tmp_path / "cell.key")
     content = setups.tables(tmp_path)
-    content["control"] = {"tcp": free_place(), "tcp_status": free_place(), "keys": "keys", "status_hz": 50}
+    content["control"] = {"status_hz": 50}
     running = Running(setups.write(tmp_path, content), tmp_path / "log.arrows")
     try:
         running.until_it_runs()
@@ -134,30 +129,26 @@ def test_every_order_by_the_command_line(daemon: Running) -> None:
     sys.stdout.write(f"deadlines missed: {summary['deadline_misses']} of {summary['cycles']}\n")
 
 
-def test_over_the_network(daemon: Running) -> None:
-    """With the keys of the command line: `office` reads, `cell` operates, the events say who it was."""
-    at = json.loads(rtec("status", daemon.config, "--json").stdout)
-    folder, place = daemon.config.parent, setup_place(daemon.config)
-    by_office = ("--at", place, "--key", folder / "office.key")
-    assert json.loads(rtec("status", *by_office, "--json").stdout)["pid"] == at["pid"]
-    refused = rtec("ctl", "fade", *by_office)
-    assert (refused.returncode, refused.stderr) == (2, "rtec: refused: office may read, not operate\n")
-    assert rtec("ctl", "fade", "--at", place, "--key", folder / "cell.key").returncode == 0
-    assert rtec("keys", "remove", folder / "keys", "cell").returncode == 0
-    shut = rtec("ctl", "enable", "--at", place, "--key", folder / "cell.key")
-    assert shut.returncode == 2
-    assert "is this key on its list" in shut.stderr
+def test_from_another_computer(daemon: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--at` and a program in the place of ssh, which does what sshd does with a key that is bound to a command."""
+    folder = daemon.config.parent
+    ssh = folder / "bin" / "ssh"
+    ssh.parent.mkdir()
+    relay = f"{sys.executable} -m rtec.cli.main ctl relay {daemon.config}"
+    ssh.write_text(
+        f'#!/bin/sh\ncase "$*" in *office@*) exec {relay} --name office;; esac\n'
+        f"exec {relay} --role operate --name cell\n"
+    )
+    ssh.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{ssh.parent}:{os.environ['PATH']}")
+    here = json.loads(rtec("status", daemon.config, "--json").stdout)
+    assert json.loads(rtec("status", "--at", "office@mill", "--json").stdout)["pid"] == here["pid"]
+    refused = rtec("ctl", "fade", "--at", "office@mill")
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("rtec: refused: office (")
+    assert rtec("ctl", "fade", "--at", "cell@mill").returncode == 0
     daemon.end()
-    assert [(e["what"], e["who"]) for e in events(daemon)][:2] == [("refused", "rtec"), ("fade", "cell")]
-
-
-def setup_place(config: Path) -> str:
-    """The place that the run file gives for clients on the network."""
-    from rtec.loop.run_file import load_setup
-
-    place = load_setup(config).file.control.tcp
-    assert place is not None
-    return place
+    assert [(e["what"], e["who"].split()[0]) for e in events(daemon)][:2] == [("refused", "rtec"), ("fade", "cell")]
 
 
 def test_a_hundred_subscribers_slow_and_dead_ones_too(daemon: Running) -> None:
@@ -165,29 +156,19 @@ def test_a_hundred_subscribers_slow_and_dead_ones_too(daemon: Running) -> None:
 
     Deadlines missed are told, not judged: the test's own hundred sockets share the processors with the loop.
     """
-    folder = daemon.config.parent
     before = status(daemon)["status"]
-    context: Any = zmq.Context()
-    dead: Any = zmq.Context()
-    try:
-        listening = [subscriber(context, f"ipc://{socket_path(daemon.config, STATUS)}") for _ in range(100)]
-        slow = subscriber(context, f"ipc://{socket_path(daemon.config, STATUS)}", 1)
-        from rtec.loop.run_file import load_setup
-
-        made = subscriber(dead, f"tcp://{load_setup(daemon.config).file.control.tcp_status}", 1, folder / "office.key")
-        assert made.poll(20_000)
-        dead.destroy(linger=0)
+    with ExitStack() as opened:
+        *listening, slow, dead = (opened.enter_context(Line.to(daemon.config)) for _ in range(102))
+        for one in (*listening, slow, dead):
+            one.send(b'{"schema":1,"ask":"watch"}')
+        dead.socket.close()
         seen = [0] * len(listening)
         for _ in range(50):
             for k, one in enumerate(listening):
-                assert one.poll(20_000)
-                cycles = json.loads(one.recv_multipart()[1])["status"]["cycles"]
+                cycles = (one.receive() or {})["status"]["cycles"]
                 assert cycles >= seen[k]
                 seen[k] = cycles
-        assert slow.poll(20_000)
-    finally:
-        context.destroy(linger=0)
-        dead.destroy(linger=0)
+        assert slow.receive() is not None
     after = status(daemon)["status"]
     assert after["overruns"] == 0
     daemon.end()
@@ -195,15 +176,6 @@ def test_a_hundred_subscribers_slow_and_dead_ones_too(daemon: Running) -> None:
         f"deadlines missed: {before['misses']} of {before['cycles']} before, "
         f"{after['misses'] - before['misses']} of {after['cycles'] - before['cycles']} meanwhile\n"
     )
-
-
-def subscriber(context: Any, address: str, most: int = 1000, key: Path | None = None) -> Any:
-    made = context.socket(zmq.SUB)
-    made.rcvhwm = most
-    lock(made, None if key is None else read_client(key))
-    made.subscribe(TOPIC)
-    made.connect(address)
-    return made
 
 
 def status(running: Running) -> dict[str, Any]:
@@ -225,7 +197,7 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         os.killpg(running.process.pid, signal.SIGKILL)
     finally:
         running.process.communicate()
-    assert socket_path(config, ORDERS).exists()
+    assert socket_path(config).exists()
     assert rtec("status", config).returncode == 2
     again = Running(config, tmp_path / "log-2.arrows")
     try:
@@ -238,4 +210,4 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     finally:
         again.process.kill()
         again.process.communicate()
-    assert not socket_path(config, ORDERS).exists()
+    assert not socket_path(config).exists()

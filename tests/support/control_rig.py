@@ -1,22 +1,20 @@
-"""A daemon without a loop behind the real sockets of control, and a client that says what it likes."""
+"""A daemon without a loop behind the real socket of control, and a client that says what it likes."""
 
 import json
 import socket
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-import zmq
-
-from rtec.control.keys import ClientKeys
 from rtec.control.messages import SCHEMA
+from rtec.control.places import socket_path
 from rtec.correction.guard import Flag
 from rtec.daemon.status import Status
 from rtec.log.events import Event, Events
 from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup
 
-LONG_MS = 20_000
-SHORT_MS = 500
+LONG_S = 20.0
 
 
 class FakeDaemon:
@@ -61,38 +59,49 @@ class FakeDaemon:
 
 
 class Line:
-    """A raw connection to the orders' socket."""
+    """A raw connection to the daemon's local socket, or whatever else speaks its lines."""
 
-    def __init__(self, address: str, keys: ClientKeys | None = None) -> None:
-        self.context: Any = zmq.Context()
-        self.socket: Any = self.context.socket(zmq.DEALER)
-        self.socket.linger = 0
-        lock(self.socket, keys)
-        self.socket.connect(address)
+    def __init__(self, made: socket.socket) -> None:
+        self.socket, self._received = made, b""
+
+    @classmethod
+    def to(cls, config: Path) -> "Line":
+        """Connect to the daemon with that run file."""
+        made = socket.socket(socket.AF_UNIX)
+        made.connect(str(socket_path(config)))
+        return cls(made)
 
     def __enter__(self) -> "Line":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.context.destroy(linger=0)
+        self.socket.close()
 
     def send(self, message: bytes) -> None:
         """Send, unread."""
-        self.socket.send_multipart([b"", message])
+        self.socket.sendall(message + b"\n")
 
-    def receive(self, wait_ms: int = LONG_MS) -> dict[str, Any] | None:
+    def receive(self, wait_s: float = LONG_S) -> dict[str, Any] | None:
         """The next answer; None where none comes."""
-        if not self.socket.poll(wait_ms):
-            return None
-        found = json.loads(self.socket.recv_multipart()[-1])
+        self.socket.settimeout(wait_s)
+        while b"\n" not in self._received:
+            try:
+                data = self.socket.recv(65536)
+            except (TimeoutError, ConnectionError):
+                return None
+            if not data:
+                return None
+            self._received += data
+        text, self._received = self._received.split(b"\n", 1)
+        found = json.loads(text)
         assert isinstance(found, dict)
         assert found["schema"] == SCHEMA
         return found
 
-    def ask(self, wait_ms: int = LONG_MS, **content: object) -> dict[str, Any] | None:
+    def ask(self, wait_s: float = LONG_S, **content: object) -> dict[str, Any] | None:
         """Send what is asked as JSON; give the answer."""
         self.send(json.dumps({"schema": SCHEMA, **content}).encode())
-        return self.receive(wait_ms)
+        return self.receive(wait_s)
 
     def order(self, **changed: object) -> bytes:
         """Open a session; give the text of an order in it, unsent."""
@@ -100,13 +109,6 @@ class Line:
         assert found is not None
         content = {"schema": SCHEMA, "ask": "order", "session": found["session"], "seq": 1, "order": "hold"}
         return json.dumps({**content, **changed}).encode()
-
-
-def lock(made: Any, keys: ClientKeys | None) -> None:
-    """Give a socket a client's keys."""
-    if keys is not None:
-        made.curve_serverkey = keys.server.encode()
-        made.curve_publickey, made.curve_secretkey = keys.public.encode(), keys.secret.encode()
 
 
 def free_place() -> str:

@@ -14,7 +14,7 @@ import pytest
 from rtec.control.client import carry_out
 from rtec.control.desk import Desk
 from rtec.control.facts import axis_rows, footer, headline, held, troubles, well
-from rtec.control.residual import LARGEST_BYTES, Left
+from rtec.control.residual import LARGEST_BYTES, Residual
 from rtec.diagnosis.compare.compare import compare
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
@@ -39,15 +39,15 @@ def item(name: str, n: int, rms: float, *components: str, **more: Any) -> dict[s
     return {**found, "rms_residual_um": rms, "noise_floor_um": 0.5, "worst": [], **more}
 
 
-def written(folder: Path, model: Model, *items: dict[str, Any]) -> Left:
-    path = folder / "left.json"
+def written(folder: Path, model: Model, *items: dict[str, Any]) -> Residual:
+    path = folder / "compared.json"
     path.write_text(json.dumps({"model": model.name, "measurements": items, "seed": 1}), encoding="utf-8")
-    return Left(path)
+    return Residual(path)
 
 
 def test_readings_along_an_axis_are_taken_together(tmp_path: Path, model: Model) -> None:
     """By their number; a laser off the axis counts, angles and readings across do not."""
-    left = written(
+    residual = written(
         tmp_path,
         model,
         item("laser-x", 300, 2.0, "EXX", "EBX"),
@@ -58,7 +58,7 @@ def test_readings_along_an_axis_are_taken_together(tmp_path: Path, model: Model)
         item("straightness", 900, 70.0, "EYX"),
         item("laser-z", 10, 3.0, "EZZ"),
     )
-    axes = left.facts(model)["axes"]
+    axes = residual.facts(model)["axes"]
     assert axes["X"]["rms_um"] == pytest.approx(math.sqrt((300 * 4 + 100 * 16) / 400))
     assert axes["X"]["from"] == ["laser-x", "probe"]
     assert axes["Z"] == {"rms_um": 3.0, "noise_um": 0.5, "from": ["laser-z"]}
@@ -70,20 +70,20 @@ def test_what_rtec_compare_gives_is_understood(tmp_path: Path) -> None:
     scale, backlash = "scale,component=EXX,axis=X,k=40", "backlash,component=EXX,axis=X,B=3"
     model = Model(small_machine(), effects(scale), name="first")
     compared = compare(model, [laser([scale, backlash], 3, noise={"white_um": 0.01})])
-    path = tmp_path / "left.json"
+    path = tmp_path / "compared.json"
     path.write_text(json.dumps(compared.facts()), encoding="utf-8")
-    found = Left(path).facts(model)
+    found = Residual(path).facts(model)
     assert found["trouble"] == ""
     assert found["axes"]["X"]["rms_um"] == pytest.approx(1.5, rel=0.01)
 
 
 def test_a_new_comparison_is_read_without_a_new_start(tmp_path: Path, model: Model) -> None:
-    left = written(tmp_path, model, item("laser-x", 300, 2.0, "EXX"))
-    assert left.facts(model)["axes"]["X"]["rms_um"] == 2.0
+    residual = written(tmp_path, model, item("laser-x", 300, 2.0, "EXX"))
+    assert residual.facts(model)["axes"]["X"]["rms_um"] == 2.0
     written(tmp_path, model, item("laser-x", 300, 1.25, "EXX"))
-    assert left.facts(model)["axes"]["X"]["rms_um"] == 1.25
-    (tmp_path / "left.json").unlink()
-    assert left.facts(model)["axes"] == {}
+    assert residual.facts(model)["axes"]["X"]["rms_um"] == 1.25
+    (tmp_path / "compared.json").unlink()
+    assert residual.facts(model)["axes"] == {}
 
 
 @pytest.mark.parametrize(
@@ -104,10 +104,10 @@ def test_a_new_comparison_is_read_without_a_new_start(tmp_path: Path, model: Mod
 def test_a_file_that_is_no_good_is_told_and_changes_nothing_else(
     tmp_path: Path, model: Model, content: bytes | None, says: str
 ) -> None:
-    path = tmp_path / "left.json"
+    path = tmp_path / "compared.json"
     if content is not None:
         path.write_bytes(content)
-    found = Left(path).facts(model)
+    found = Residual(path).facts(model)
     assert says in found["trouble"]
     assert found["axes"] == {}
 
@@ -115,20 +115,20 @@ def test_a_file_that_is_no_good_is_told_and_changes_nothing_else(
 def test_without_a_comparison_the_history_says_it(model: Model) -> None:
     """The newest entry that knows; a number that is none is no number."""
     history = ({"rms_held_out": 3.0}, {"rms_after": 1.5, "unit": "um"}, {"rms_after": "x"}, {"change": "renamed"})
-    assert Left(None).facts(replace(model, history=history))["model"]["rms"] == 1.5
-    assert Left(None).facts(replace(model, history=()))["model"]["rms"] is None
+    assert Residual(None).facts(replace(model, history=history))["model"]["rms"] == 1.5
+    assert Residual(None).facts(replace(model, history=()))["model"]["rms"] is None
 
 
 def test_it_stands_beside_requested_and_applied(tmp_path: Path, daemon: FakeDaemon, model: Model) -> None:
     """Three numbers for each axis; a comparison that cannot be read is no trouble of the machine."""
-    left = written(tmp_path, model, item("laser-x", 300, 2.0, "EXX"))
-    found = Desk(daemon, VirtualClock(1), {}, left).status()
+    residual = written(tmp_path, model, item("laser-x", 300, 2.0, "EXX"))
+    found = Desk(daemon, VirtualClock(1), {}, residual).status()
     assert [row[:4] for row in axis_rows(found)] == [
         ["X", "+1.50", "+1.25", "2.00"],
         ["Z", "-2.50", "not known", "not known"],
     ]
-    assert "left of X: root mean square of laser-x; noise 0.50 µm" in footer(found)
-    missing = Desk(daemon, VirtualClock(1), {}, Left(tmp_path / "none.json")).status()
+    assert "residual of X: root mean square of laser-x; noise 0.50 µm" in footer(found)
+    missing = Desk(daemon, VirtualClock(1), {}, Residual(tmp_path / "none.json")).status()
     assert well(missing)
     assert any("none.json: no such file yet" in line for line in footer(missing))
 
