@@ -10,6 +10,7 @@ from typing import Any, Final, Protocol
 from rtec.control.messages import Request, RequestError, Role, answer, numbers, read_request
 from rtec.control.residual import Residual
 from rtec.daemon.status import Status
+from rtec.daemon.supervision import Parts
 from rtec.errors import unforeseen
 from rtec.log.events import Event
 from rtec.loop.clock import Clock
@@ -34,6 +35,11 @@ class Daemon(Protocol):
     @property
     def setup(self) -> Setup:
         """What is in force now."""
+        ...
+
+    @property
+    def parts(self) -> Parts:
+        """Keeps the control's thread alive."""
         ...
 
     def order(self, order: Order, text: str = "", who: str = "local") -> str:

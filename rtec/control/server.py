@@ -10,7 +10,6 @@ import os
 import pwd
 import socket
 import struct
-import threading
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
@@ -24,6 +23,7 @@ from rtec.control.messages import LARGEST_REQUEST, answer
 from rtec.control.places import LocalSocket, answers, listen, socket_path
 from rtec.control.prometheus import http_answer
 from rtec.control.residual import Residual
+from rtec.daemon.supervision import KeptThread
 from rtec.errors import ConfigError, unforeseen
 from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.run_file import Setup
@@ -151,9 +151,8 @@ class Control:
         self.guests, self.scrapes = Guests(MOST_CONNECTIONS), Guests(MOST_SCRAPES)
         self._local: LocalSocket | None = None
         self._http: socket.socket | None = None
-        self._thread = threading.Thread(target=self._work, name="rtec-control", daemon=True)
-        self._events: asyncio.AbstractEventLoop | None = None
-        self._stop = asyncio.Event()
+        self._thread = KeptThread(daemon.parts.add("control", essential=self._table.local), self._work)
+        self._end: Callable[[], object] | None = None
         self._pace, self._number = Pace(clock), 0
 
     def __enter__(self) -> Self:
@@ -174,11 +173,11 @@ class Control:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._events is not None:
+        self._thread.stop.set()
+        if (end := self._end) is not None:
             with suppress(RuntimeError):  # it has ended by itself
-                self._events.call_soon_threadsafe(self._stop.set)
-        if self._thread.is_alive():
-            self._thread.join(END_S)
+                end()
+        self._thread.end(END_S)
         self._close()
 
     def _until_free(self, path: Any) -> None:
@@ -198,8 +197,11 @@ class Control:
         asyncio.run(self._serve())
 
     async def _serve(self) -> None:
-        self._events = asyncio.get_running_loop()
-        tasks: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
+        ended = asyncio.Event()
+        self._end = partial(asyncio.get_running_loop().call_soon_threadsafe, ended.set)
+        if self._thread.stop.is_set():
+            return
+        tasks: list[asyncio.Task[Any]] = [asyncio.create_task(ended.wait())]
         if self._local is not None:
             tasks.append(asyncio.create_task(self._accept(self._local.socket, self.guests, self._talk)))
             tasks.append(asyncio.create_task(self._publish()))

@@ -280,6 +280,25 @@ def test_a_fault_of_the_program_keeps_no_order_out(local: Line, daemon: FakeDaem
     assert any("fault in the program" in note for note in daemon.notes)
 
 
+def test_a_thread_that_fails_is_begun_again_with_the_same_socket(
+    setup: Setup, daemon: FakeDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reported, counted; whoever connects meanwhile is answered afterwards."""
+    real, fails = Control._publish, iter([True, False])
+
+    async def publish(self: Control) -> None:
+        if next(fails):
+            raise OverflowError("an integer of 400 digits")
+        await real(self)
+
+    monkeypatch.setattr(Control, "_publish", publish)
+    with Control(setup, daemon, RealClock()), Line.to(setup.path) as line:
+        line.send(line.order())
+        assert (line.receive() or {})["done"] == "hold ordered"
+    assert daemon.parts.faults == {"control": 1}
+    assert "control: fault in the program" in daemon.notes[0]
+
+
 def test_the_status_is_sent_to_whoever_watches(control: Control, setup: Setup, daemon: FakeDaemon) -> None:
     """A hundred watch and all hear it; one that never reads costs nothing but what it did not read."""
     del control
