@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -30,7 +29,7 @@ from rtec.loop.orders import YES, OrderRefused
 from rtec.loop.records import MODE_ON, Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import IMAGE_BYTES, Saved, StateWriter, structure_of
-from rtec.loop.state_files import read_memory, read_snapshot
+from rtec.loop.state_files import MemoryState
 from rtec.loop.step import Step
 
 MOST_BYTES = 65_536
@@ -296,7 +295,7 @@ class ReloadDesk:
 
     Args:
         setup: what is in force.
-        memory: file of the kept state.
+        memory: the loop's.
         note: notes an event: ring, what, text, who.
         part: counts the faults of reading.
 
@@ -305,7 +304,7 @@ class ReloadDesk:
         text: what came of the last order; "" before the first.
     """
 
-    def __init__(self, setup: Setup, memory: Path, note: Note, part: Part) -> None:
+    def __init__(self, setup: Setup, memory: MemoryState, note: Note, part: Part) -> None:
         self.setup, self.text = setup, ""
         self._memory, self._note = memory, note
         self._reader, self._generation = Reader(setup, part), 0
@@ -323,7 +322,7 @@ class ReloadDesk:
             samples: the loop's newest row; None: there is none.
             text: of the order; `YES` takes also what differs much.
         """
-        now = None if samples is None else Now(samples, read_memory(self._memory))
+        now = None if samples is None else Now(samples, self._memory.newest())
         try:
             self._reader.begin(self.setup, now, text == YES)
         except OrderRefused as e:
@@ -354,7 +353,7 @@ class ReloadDesk:
             self._done(ring, f"not reloaded: the loop could not take it; {STAYS}", "not reloaded")
             return
         self.setup = self._coming.setup
-        if (saved := read_snapshot(self._memory)) is not None:
+        if (saved := self._memory.snapshot()) is not None:
             disk.cut(Begin.behind(saved))
         self._done(ring, f"reloaded: {', '.join(self._coming.changed)}", "reloaded")
 

@@ -34,7 +34,7 @@ from rtec.loop.clock import RealClock, wall_clock_iso
 from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 from rtec.loop.run_file import Setup
-from rtec.loop.state_files import DiskState, read_memory, remove_memory, state_places
+from rtec.loop.state_files import DiskState, MemoryState, state_places
 
 __all__ = ["Report", "Status", "Supervisor"]
 
@@ -42,6 +42,11 @@ DRAIN_PERIOD_NS: Final = 20_000_000
 STOP_TIMEOUT_S: Final = 5.0
 RING_SECONDS: Final = 6.0
 """So long may the supervisor stand still before rows are lost."""
+
+DELETED: Final = (
+    "somebody deleted {}, the state in memory: the run goes on, but if it is killed now, ledger and mode are known from "
+    "the disk alone, up to a second old; end it in order and start it again"
+)
 
 Rows = Callable[[Samples, Commands], None]
 
@@ -89,12 +94,14 @@ class Supervisor:
         folder = setup.file.run.state_folder or setup.file.run.log_folder
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
         self._orders: queue.SimpleQueue[tuple[Order, str, str]] = queue.SimpleQueue()
-        self._reload = ReloadDesk(setup, self._places.memory, self._note, self.parts.add("reload"))
+        self._memory, disk = MemoryState(self._places.memory), self._places.disk
+        self._disk_state = None if disk is None else DiskState(disk)
+        self._reload = ReloadDesk(setup, self._memory, self._note, self.parts.add("reload"))
         self._step_orders = StepOrders(setup, self._clock)
         self._interrupted, self._ended, self._at_once = False, False, False
         self._disk: DiskThread | None = None
         self._held_without: list[str] = []
-        self._flush_ns = 0
+        self._flush_ns, self._deleted = 0, False
 
     @property
     def setup(self) -> Setup:
@@ -154,8 +161,18 @@ class Supervisor:
         """Run for so long, or until a signal. A sign check lasts longer by its way back.
 
         Raises:
-            RtecError: the fast path could not start, or died.
+            RtecError: another daemon keeps its state in the same file; the fast path could not start, or died.
         """
+        try:
+            if self._disk_state is not None:
+                self._disk_state.lock(self._clock)
+            return self._run(duration_s)
+        finally:
+            self._memory.close()
+            if self._disk_state is not None:
+                self._disk_state.close()
+
+    def _run(self, duration_s: float | None) -> Report:
         cycles = None if duration_s is None else max(1, round(duration_s * self.setup.file.run.rate_hz))
         if self.setup.step_um:
             self._step_orders.lasts_s, cycles = duration_s, None
@@ -259,12 +276,11 @@ class Supervisor:
 
     @contextmanager
     def _to_disk(self) -> Iterator[DiskThread]:
-        state = None if self._places.disk is None else DiskState(self._places.disk)
         most_rows = round(MOST_SECONDS * self.setup.file.run.rate_hz)
         folder = log_folder(self.setup)
         keeper = None if folder is None else Keeper(folder, self.setup.file.log, self._clock, self.note)
-        newest, part = (lambda: read_memory(self._places.memory)), self.parts.add("disk", essential=True)
-        with DiskThread(self._recording, state, newest, most_rows, part, keeper) as disk:
+        part = self.parts.add("disk", essential=True)
+        with DiskThread(self._recording, self._disk_state, self._memory.newest, most_rows, part, keeper) as disk:
             self._disk = disk
             yield disk
 
@@ -276,6 +292,9 @@ class Supervisor:
 
     def _tell_what_is_wrong(self, now_ns: int) -> None:
         """Into the events, when it happens: nobody reads the summary at the end of a run of weeks."""
+        if self._memory.deleted and not self._deleted:
+            self._deleted = True
+            self.warnings.append(DELETED.format(self._memory.path))
         for text in self.warnings[self._warnings_told :]:
             self._warnings_told += 1
             self.note("note", text)
@@ -291,10 +310,10 @@ class Supervisor:
 
     def _tidy(self, one_way: bool) -> None:
         """The run ended in order, and what the memory held is on disk, or the actuator knows it: nobody needs it."""
-        saved = read_memory(self._places.memory)
-        on_disk = self._places.disk is not None and not self._state_trouble()
+        saved = self._memory.newest()
+        on_disk = self._disk_state is not None and not self._state_trouble()
         if saved is not None and saved.clean and (on_disk or not one_way):
-            remove_memory(self._places.memory)
+            self._memory.remove()
 
     def _state_trouble(self) -> str:
         return "" if self._disk is None else self._disk.state_trouble

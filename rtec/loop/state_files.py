@@ -2,13 +2,16 @@
 
 The memory is a file in a file system that is memory (/dev/shm, or the run-time folder that systemd gives), so that
 the loop never waits for a disk: writing to a mapped file on disk can stop for as long as the disk likes. The file's
-lock belongs to the loop's process; a second loop for the same run file is refused.
+lock belongs to the loop's process; a second loop for the same run file is refused. The copy on disk is locked by the
+supervisor: that refuses a second daemon where the file in memory was deleted, and another run file of the same name.
 """
 
+import errno
 import fcntl
 import hashlib
 import mmap
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -74,24 +77,27 @@ def state_memory(path: Path, clock: Clock) -> Iterator[NDArray[np.uint8]]:
         # Not closed by hand: it stays mapped until the last view of it is gone.
         yield np.frombuffer(mmap.mmap(fd, IMAGE_BYTES, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE), np.uint8)
     finally:
-        _remove_empty(path)
+        _remove_empty(fd, path)
         with suppress(OSError):  # the mapping has a descriptor of its own, which would keep the lock
             fcntl.flock(fd, fcntl.LOCK_UN)
         os.close(fd)
 
 
-def _remove_empty(path: Path) -> None:
-    """A start that failed before anything was kept leaves nothing behind."""
-    if newest(_bytes(path)) is None:
-        path.unlink(missing_ok=True)
+def _remove_empty(fd: int, path: Path) -> None:
+    """A start that failed before anything was kept leaves nothing behind; another loop's file is left alone."""
+    with suppress(OSError):
+        if newest(os.pread(fd, IMAGE_BYTES, 0)) is None and os.path.samestat(os.fstat(fd), path.stat()):
+            path.unlink()
 
 
 def _open(path: Path) -> int:
     try:
-        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o600)
     except OSError as error:
         raise RtecError(f"state {path}: cannot be made: {error.strerror}") from error
     try:
+        if not stat.S_ISREG(os.fstat(fd).st_mode):
+            raise RtecError(f"state {path}: is no ordinary file; remove it")
         if os.fstat(fd).st_uid != os.geteuid():
             raise RtecError(f"state {path}: belongs to somebody else; remove it")
         os.posix_fallocate(fd, 0, IMAGE_BYTES)
@@ -124,41 +130,91 @@ def _take(fd: int, path: Path) -> bool:
         return False
 
 
-def read_memory(path: Path) -> Saved | None:
-    """The newest state in memory, read while somebody may be writing; None where there is none."""
-    for _ in range(_TRIES):
-        if (saved := newest(_bytes(path))) is not None:
-            return saved
-    return None
+class MemoryState:
+    """The loop's memory, as another process reads it while the loop writes; also where somebody deleted its file.
 
+    Args:
+        path: the file; opened at the first reading that finds it.
+    """
 
-def read_snapshot(path: Path) -> Saved | None:
-    """The third slot; None where it is not whole."""
-    return read_slot(_bytes(path), SNAPSHOT)
+    def __init__(self, path: Path) -> None:
+        self.path, self._fd = path, -1
 
+    def newest(self) -> Saved | None:
+        """The newest state; None where there is none."""
+        for _ in range(_TRIES):
+            if (saved := newest(self._image())) is not None:
+                return saved
+        return None
 
-def remove_memory(path: Path) -> None:
-    """Remove the file, unless another loop has it by now."""
-    with suppress(OSError):
-        fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
-        try:
-            if _take(fd, path):
-                path.unlink()
-        finally:
-            os.close(fd)
+    def snapshot(self) -> Saved | None:
+        """The third slot; None where it is not whole."""
+        return read_slot(self._image(), SNAPSHOT)
+
+    @property
+    def deleted(self) -> bool:
+        """Was the file deleted though the loop has it?"""
+        return self._fd >= 0 and not os.fstat(self._fd).st_nlink
+
+    def remove(self) -> None:
+        """Remove the file, unless another loop has it by now."""
+        with suppress(OSError):
+            fd = os.open(self.path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                if _take(fd, self.path):
+                    self.path.unlink()
+            finally:
+                os.close(fd)
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def _image(self) -> bytes:
+        if self._fd < 0:
+            self._fd = _open_to_read(self.path)
+        return os.pread(self._fd, IMAGE_BYTES, 0) if self._fd >= 0 else b""
 
 
 class DiskState:
     """The copy on disk: two slots in turns, each brought to the disk before the other is touched.
 
+    The file is locked as long as it is open: no two daemons write one, however each came to its name.
+
     Args:
-        path: the file; made at the first `write`.
+        path: the file; made by `lock`, or at the first `write`.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._fd = self._next = -1
         self._marked = False
+
+    def lock(self, clock: Clock) -> None:
+        """Take the file for this process; a daemon that is just ending gets two seconds for it.
+
+        A disk that does not take the file is no fault here: `write` tells it, and tries again.
+
+        Raises:
+            RtecError: another daemon has it, or it is no file.
+        """
+        for _ in range(_LOCK_TRIES):
+            try:
+                self._open()
+            except BlockingIOError:
+                clock.sleep_until_ns(clock.now_ns() + _LOCK_PERIOD_NS)
+            except OSError as error:
+                if error.errno == errno.EINVAL:
+                    raise RtecError(f"state {self.path}: {error.strerror}; remove it") from error
+                return
+            else:
+                return
+        raise RtecError(
+            f"state {self.path}: another rtec keeps its state there; end that one first. Is it one of another run file "
+            "of that name? Then give each a [run] state_folder of its own"
+        )
 
     def write(self, saved: Saved) -> None:
         """Put a state on disk.
@@ -179,8 +235,11 @@ class DiskState:
 
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
         try:
+            if not stat.S_ISREG(os.fstat(fd).st_mode):
+                raise OSError(errno.EINVAL, "is no ordinary file")
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.posix_fallocate(fd, 0, IMAGE_BYTES)  # so that a full disk stops nothing later
         except OSError:
             os.close(fd)
@@ -221,6 +280,21 @@ def _older(image: bytes) -> int:
 
 
 def _bytes(path: Path) -> bytes:
+    """What a state's file holds; nothing where there is none, or something that is no ordinary file."""
+    fd = _open_to_read(path)
+    if fd < 0:
+        return b""
+    try:
+        return os.pread(fd, IMAGE_BYTES, 0)
+    finally:
+        os.close(fd)
+
+
+def _open_to_read(path: Path) -> int:
+    """A descriptor of an ordinary file; -1 where there is none. Waits for nobody, as opening a FIFO would."""
     with suppress(OSError):
-        return path.read_bytes()
-    return b""
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        if stat.S_ISREG(os.fstat(fd).st_mode):
+            return fd
+        os.close(fd)
+    return -1

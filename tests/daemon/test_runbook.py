@@ -52,6 +52,8 @@ def test_every_flag_is_in_the_table_with_its_text_and_a_way_on() -> None:
         ("log/recording", "rows came too fast and are in no log"),
         ("daemon/disk", "the disk is slow"),
         ("daemon/disk", "the state is not on disk"),
+        ("daemon/supervisor", "somebody deleted"),
+        ("loop/state_files", "another rtec keeps its state there"),
         ("loop/loop", "the actuator has"),
         ("daemon/reload", "not reloaded"),
         ("daemon/fastpath", "the state that the run before kept in"),

@@ -13,10 +13,12 @@ import pytest
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import LOST_AFTER
 from rtec.daemon.supervisor import Supervisor
+from rtec.errors import RtecError
 from rtec.log.events import Event
+from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup
-from rtec.loop.state_files import DiskState
+from rtec.loop.state_files import DiskState, read_disk
 from rtec.replay.replay import replay_log
 from tests.support import setups
 
@@ -127,3 +129,35 @@ def test_a_fault_of_the_disk_s_thread_is_told_and_the_log_goes_on(
     assert replay_log(setup, log).different == 0
     assert b"behind it" in (tmp_path / "run.events.jsonl").read_bytes()
     assert (tmp_path / "kept" / "run.state").stat().st_size > 0
+
+
+def test_a_state_that_another_daemon_keeps_is_not_written(setup: Setup, tmp_path: Path) -> None:
+    """Another run file of that name, another runtime folder, the same state folder: refused before a process starts."""
+    other = DiskState(tmp_path / "logs" / "run.state")
+    other.lock(VirtualClock())
+    with pytest.raises(RtecError, match=r"another rtec keeps its state there.*state_folder of its own"):
+        Supervisor(setup, None).run(1.0)
+    other.close()
+
+
+def test_a_deleted_state_is_told_and_the_copy_on_disk_goes_on(setup: Setup, tmp_path: Path) -> None:
+    """Nor does a second daemon begin, though the lock in memory is gone with the file. Oracle: rows in the copy."""
+    play, seen = Play(setup, None), dict[str, int]()
+
+    def row() -> int:
+        saved, _ = read_disk(tmp_path / "logs" / "run.state")
+        return -1 if saved is None else saved.row
+
+    def script() -> Script:
+        while row() < 0:
+            yield True
+        next(tmp_path.glob("rtec.*.state")).unlink()
+        seen["row"] = row()
+        while row() < seen["row"] + 500 or not play.told("note"):
+            yield True
+        with pytest.raises(RtecError, match="another rtec keeps its state there"):
+            DiskState(tmp_path / "logs" / "run.state").lock(VirtualClock())
+
+    play.run(script())
+    (note,) = play.told("note")
+    assert "somebody deleted" in note

@@ -22,7 +22,7 @@ from rtec.errors import RtecError
 from rtec.log.events import Event
 from rtec.log.reader import LogReader
 from rtec.loop.run_file import Setup, load_setup
-from rtec.loop.state_files import read_memory, state_places
+from rtec.loop.state_files import MemoryState, state_places
 from tests.support import setups
 from tests.support.modbus_peer import FakeLine, FakeSlave, line, serial
 
@@ -217,13 +217,13 @@ def test_the_rows_before_the_loop_died_are_in_the_log(tmp_path: Path) -> None:
         yield True
 
     def kept_row() -> int:
-        kept = read_memory(next(tmp_path.glob("rtec.*.state")))
+        kept = MemoryState(next(tmp_path.glob("rtec.*.state"))).newest()
         return 0 if kept is None else kept.row
 
     with pytest.raises(RtecError, match=r"was killed \(signal 9, Killed\) without a word"):
         play.run(script())
     (memory,) = tmp_path.glob("rtec.*.state")
-    kept = read_memory(memory)
+    kept = MemoryState(memory).newest()
     assert kept is not None
     with LogReader(play.log) as log:
         assert log.rows in (kept.row, kept.row + 1)  # kept before the row is published: killed in between, or not

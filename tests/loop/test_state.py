@@ -1,5 +1,6 @@
 """The kept state: nothing that is cut off, wherever, is taken for whole. Oracle: what was written before."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from rtec.loop.state import (
     state_from_text,
     state_text,
 )
-from rtec.loop.state_files import DiskState, read_disk, read_memory, read_snapshot, state_memory, state_places
+from rtec.loop.state_files import DiskState, MemoryState, disk_is_spoilt, read_disk, state_memory, state_places
 from rtec.loop.step import Step
 from tests.support import setups
 
@@ -158,10 +159,10 @@ def test_memory_that_belongs_to_one_loop(step: Step, tmp_path: Path) -> None:
     path, clock = tmp_path / "run.state", VirtualClock()
     with state_memory(path, clock) as image:
         StateWriter(image, step, MODE_ON).keep(sample(step, 1), np.array([1, 2]), 1)
-        found = read_memory(path)
+        found = MemoryState(path).newest()
         assert found is not None
         assert found.output.tolist() == [1, 2]
-        assert read_snapshot(path) is None
+        assert MemoryState(path).snapshot() is None
         with pytest.raises(RtecError, match="another rtec runs with this run file"), state_memory(path, clock):
             pass
     with state_memory(path, clock) as image:
@@ -319,3 +320,57 @@ def test_a_state_file_that_somebody_removes_is_made_anew(step: Step, tmp_path: P
     back, new_boot = read_disk(path)
     assert back is not None
     assert (back.words, new_boot) == (saved.words, False)
+
+
+def test_two_daemons_never_write_one_state(tmp_path: Path) -> None:
+    """Not even by two names of one folder. Oracle: the state that the first has written, read again."""
+    (tmp_path / "state").mkdir()
+    (tmp_path / "other").symlink_to(tmp_path / "state")
+    first, second = DiskState(tmp_path / "state" / "run.state"), DiskState(tmp_path / "other" / "run.state")
+    clock = VirtualClock(1)
+    first.lock(clock)
+    with pytest.raises(RtecError, match="another rtec keeps its state there"):
+        second.lock(clock)
+    assert clock.now_ns() > 1_900_000_000  # one that is just ending gets so long
+    first.close()
+    second.lock(clock)
+    second.close()
+
+
+@pytest.mark.parametrize("kind", ["fifo", "folder"])
+def test_a_state_that_is_no_file_is_refused_and_nobody_waits_for_it(tmp_path: Path, kind: str) -> None:
+    """Opening a FIFO to read it waits for ever for somebody who writes into it."""
+    path = tmp_path / "run.state"
+    if kind == "fifo":
+        os.mkfifo(path)
+    else:
+        path.mkdir()
+    assert read_disk(path) == (None, True)
+    assert not disk_is_spoilt(path)
+    assert MemoryState(path).newest() is None
+    clock = VirtualClock(1)
+    if kind == "fifo":
+        with pytest.raises(RtecError, match="is no ordinary file; remove it"):
+            DiskState(path).lock(clock)
+    with pytest.raises(RtecError, match=r"is no ordinary file|Is a directory"), state_memory(path, clock):
+        pass
+
+
+def test_memory_that_was_deleted_can_still_be_read(tmp_path: Path, step: Step) -> None:
+    """By the supervisor, so that the copy on disk goes on; and it says so."""
+    path = tmp_path / "a.state"
+    with state_memory(path, VirtualClock(1)) as image:
+        reader = MemoryState(path)
+        writer = StateWriter(image, step, MODE_ON)
+        writer.keep(sample(step, 1), step.output_of(step.state), 7)
+        saved = reader.newest()
+        assert saved is not None
+        assert (saved.row, reader.deleted) == (7, False)
+        path.unlink()
+        writer.keep(sample(step, 2), step.output_of(step.state), 8)
+        saved = reader.newest()
+        assert saved is not None
+        assert (saved.row, reader.deleted) == (8, True)
+        path.write_bytes(b"another loop's")
+    assert path.read_bytes() == b"another loop's"
+    reader.close()
