@@ -44,8 +44,8 @@ RING_SECONDS: Final = 6.0
 """So long may the supervisor stand still before rows are lost."""
 
 DELETED: Final = (
-    "somebody deleted {}, the state in memory: the run goes on, but if it is killed now, ledger and mode are known from "
-    "the disk alone, up to a second old; end it in order and start it again"
+    "somebody deleted {}, the state in memory: the run goes on, but if it is killed now, ledger and mode are known "
+    "from the disk alone, up to a second old; end it in order and start it again"
 )
 
 Rows = Callable[[Samples, Commands], None]
