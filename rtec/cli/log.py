@@ -15,14 +15,14 @@ from rich.text import Text
 
 from rtec.correction.guard import Flag
 from rtec.log.folder import Segment
-from rtec.log.reader import Log
+from rtec.log.format import Log
 from rtec.log.stretch import utc_text
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.records import Commands, Layout, Samples
 
 if TYPE_CHECKING:
     from rtec.log.folder import Segment
-    from rtec.log.reader import Log
+    from rtec.log.format import Log
 
 
 MODES = {0: "off", 1: "on", 2: "hold", 3: "taken over"}
@@ -148,7 +148,7 @@ def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: _Json = Fal
     """Which files hold a stretch of time: of each its dates, rows and size, and whether it is whole.
 
     Files are in the order in which they were written, whatever the clock on the wall did meanwhile. A damaged file is
-    shown, costs its own rows alone, and gives status 1.
+    shown, costs its own rows alone, and gives status 1; a folder that is not there or has no logs gives status 2.
 
     Example: rtec log list logs --from 2026-03-09T06:00 --to 2026-03-09T14:00
     """
@@ -221,10 +221,10 @@ def tail(
 
     Example: rtec log tail run.arrows -n 5 --follow
     """
-    from rtec.log.folder import newest_log
+    from rtec.log.folder import logs_at
     from rtec.log.reader import open_log
 
-    path: Path | None = newest_log(log)
+    path: Path | None = logs_at(log)[-1]
     try:
         header = True
         while path is not None:

@@ -18,8 +18,8 @@ from typing import Final
 
 from rtec.errors import LogError
 from rtec.log.folder import WRITTEN, both_clocks, first_name, log_files, time_header
-from rtec.log.reader import LogWriter
 from rtec.log.recording import Begin, Recording
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.records import Layout
 from rtec.loop.run_file import LogTable, Setup

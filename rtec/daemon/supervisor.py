@@ -28,8 +28,8 @@ from rtec.daemon.supervision import Parts
 from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
 from rtec.log.events import Event, Events, events_path
-from rtec.log.reader import LogWriter
 from rtec.log.recording import Begin, Recording
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import RealClock, wall_clock_iso
 from rtec.loop.orders import LONGEST_TEXT, MODE_OF, Order, OrderRefused
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples

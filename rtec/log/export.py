@@ -12,7 +12,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from rtec.errors import LogError
-from rtec.log.reader import CHUNK_ROWS, Log, flat_names, flatten
+from rtec.log.format import CHUNK_ROWS, Log, flat_names, flatten
 from rtec.loop.records import Commands, Samples
 
 __all__ = ["export", "flat_names"]

@@ -1,14 +1,14 @@
-"""Names of the files of logs, and the only order they have: run by run, file by file as they were begun.
+"""A folder of logs: their names, the order that these give, and of each file when, how much and whether it is whole.
 
-`mill-000012-20260309T133000Z-3.arrows` is the third file of the twelfth run logged into that folder. The date is for
-people; where the clock was set back between two runs the numbers still tell which came first.
-
-One file of a folder of logs, in short: when, how much, and whether it is whole.
+`mill-000012-20260309T133000Z-3.arrows` is the third file of the twelfth run logged into that folder. Files are in order
+run by run, file by file as they were begun. The date is for people; where the clock was set back between two runs the
+numbers still tell which came first.
 """
 
 import fcntl
 import os
 import re
+import stat
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Final, Literal
 
 from rtec.errors import LogError
-from rtec.log.reader import PACKED, Log, LogReader, open_log
+from rtec.log.format import Log
+from rtec.log.packed import PACKED
+from rtec.log.reader import LogReader, open_log
 from rtec.loop.clock import Clock, wall_clock_ns
 from rtec.loop.state_files import boot_id
 
@@ -58,17 +60,21 @@ def log_files(folder: Path) -> list[Path]:
     return sorted((p for p in found if p.suffix == WRITTEN or p.with_suffix(WRITTEN) not in found), key=place_of)
 
 
-def newest_log(path: Path) -> Path:
-    """Give the newest log of a folder; a log stands for itself.
+def logs_at(path: Path) -> list[Path]:
+    """Give the logs of a folder, oldest first; a file stands for itself.
 
     Raises:
-        LogError: the folder has none.
+        LogError: there is no such file or folder, or it cannot be read, or it has no logs.
     """
-    if not path.is_dir():
-        return path
+    try:
+        if not stat.S_ISDIR(path.stat().st_mode):
+            return [path]
+        next(path.iterdir(), None)
+    except OSError as error:
+        raise LogError(f"log {path}: cannot be opened: {error.strerror}") from error
     if not (found := log_files(path)):
         raise LogError(f"log {path}: no logs in this folder")
-    return found[-1]
+    return found
 
 
 def next_log(folder: Path, path: Path) -> Path | None:
@@ -158,7 +164,7 @@ def look_at(path: Path) -> Segment:
 def being_written(path: Path) -> bool:
     """Has somebody locked the file?"""
     try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)  # a FIFO, too, is no log
     except OSError:
         return False
     try:

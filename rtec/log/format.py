@@ -1,12 +1,18 @@
-"""What a log file must look like: the Arrow schema of a layout, and the layout of an Arrow schema."""
+"""What a log is: what every reader of one gives (`Log`), its Arrow schema, and its rows as a flat table.
+
+The schema belongs to the form in which a log is written (`rtec.log.reader`). The table, one column a number, is what a
+packed log holds (`rtec.log.packed`) and what an export writes.
+"""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from types import TracebackType
+from typing import Any, Final, Protocol, Self
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from rtec.errors import LogError
 from rtec.loop.records import Commands, Field, Layout, Samples
@@ -28,6 +34,64 @@ _UNITS: Final = {
     "output": "sink units",
     "flags": "bits",
 }
+CHUNK_ROWS: Final = 131_072
+
+Block = tuple[Samples, Commands]
+Columns = list[NDArray[Any]]
+
+
+class Log(Protocol):
+    """What reads one log: `LogReader`, `PackedReader`, or `LogStretch` for many files at once.
+
+    Attributes:
+        path: the file or folder.
+        header: what the writer was given.
+        layout: names of axes and sensors.
+        bytes: size of the file.
+    """
+
+    path: Path
+    header: dict[str, str]
+    layout: Layout
+    bytes: int
+
+    @property
+    def rows(self) -> int:
+        """Whole rows."""
+        ...
+
+    @property
+    def torn_bytes(self) -> int:
+        """Bytes behind the last whole row."""
+        ...
+
+    @property
+    def complete(self) -> bool:
+        """Whether the writer closed it."""
+        ...
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """Instants of the first and the last row, monotonic clock; None without rows."""
+        ...
+
+    def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[tuple[Samples, Commands]]:
+        """Rows from `start` on, in blocks of `max_rows` at most; raises LogError where they are damaged."""
+        ...
+
+    def refresh(self) -> None:
+        """Look at the file again, with what was appended since."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the file."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
 
 
 def columns_of(layout: Layout) -> tuple[Field, ...]:
@@ -104,3 +168,44 @@ def check_columns(path: Path, found: pa.Schema, layout: Layout) -> None:
     for mine, theirs in zip(wanted, found, strict=True):
         if mine.type != theirs.type:
             raise LogError(f"log {path}: column {mine.name}: type {theirs.type} found, {mine.type} is needed")
+
+
+def flat_names(layout: Layout) -> list[str]:
+    """Column names of the table: `counts_X`, `degc_T_spindle`, `applied_um_X`, …; scalars keep their name.
+
+    Raises:
+        LogError: two columns would have the same name.
+    """
+    names: list[str] = []
+    for f in columns_of(layout):
+        names += [f.name] if f.width is None else [f"{f.name}_{entry}" for entry in entry_names(f, layout)]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise LogError(f"log: the names of axes and sensors give two columns {twice[0]!r}; it cannot be exported")
+    return names
+
+
+def flatten(samples: Samples, commands: Commands) -> Columns:
+    """Every column by itself, in the order of `flat_names`."""
+    flat: Columns = []
+    for array in (*samples.arrays().values(), *commands.arrays().values()):
+        flat += [array] if array.ndim == 1 else list(array.T)
+    return flat
+
+
+def chunks(log: Log) -> Iterator[list[Block]]:
+    """Blocks of a log in lists of some `CHUNK_ROWS` rows, so that a table does not depend on the flushes of the log."""
+    waiting: list[Block] = []
+    n = 0
+    for block in log.blocks(CHUNK_ROWS):
+        waiting.append(block)
+        n += len(block[0])
+        if n >= CHUNK_ROWS:
+            yield waiting
+            waiting, n = [], 0
+    if waiting:
+        yield waiting
+
+
+def first_line(error: BaseException) -> str:
+    """What a library says of a fault, without its details."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -21,7 +21,7 @@ RETRY_NS: Final = 5_000_000_000
 
 
 class Writer(Protocol):
-    """What a recording needs of a log: `rtec.log.reader.LogWriter` is one.
+    """What a recording needs of a log: `rtec.log.writer.LogWriter` is one.
 
     Attributes:
         rows: rows in the file.

@@ -1,9 +1,7 @@
-"""Many files of a folder as one log: a stretch of time, over however many files and starts it goes.
+"""A stretch of time as one log, over however many files of a folder and starts of the computer it goes.
 
-Monotonic time begins anew with every start of the computer; rows are in the order of the files, which their names
-give. A damaged file costs its own rows, and is told in `troubles`.
-
-Date and time of day for people who look for a stretch of a log. Nothing here decides an order.
+Monotonic time begins at zero with every start of the computer; rows are in the order of the files, which their names
+give. A damaged file costs its own rows, and is reported in `troubles`. Date and time of day only choose the stretch.
 """
 
 from collections import Counter
@@ -16,8 +14,9 @@ from typing import Final, Self
 import numpy as np
 
 from rtec.errors import LogError
-from rtec.log.folder import Segment, log_files, look_at, place_of
-from rtec.log.reader import Block, open_log
+from rtec.log.folder import Segment, logs_at, look_at, place_of
+from rtec.log.format import Block
+from rtec.log.reader import open_log
 from rtec.loop.records import Layout
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -58,8 +57,11 @@ def segments_of(
         path: folder, or one log.
         from_ns, to_ns: ns since 1970 UTC, `to_ns` not included; None: no bound.
         progress: told files done, and files in all.
+
+    Raises:
+        LogError: there is no such file or folder, it cannot be read, or it has no logs.
     """
-    paths = log_files(path) if path.is_dir() else [path]
+    paths = logs_at(path)
     found = []
     for k, each in enumerate(paths):
         found.append(look_at(each))

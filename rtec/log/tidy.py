@@ -22,8 +22,8 @@ from typing import Final
 from rtec.errors import LogError
 from rtec.log.events import events_path
 from rtec.log.folder import WRITTEN, being_written, log_files, look_at, place_of
-from rtec.log.packed import pack
-from rtec.log.reader import PACKED, open_log
+from rtec.log.packed import PACKED, pack
+from rtec.log.reader import open_log
 
 NICE: Final = 19
 MOST_TOLD: Final = 20

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from rtec.errors import LogError
 from rtec.log.folder import log_files
-from rtec.log.reader import Log, LogWriter, open_log
+from rtec.log.format import Log
+from rtec.log.reader import open_log
+from rtec.log.writer import LogWriter
 from rtec.loop.records import MODE_TAKEN_OVER, Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import state_from_text, structure_of

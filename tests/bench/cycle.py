@@ -8,7 +8,8 @@ from timeit import default_timer
 import numpy as np
 
 from rtec.effects import State
-from rtec.log.reader import LogReader, LogWriter
+from rtec.log.reader import LogReader
+from rtec.log.writer import LogWriter
 from rtec.loop.records import Commands, Samples
 from rtec.loop.step import Step
 from tests.bench import models

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.log.packed import pack
-from rtec.log.reader import LogWriter, open_log
+from rtec.log.reader import open_log
+from rtec.log.writer import LogWriter
 from rtec.loop.records import Samples
 from rtec.loop.step import Step, StepSettings
 from tests.bench import models

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 import rtec.cli.log as log_cli
+from rtec.cli.main import status
 from rtec.errors import LogError
-from rtec.log.reader import LogWriter
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 
@@ -175,3 +177,33 @@ def test_help_teaches_with_an_example(command: str) -> None:
     result = runner.invoke(log_cli.app, [command, "--help"])
     assert result.exit_code == 0
     assert f"rtec log {command} run.arrows" in result.stdout
+
+
+@pytest.mark.parametrize("command", [["list"], ["tail"], ["export"], ["list", "--json"]])
+@pytest.mark.parametrize("what", ["nothing", "empty folder", "unreadable folder"])
+def test_where_there_are_no_logs_it_is_bad_input(tmp_path: Path, command: list[str], what: str) -> None:
+    """Status 2 and the reason. Oracle: the table of exit statuses in CONTRIBUTING: 2 for bad input."""
+    place = tmp_path / "logs"
+    if what != "nothing":
+        place.mkdir()
+    if what == "unreadable folder":
+        place.rmdir()
+        place.symlink_to(place)  # which root cannot open either
+    name, *options = command
+    out = [str(tmp_path / "out.csv")] if name == "export" else []
+    done = status(["log", name, str(place), *out, *options])
+    assert done == 2
+
+
+def test_a_damaged_file_is_status_1_and_a_stretch_without_files_is_an_answer(log: Path) -> None:
+    assert status(["log", "list", str(log.parent)]) == 0
+    assert status(["log", "list", str(log.parent), "--from", "2000-01-01", "--to", "2000-01-02"]) == 0
+    (log.parent / "bad.arrows").write_bytes(b"no log")
+    assert status(["log", "list", str(log.parent)]) == 1
+
+
+def test_what_is_no_file_keeps_nobody_waiting(log: Path) -> None:
+    """A FIFO that is named like a log: it is shown as damaged, and looking into it is bad input."""
+    os.mkfifo(log.parent / "fifo.arrows")
+    assert status(["log", "list", str(log.parent)]) == 1
+    assert status(["log", "info", str(log.parent / "fifo.arrows")]) == 2

@@ -16,8 +16,9 @@ import pytest
 from rtec.daemon.disk import DiskThread
 from rtec.errors import LogError
 from rtec.log.events import Event, Events
-from rtec.log.reader import LogReader, LogWriter
+from rtec.log.reader import LogReader
 from rtec.log.recording import RETRY_NS, Begin, Recording
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Layout, Samples
 from rtec.loop.state import IMAGE_BYTES, Saved, StateWriter, newest

@@ -17,7 +17,7 @@ from rtec.correction.guard import Flag
 from rtec.daemon.status import Status
 from rtec.errors import ConfigError
 from rtec.hil import Accuracy, Comparison, FaultOrder, load_bench, parse_fault
-from rtec.log.reader import LogWriter
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Layout, Samples
 from rtec.loop.run_file import load_setup

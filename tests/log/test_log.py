@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from rtec.errors import LogError
 from rtec.log.export import export, flat_names
 from rtec.log.format import schema_of
-from rtec.log.reader import LogReader, LogWriter
+from rtec.log.reader import LogReader
+from rtec.log.writer import LogWriter
 from rtec.loop.records import Commands, Layout, Samples
 
 LAYOUT = Layout(("X", "Z"), ("T_spindle", "T_bed", "T_air"))
@@ -193,7 +194,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from test_log import LAYOUT, HEADER, part, random_rows
-from rtec.log.reader import LogWriter
+from rtec.log.writer import LogWriter
 block = random_rows(5000)
 log = LogWriter(Path(sys.argv[1]), LAYOUT, HEADER)
 for start in range(0, 5000, 50):

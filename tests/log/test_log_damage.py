@@ -9,10 +9,11 @@ from typer.testing import CliRunner
 import rtec.cli.log as log_cli
 from rtec.errors import LogError
 from rtec.log.folder import first_name, look_at
-from rtec.log.reader import LogReader, LogWriter
+from rtec.log.reader import LogReader
 from rtec.log.recording import free_path
 from rtec.log.stretch import LogStretch, segments_of
 from rtec.log.tidy import tidy
+from rtec.log.writer import LogWriter
 from rtec.loop.records import Layout
 from tests.support.log_rig import read, rows, same, write
 

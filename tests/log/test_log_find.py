@@ -13,9 +13,10 @@ from rtec.errors import LogError
 from rtec.log.export import export
 from rtec.log.folder import first_name, look_at
 from rtec.log.packed import pack
-from rtec.log.reader import LogWriter, open_log
+from rtec.log.reader import open_log
 from rtec.log.recording import free_path
 from rtec.log.stretch import LogStretch, instant_ns, segments_of, utc_text
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Layout
 from tests.support.log_rig import LAYOUT, NOON_NS, rows, write

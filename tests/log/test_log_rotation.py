@@ -21,12 +21,13 @@ import pytest
 
 from rtec.daemon.run_log import TIDY_ANYWAY_NS, TIDY_NS, Keeper
 from rtec.errors import LogError
-from rtec.log.folder import being_written, first_name, log_files, look_at, newest_log, next_log, place_of
+from rtec.log.folder import being_written, first_name, log_files, logs_at, look_at, next_log, place_of
 from rtec.log.packed import pack
-from rtec.log.reader import LogReader, LogWriter, open_log
+from rtec.log.reader import LogReader, open_log
 from rtec.log.recording import RETRY_NS, Begin, Recording, free_path
 from rtec.log.stretch import segments_of
 from rtec.log.tidy import tidy
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import Clock, VirtualClock
 from rtec.loop.records import Layout
 from rtec.loop.run_file import LogTable
@@ -98,7 +99,7 @@ def test_names_give_the_order_whatever_the_clock_said(tmp_path: Path) -> None:
     assert first_name(tmp_path / "new", "a-b", "20260401T000000Z").name == "a-b-000001-20260401T000000Z.arrows"
     first = tmp_path / wanted[1]
     assert next_log(tmp_path, first) == tmp_path / wanted[2]
-    assert newest_log(tmp_path) == tmp_path / wanted[-1]
+    assert logs_at(tmp_path)[-1] == tmp_path / wanted[-1]
     assert next_log(tmp_path, tmp_path / wanted[-1]) is None
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.errors import ConfigError, LogError
-from rtec.log.reader import LogReader, LogWriter
+from rtec.log.reader import LogReader
+from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import Setup, load_setup

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec.log.reader import LogWriter, open_log
+from rtec.log.reader import open_log
+from rtec.log.writer import LogWriter
 from rtec.loop.records import Commands, Layout, Samples
 
 LAYOUT = Layout(("X", "Z"), ("T_bed", "T_air"))
