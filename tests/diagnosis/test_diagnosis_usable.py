@@ -11,12 +11,12 @@ from rtec.cli.main import status
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add, clean_readings, new_effect, refused
 from rtec.diagnosis.extend.improve import improve
-from rtec.diagnosis.extend.joint import joint_fit
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.usable import apart, share
 from rtec.effects.expression import expression_from_text
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation import floor
+from rtec.estimation.joint import joint_fit
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
 from rtec.report.additions import improved_page

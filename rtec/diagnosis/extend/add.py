@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
-from rtec.diagnosis.extend.joint import LOOSE, Joint, joint_fit
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.usable import apart, check_enough, check_finite, unsure
@@ -27,6 +26,7 @@ from rtec.estimation import floor
 from rtec.estimation.columns import spikes
 from rtec.estimation.floor import Unit
 from rtec.estimation.gls import held_out
+from rtec.estimation.joint import LOOSE, Joint, joint_fit
 from rtec.estimation.noise import least_noise
 from rtec.estimation.readings import Readings, read
 from rtec.metrology.measurement import Measurement

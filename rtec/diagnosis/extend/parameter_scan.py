@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.extend.joint import Joint
 from rtec.diagnosis.search.screen import orthonormal
 from rtec.effects import Parameter
 from rtec.estimation.gls import solve
+from rtec.estimation.joint import Joint
 from rtec.estimation.noise import Whitener, without_drift
 from rtec.estimation.readings import Readings, looked_at
 from rtec.model import FittedEffect
