@@ -108,8 +108,8 @@ def estimate(
 ) -> Estimate:
     """Fit terms, beginning with the parameters that they have.
 
-    Readings whose size is off and that stand alone are left out, those in company count less (`noise.suspects`); the
-    noise of each reading column is what the fit leaves in it. Both are found again until they stay.
+    Readings whose residual is far off count less (`noise.weights`); the noise of each reading column is what the fit
+    leaves in it. Both are found again until they stay.
 
     Args:
         sources: measurements; their weights say what is left out from the start.
@@ -184,16 +184,14 @@ def _residuals(sources: Sequence[Source], found: Polished) -> list[Floats]:
 def _judge(
     sources: Sequence[Source], residuals: Sequence[Floats], judged: list[Floats], told: dict[tuple[int, int], Outlier]
 ) -> bool:
-    """Look for outliers; give whether any weight changed by much."""
+    """Weigh readings by their residuals; give whether any weight changed by much."""
     changed = False
+    told.clear()
     for i, (source, left) in enumerate(zip(sources, residuals, strict=True)):
-        alone, weight = noise.suspects(left, source.measurement.run)
-        now = np.where(alone, 0.0, weight).T.ravel()
-        now = np.where(judged[i] > 0, now, 0.0)
+        weight = noise.weights(left, source.measurement.run)
+        now = np.where(judged[i] > 0, weight.T.ravel(), 0.0)
         changed |= bool(np.any(np.abs(now - judged[i]) > 0.1))
-        for key in [k for k in told if k[0] == i and not told[k].left_out]:
-            del told[key]
-        for item in noise.describe(source, noise.from_run_medians(left, source.measurement.run), alone, weight):
+        for item in noise.describe(source, noise.from_run_medians(left, source.measurement.run), weight):
             column = source.measurement.instrument.columns().index(item.column)
             told[i, item.row * source.count + column] = item
         judged[i] = now

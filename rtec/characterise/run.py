@@ -23,6 +23,8 @@ from rtec.characterise.stream import Term, gather
 from rtec.effects import Effect
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
+from rtec.estimation.outliers import wrong_readings
+from rtec.estimation.readings import read
 from rtec.metrology.measurement import Measurement
 from rtec.model.fit import Margin
 from rtec.parallel import one_blas_thread
@@ -81,7 +83,7 @@ def _characterise(
     sources = [Source.of(m, leave_out_h) for m in _checked(measurements)]
     if sum(len(s.blocks.fold) for s in sources) > MANY_BLOCKS:
         sources = [replace(s, blocks=s.blocks.by_fold) for s in sources]
-    sources, spiky = _despiked(sources)
+    sources, spiky = _without_wrong(sources)
     scaled = [s.weighted(_rough_weights(s)) for s in sources]
     exact = wanted.exact if wanted else ()
     _check_channels(sources, exact)
@@ -171,15 +173,19 @@ def _rough_weights(source: Source) -> Floats:
     return (source.weight.reshape(-1, source.count) / noise.rough_noise(source)).ravel()
 
 
-def _despiked(sources: Sequence[Source]) -> tuple[list[Source], list[Outlier]]:
-    """Leave out readings that their neighbours in the run show to be wrong, and list them."""
-    out, told = [], []
-    for source in sources:
-        spike = noise.spikes(source)
-        off = source.measurement.matrix() - noise.around(source)
-        told += noise.describe(source, off, spike, np.ones(spike.shape))
-        out.append(source.weighted(np.where(spike.T.ravel(), 0.0, source.weight)))
-    return out, told
+def _without_wrong(sources: Sequence[Source]) -> tuple[list[Source], list[Outlier]]:
+    """Leave out wrong readings by the rule of `rtec.estimation.outliers`, and list them."""
+    measurements = [s.measurement for s in sources]
+    readings = read(measurements, sources[0].state.reference_degc, smooth=False)
+    off = wrong_readings(readings)
+    kept, told = [s.weight.copy() for s in sources], []
+    for s in readings.series:
+        m = measurements[s.source]
+        for i in np.flatnonzero(np.isfinite(off[s.part])):
+            row = int(s.row[i])
+            kept[s.source][row * sources[s.source].count + s.lane] = 0.0
+            told.append(Outlier(m.name, s.column, row, int(m.run[row]), float(off[s.part][i]), left_out=True))
+    return [s.weighted(k) for s, k in zip(sources, kept, strict=True)], told
 
 
 def _checked(measurements: Sequence[Measurement]) -> Sequence[Measurement]:

@@ -212,12 +212,9 @@ def unit_of_channel(name: str) -> str:
     return {"v": "mm/s", "a": "mm/s2", "d": "1", "T": "degC"}.get(head, "mm")
 
 
-def notes(spikes: int, readings: int, names: Sequence[str]) -> tuple[str, ...]:
+def notes(names: Sequence[str]) -> tuple[str, ...]:
     """What was done to the data."""
     out = []
-    if spikes:
-        said = "reading is" if spikes == 1 else "readings are"
-        out.append(f"{spikes} single {said} far from all neighbours and left out ({spikes / (readings + spikes):.1%})")
     out.append("temperatures are smoothed for the search where they creep; a model gets them as they are read")
     if len(names) > 1:
         out.append(f"one answer for {len(names)} measurements: {', '.join(names)}")

@@ -9,27 +9,24 @@ temperature between them is taken out.
 The fitted noise model is white noise, drift and an offset of each run, found by restricted maximum likelihood. So
 that what the model misses is not taken for drift, everything that goes smoothly with position, direction, speeds,
 load and temperatures is projected out first.
-
-Columns that follow anything smooth in the recorded channels: what they can reach is not counted as noise.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.flexible import NEAR_DEGC, flexible_columns
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.noise import Noise, Whitener, find_noise
-from rtec.estimation.outliers import without_runs
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_draws
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-NEAR_DEGC = 0.3
-"""Temperatures that differ by less than this from those of the first of a group count as the same."""
 SAME_MM = 0.02
 SAME_RPM = 1.0
 FEWEST = 20
@@ -146,95 +143,8 @@ def flattened(readings: Readings, columns: Floats) -> Floats:
     return np.asarray(flat - seen @ (seen.T @ flat))
 
 
-KNOTS, WARM_KNOTS = 9, 4
-FEW_VALUES = 9
-REAL_DEGC = 0.5
-"""A sensor that varies by less has nothing to say."""
-MOST_WARM, SMALL_PART = 40, 1e-10
-"""Columns of temperatures; the strongest directions of all that were made."""
-READINGS_PER_COLUMN, STATES_PER_COLUMN = 8, 3
-"""Temperatures that differ by less are one state of the machine."""
-
-
-def flexible_columns(readings: Readings, base: Floats) -> Floats:
-    """Columns of the model and of the set-up, (m, q), and those that follow anything smooth in the channels, (m, p).
-
-    Each series has coefficients of its own, so that those of different series stand in the same columns.
-    """
-    columns = [smooth_columns(readings, s) for s in readings.series]
-    width = max(c.shape[1] for c in columns)
-    padded = [np.pad(c, ((0, 0), (0, width - c.shape[1]))) for c in columns]
-    return np.concatenate([base, np.concatenate(padded)], axis=1)
-
-
-def smooth_columns(readings: Readings, series: Series) -> Floats:
-    """Hat functions of positions by direction, of speeds and load; of temperatures, also times positions, (n, p)."""
-    state, rows = readings.states[series.source], series.row
-    room = max(len(series) // READINGS_PER_COLUMN, 1)
-    parts: list[Floats] = []
-    moving: list[Floats] = []
-    for axis in readings.machine.axes:
-        place = state.value(axis.channel)[rows]
-        if np.ptp(place) <= 0.01 * (axis.travel_mm[1] - axis.travel_mm[0]):
-            continue
-        moving.append((place - place.mean()) / np.ptp(place))
-        direction = np.sign(state.value(axis.direction_channel)[rows])
-        hats = _hats(place, KNOTS)
-        parts += [hats * (direction == d)[:, None] for d in np.unique(direction)]
-    for name in ("spindle_rpm", "load_kg", "feed_mm_min", *(a.velocity_channel for a in readings.machine.axes)):
-        if name in state.channels and np.isfinite(state.channels[name][rows]).all():
-            parts.append(_hats(state.channels[name][rows], WARM_KNOTS))
-    plain = np.concatenate(parts, axis=1) if parts else np.zeros((len(series), 0))
-    warm = _warm(readings, series, moving)
-    return np.concatenate([plain, warm[:, : max(room - plain.shape[1], 0)]], axis=1)[:, :room]
-
-
-def _warm(readings: Readings, series: Series, moving: list[Floats]) -> Floats:
-    state, rows = readings.states[series.source], series.row
-    columns: list[Floats] = []
-    found: list[Floats] = []
-    for sensor in readings.machine.sensor_names:
-        value = state.channels.get(sensor)
-        if value is None or not np.isfinite(value[rows]).all() or np.ptp(value[rows]) < REAL_DEGC:
-            continue
-        found.append(value[rows])
-        hats = _hats(value[rows], WARM_KNOTS)
-        columns += [hats, *(hats * m[:, None] for m in moving)]
-    if not columns:
-        return np.zeros((len(series), 0))
-    # What goes with the zero of each run anyway must not take the place of what is seen.
-    seen = without_runs(series, np.concatenate(columns, axis=1))
-    size, turn = np.linalg.eigh(seen.T @ seen)
-    most = min(MOST_WARM, _states(np.stack(found, axis=1)) // STATES_PER_COLUMN)
-    kept = size[::-1][:most] > SMALL_PART * size[-1]
-    return np.asarray(seen @ turn[:, ::-1][:, :most][:, kept])
-
-
-def _states(degc: Floats) -> int:
-    """How many states of temperature were gone through, one after the other; (n, sensors).
-
-    Not readings but these are what a dependence on temperature is judged by: more columns than a part of them would
-    follow the drift of the noise.
-    """
-    count, first = 1, degc[0]
-    for now in degc:
-        if np.abs(now - first).max() > NEAR_DEGC:
-            count, first = count + 1, now
-    return count
-
-
-def _hats(value: Floats, knots: int) -> Floats:
-    """Hat functions on evenly spaced knots, or one column for each of a few values, (n, k)."""
-    levels = np.unique(value)
-    if len(levels) == 1:
-        return np.zeros((len(value), 0))
-    if len(levels) <= FEW_VALUES:
-        return np.asarray(value[:, None] == levels[None, :], dtype=np.float64)
-    place = (value - levels[0]) / (levels[-1] - levels[0]) * (knots - 1)
-    return np.asarray(np.clip(1.0 - np.abs(place[:, None] - np.arange(knots)[None, :]), 0.0, None))
-
-
 Unit = Literal["um", "urad", "noise"]
+FloorFrom = Literal["repeats", "short-time differences"]
 DRAWS = 24
 
 
@@ -261,30 +171,57 @@ def floors(whitener: Whitener, seed: int = 1) -> Floats:
     return np.sqrt(total / DRAWS)
 
 
-def as_compared(readings: Readings, left: Floats, columns: Floats) -> tuple[Floats, tuple[str, ...]]:
-    """The floor of each series as `rtec compare` has it, and where it comes from: repeats where there are enough.
+@dataclass(frozen=True)
+class Floor:
+    """The noise of one series.
 
-    A noise fitted along with a wrong model holds a part of what the model misses; what differs between repeats does
-    not.
+    Attributes:
+        value: root mean square of what does not repeat, in the unit of the series.
+        source: where that comes from.
+        drift: root mean square of the slow drift that no recorded channel explains; no part of `value`.
+        repeats: from repeats; None where there are too few.
+        fitted: the fitted noise model with its drift.
+    """
+
+    value: float
+    source: FloorFrom
+    drift: float
+    repeats: float | None
+    fitted: float
+
+
+def noise_floors(readings: Readings, left: Floats, columns: Floats, flexible: Whitener | None = None) -> list[Floor]:
+    """The floor of each series, the same for every command: repeats where there are enough, else short-time differences.
+
+    A drift is slow beside the readings, and so is what a model misses: neither counts as noise of a reading. What is
+    slow and follows no recorded channel is shown apart.
 
     Args:
         readings: the readings.
         left: what the model leaves of them, nuisances taken out, (m,).
         columns: of the model and the set-up, (m, p).
-
-    Returns:
-        Root mean square, (series,), and "repeats" or "fitted noise model" for each.
+        flexible: noise beside anything smooth, where it is known already.
     """
-    repeated = [repeats_floor(readings, s, left[s.part]) for s in readings.series]
-    if None in repeated:
+    noise = flexible or find_noise(readings, flexible_columns(readings, columns))
+    rms = rms_by_series(readings, left)
+    out = []
+    for s, n, whole, most in zip(readings.series, noise.noises, floors(noise), rms, strict=True):
+        repeated = repeats_floor(readings, s, left[s.part])
         # Noise is never more than what is left.
-        fitted = np.minimum(
-            floors(find_noise(readings, flexible_columns(readings, columns))), rms_by_series(readings, left)
-        )
-    else:
-        fitted = np.zeros(len(repeated))
-    values = np.array([f if r is None else r for r, f in zip(repeated, fitted, strict=True)])
-    return values, tuple("fitted noise model" if r is None else "repeats" for r in repeated)
+        quick = min(_quick(s, n), float(most))
+        fitted = min(float(whole), float(most))
+        drift = math.sqrt(max(fitted**2 - quick**2, 0.0))
+        source: FloorFrom = "short-time differences" if repeated is None else "repeats"
+        value = quick if repeated is None else repeated
+        out.append(Floor(value, source, drift, repeated, fitted))
+    return out
+
+
+def _quick(series: Series, noise: Noise) -> float:
+    """What neighbouring readings differ by, over √2: the white noise, and what drifts from one reading to the next."""
+    inside = np.diff(series.time_s)[np.diff(series.run) == 0]
+    apart = float(np.median(inside)) if len(inside) else 0.0
+    return noise.sigma * math.sqrt(1.0 + noise.drift * -math.expm1(-apart / noise.tau_s))
 
 
 def _draws(whitener: Whitener, number: int, rng: np.random.Generator) -> Floats:

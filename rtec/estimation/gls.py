@@ -3,12 +3,13 @@
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.estimation.noise import Whitener, log_likelihood, refine
-from rtec.estimation.readings import Readings
+from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
 
@@ -101,11 +102,14 @@ class HeldOut:
         white: sum of squares of whitened residuals, by fold, (folds,).
         square: mean square of plain residuals, nuisances of each run taken out.
         series: the same for each series, (series,).
+        folds: sum of squares of plain residuals of each fold, each series over its own mean square of readings,
+            (folds,).
     """
 
     white: Floats
     square: float
     series: Floats
+    folds: Floats
 
     @property
     def rms(self) -> float:
@@ -113,11 +117,22 @@ class HeldOut:
         return float(np.sqrt(self.square))
 
 
-def held_out(whitener: Whitener, columns: Floats, scale: Floats | None = None) -> HeldOut:
+class Weights(Protocol):
+    """What weighs columns for least squares."""
+
+    @property
+    def readings(self) -> Readings:
+        """The readings."""
+
+    def __call__(self, columns: Floats) -> Floats:
+        """Columns, (m,) or (m, p), weighted."""
+
+
+def held_out(whitener: Weights, columns: Floats, scale: Floats | None = None) -> HeldOut:
     """Leave out fold by fold, fit the rest, predict what was left out.
 
     Args:
-        whitener: noise for the weights.
+        whitener: the weights.
         columns: (m, p).
         scale: one over the unit of each series in the mean square, (series,); ones where not given.
     """
@@ -142,18 +157,32 @@ def held_out(whitener: Whitener, columns: Floats, scale: Floats | None = None) -
     weight = np.ones(len(readings.series)) if scale is None else scale
     squares = [float(np.mean(cleaned[s.part] ** 2)) * w * w for s, w in zip(readings.series, weight, strict=True)]
     sizes = np.array([len(s) for s in readings.series], dtype=np.float64)
-    return HeldOut(lost, float(np.average(squares, weights=sizes)), np.array(squares))
+    flat = without_nuisance(readings, readings.values)
+    whole = np.array([max(float(np.mean(flat[s.part] ** 2)), 1e-30) for s in readings.series])
+    folded = np.array([float(np.sum(cleaned[r] ** 2 / whole[readings.series_of[r]])) for r in rows])
+    return HeldOut(lost, float(np.average(squares, weights=sizes)), np.array(squares), folded)
 
 
 def without_nuisance(readings: Readings, left: Floats) -> Floats:
-    """Residuals less what each run has anew (zero, slope), by least squares run by run, (m,)."""
+    """Residuals less what each run has anew (zero, slope), by least squares run by run, (m,) or (m, p)."""
     out = left.copy()
     for s in readings.series:
-        if not s.nuisance.shape[1]:
-            continue
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(s.run)) + 1, [len(s)]])
-        part = out[s.part]
-        for a, b in itertools.pairwise(edges):
-            part[a:b] -= s.nuisance[a:b] @ np.linalg.lstsq(s.nuisance[a:b], part[a:b], rcond=None)[0]
-        out[s.part] = part
+        if s.nuisance.shape[1]:
+            out[s.part] = without_runs(s, out[s.part])
+    return out
+
+
+def without_runs(series: Series, columns: Floats) -> Floats:
+    """Columns of one series less what each run has anew, (n,) or (n, p)."""
+    if not series.nuisance.shape[1]:
+        return columns.copy()
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(series.run)) + 1, [len(series)]])
+    if series.nuisance.shape[1] == 1 and not np.ptp(series.nuisance):
+        size = np.diff(edges).astype(np.float64)
+        means = np.add.reduceat(columns, edges[:-1], axis=0) / (size if columns.ndim == 1 else size[:, None])
+        return np.asarray(columns - means[series.run])
+    out = columns.copy()
+    for a, b in itertools.pairwise(edges):
+        own = series.nuisance[a:b]
+        out[a:b] -= own @ np.linalg.lstsq(own, out[a:b], rcond=None)[0]
     return out

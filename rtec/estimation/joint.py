@@ -4,8 +4,9 @@ What the given measurements do not show stays as it is: numbers move from where 
 was, the freer it moves.
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, Parameter
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.columns import slope
-from rtec.estimation.gls import inverse, solve
+from rtec.estimation.gls import HeldOut, held_out, solve
 from rtec.estimation.noise import Whitener, find_noise, refine
+from rtec.estimation.plain import Plain, as_good, covariance, plain_fit
 from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect
 from rtec.model.fit import SearchScale
@@ -31,6 +33,7 @@ NEW = 1e6
 """Standard deviation of the prior of a number nobody has fitted yet, over its usual size."""
 ROUNDS = 2
 EVALUATIONS = 40
+TOLD = 4
 
 
 @dataclass(frozen=True)
@@ -42,12 +45,33 @@ class Joint:
         whitener: the noise.
         columns: of every linear number, then terms of the set-up, (m, p).
         left: readings less the fit, (m,).
+        weights: of the fit; ordinary ones where generalised least squares predicts held-out runs worse.
+        disputed: numbers of which both disagree by more than their errors, in words.
+        plain: the ordinary fit.
     """
 
     effects: tuple[FittedEffect, ...]
     whitener: Whitener
     columns: Floats
     left: Floats
+    weights: Whitener | Plain
+    disputed: tuple[str, ...] = ()
+    plain: "Joint | None" = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Numbers found under some weights."""
+
+    weights: Whitener | Plain
+    noise: Whitener
+    thetas: list[dict[str, float]]
+    columns: Floats
+    values: Floats
+    loose: float
+
+    def left(self, readings: Readings) -> Floats:
+        return np.asarray(readings.values - self.columns @ self.values)
 
 
 @dataclass
@@ -92,10 +116,53 @@ def joint_fit(
         MeasurementError: a channel that an effect needs was not recorded.
     """
     work = _Work([f.effect for f in effects], readings, effects)
+    free = _free(effects, readings) if search else []
+    weighed = _weighed(work, free, loose, least)
+    plain = _ordinary(work, free, weighed)
+    judged = [held_out(f.weights, f.columns) for f in (weighed, plain)]
+    ordinary, by_weight = _joint(effects, readings, plain), _joint(effects, readings, weighed)
+    words = _disputed(by_weight, ordinary, judged)
+    return replace(by_weight if as_good(*judged) else ordinary, disputed=words, plain=ordinary)
+
+
+def _joint(effects: Sequence[FittedEffect], readings: Readings, found: _Found) -> Joint:
+    return Joint(_numbers(effects, readings, found), found.noise, found.columns, found.left(readings), found.weights)
+
+
+APART = 3.0
+"""Standard errors between the numbers of both fits from which on they disagree."""
+
+
+def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[str, ...]:
+    """Words for numbers that weighing by the noise moves by more than their errors."""
+    out = []
+    for one, two in zip(weighed.effects, plain.effects, strict=True):
+        for name, value in two.values.items():
+            error = math.hypot(one.errors.get(name, 0.0), two.errors.get(name, 0.0))
+            if 0.0 < APART * error < abs(one.values[name] - value):
+                out.append(
+                    f"{two.label} {name}: {value:.3g} by ordinary, {one.values[name]:.3g} by weighted least squares"
+                )
+    if not out:
+        return ()
+    rms = [math.sqrt(j.square) for j in judged]
+    taken = "weighted" if as_good(*judged) else "ordinary"
+    first = (
+        "the fit depends on how slow changes of the residual are weighed, so something slow is not in the model: "
+        f"held-out runs are predicted to {rms[1]:.3g} by ordinary and to {rms[0]:.3g} by weighted least squares; "
+        f"the {taken} fit was taken"
+    )
+    return (first, *out[:TOLD])
+
+
+def _weighed(
+    work: _Work, free: Sequence[tuple[int, Parameter]], loose: float | None, least: tuple[float, ...]
+) -> _Found:
+    """Generalised least squares, with the noise found along."""
+    readings, effects = work.readings, work.start
     thetas = [dict(f.theta) for f in effects]
     columns = work.columns(thetas)
     whitener = find_noise(readings, columns, least=least)
-    free = _free(effects, readings) if search else []
     loose = _likeliest(effects, readings, whitener, columns) if loose is None else loose
     for _ in range(ROUNDS if free else 1):
         if free:
@@ -104,8 +171,23 @@ def joint_fit(
         values = _values(effects, readings, whitener, columns, loose)
         whitener = refine(whitener, readings.values - columns @ values, 30)
     values = _values(effects, readings, whitener, columns, loose)
-    fitted = _numbers(effects, readings, whitener, columns, thetas, values, loose)
-    return Joint(fitted, whitener, columns, readings.values - columns @ values)
+    return _Found(whitener, whitener, thetas, columns, values, loose)
+
+
+def _ordinary(work: _Work, free: Sequence[tuple[int, Parameter]], weighed: _Found) -> _Found:
+    """Ordinary robust least squares."""
+    readings, effects = work.readings, work.start
+    thetas = [dict(f.theta) for f in effects]
+    columns = work.columns(thetas)
+    plain, values = plain_fit(readings, weighed.noise, columns)
+    for _ in range(ROUNDS if free else 1):
+        if free:
+            thetas = _polish(work, plain, thetas, free)
+            columns = work.columns(thetas)
+            plain, values = plain_fit(readings, weighed.noise, columns)
+    plain = plain.refined(readings.values - columns @ values, columns)
+    values = _values(effects, readings, plain, columns, weighed.loose)
+    return _Found(plain, plain.noise, thetas, columns, values, weighed.loose)
 
 
 def _columns(effect: Effect, theta: Mapping[str, float], readings: Readings) -> Floats:
@@ -127,7 +209,7 @@ def _free(effects: Sequence[FittedEffect], readings: Readings) -> list[tuple[int
 
 
 def _polish(
-    work: _Work, whitener: Whitener, thetas: list[dict[str, float]], free: Sequence[tuple[int, Parameter]]
+    work: _Work, whitener: Whitener | Plain, thetas: list[dict[str, float]], free: Sequence[tuple[int, Parameter]]
 ) -> list[dict[str, float]]:
     """Variable projection on the whitened readings."""
     from scipy.optimize import least_squares
@@ -185,7 +267,7 @@ def _likeliest(effects: Sequence[FittedEffect], readings: Readings, whitener: Wh
 
 
 def _values(
-    effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener, columns: Floats, loose: float
+    effects: Sequence[FittedEffect], readings: Readings, whitener: Whitener | Plain, columns: Floats, loose: float
 ) -> Floats:
     """Generalised least squares that begins at the numbers as they are, (p,)."""
     centre, spread = _prior(effects, readings, loose)
@@ -196,17 +278,10 @@ def _values(
     return np.asarray(centre + solve(stacked, np.concatenate([target, np.zeros(len(centre))])))
 
 
-def _numbers(
-    effects: Sequence[FittedEffect],
-    readings: Readings,
-    whitener: Whitener,
-    columns: Floats,
-    thetas: Sequence[Mapping[str, float]],
-    values: Floats,
-    loose: float,
-) -> tuple[FittedEffect, ...]:
+def _numbers(effects: Sequence[FittedEffect], readings: Readings, found: _Found) -> tuple[FittedEffect, ...]:
     """Effects with the numbers found and their standard errors."""
     machine, at = readings.machine, 0
+    columns, thetas, values, loose = found.columns, found.thetas, found.values, found.loose
     filled: list[FittedEffect] = []
     for f, theta in zip(effects, thetas, strict=True):
         linear, _ = names_of(f.effect, machine)
@@ -220,8 +295,7 @@ def _numbers(
             owner.append((i, name))
     whole = np.concatenate([columns, *[s[:, None] for s in slopes]], axis=1)
     spread = np.concatenate([_prior(effects, readings, loose)[1], np.full(len(slopes), np.inf)])
-    covariance = inverse(np.concatenate([whitener(whole), np.diag(1.0 / spread)]))
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    errors = np.sqrt(np.maximum(np.diag(covariance(found.weights, whole, spread)), 0.0))
     errors = np.where(np.abs(whole).max(axis=0, initial=0.0) > 0.0, errors, np.nan)  # nan: not seen
     out, at = [], 0
     for i, (f, before) in enumerate(zip(filled, effects, strict=True)):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.estimation.readings import Readings, Series
-from rtec.estimation.whitening import gains, innovations
+from rtec.estimation.whitening import drift_sums, gains, innovations
 
 Floats = NDArray[np.float64]
 
@@ -140,6 +140,17 @@ class Whitener:
         whole = columns[:, None] if flat else columns
         out = np.concatenate([f.whiten(whole[f.series.part]) for f in self.filters])
         return out[:, 0] if flat else out
+
+    def covary(self, columns: Floats) -> Floats:
+        """Columns, (m, p), times the covariance of the readings, the unknowns of each run aside."""
+        out = np.empty_like(columns)
+        for s, n in zip(self.readings.series, self.noises, strict=True):
+            mine = np.ascontiguousarray(columns[s.part])
+            sums = np.zeros((int(s.run[-1]) + 1, mine.shape[1]))
+            np.add.at(sums, s.run, mine)
+            drift = n.drift * drift_sums(s.time_s, n.tau_s, mine)
+            out[s.part] = n.sigma**2 * (mine + drift + n.offset * sums[s.run])
+        return out
 
     def with_noises(self, noises: Sequence[Noise]) -> "Whitener":
         """The same readings under other noises."""

@@ -1,101 +1,297 @@
-"""Wrong readings: single ones far from their neighbours in the run, in what no smooth dependence explains."""
+"""Wrong readings: the one rule by which every command leaves readings out.
+
+The rule knows no model, so the same file gives the same readings to each command, and to each step of `improve`. A
+reading is wrong where it is far from what
+
+- a smooth dependence on the recorded channels explains, fitted robustly,
+- the other visits to the same place show, going the same way, and
+- its neighbours in time show,
+
+and where it does not come again. Single readings count, and bursts of up to three where other visits to the place, or
+a machine that stands still, show that nothing was there. More than a few in a hundred are what the machine does.
+"""
 
 import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.flexible import smooth_columns
 from rtec.estimation.gls import solve
-from rtec.estimation.readings import Readings, Series
+from rtec.estimation.readings import Readings, Series, read
+from rtec.jit import njit
+from rtec.metrology.measurement import Measurement
+from rtec.parallel import MANY
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 FAR, NEAR, COMPANY = 7.0, 3.0, 0.3
 """Robust standard deviations; and the share of a wrong reading that its neighbours may be off at the most."""
-ROUNDS = 3
-"""A wrong reading bends the smooth part, so that it is looked for again without those that were found."""
+BURST = 3
+"""So many wrong readings may follow each other."""
+VISITS = 3
+"""Visits to a place, going the same way, whose median tells what the machine does there."""
+AGAIN, HALF = 1.0 / 3.0, 0.5
+"""A reading comes again where this share of the other visits is off by at least half as much, the same way."""
+MOST, FEW = 0.05, 3
+"""More than this share of a series, and more than a few, are no mistakes of reading."""
+PLACE_MM = 0.02
+ROUNDS = 4
+"""A wrong reading bends the smooth part, so that it is fitted again with less weight on what is far off."""
 REACH = 5
 SIGMA_PER_MAD, SMALL = 1.4826, 0.02
+STILL_MM = 1e-3
+MIX = np.uint64(0x9E3779B97F4A7C15)
+"""Odd, its bits spread evenly (the golden ratio): places get different numbers."""
+TOLD = 12
 
 
-def wrong_readings(readings: Readings, columns: Floats, left: Floats) -> Bools:
-    """Single readings that are far off, (m,); two beside each other are what the machine does.
+@dataclass(frozen=True)
+class WrongReading:
+    """A reading that is left out.
 
-    Args:
-        readings: of all series.
-        columns: smooth dependences, (m, p).
-        left: measured minus predicted, (m,).
+    Attributes:
+        measurement, column: where.
+        row: counted from 0; run: its number.
+        off: how far from its neighbours, in the unit of the column.
+        unit: "um" or "urad".
     """
-    wrong = np.zeros(len(left), dtype=bool)
+
+    measurement: str
+    column: str
+    row: int
+    run: int
+    off: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Clean:
+    """Readings of several measurements without the wrong ones, with the channels as the loop sees them.
+
+    Attributes:
+        readings: those that count.
+        wrong: those that were left out.
+        kept: which of all readings count.
+    """
+
+    readings: Readings
+    wrong: tuple[WrongReading, ...]
+    kept: Bools
+
+    def smoothed(self) -> Readings:
+        """The same readings with temperatures smoothed in time."""
+        return self.readings.smoothed()
+
+
+def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0) -> Clean:
+    """Read measurements and leave out what is wrong.
+
+    Raises:
+        MeasurementError: as `read`.
+    """
+    whole = read(measurements, reference_degc, smooth=False)
+    off = wrong_readings(whole)
+    wrong = np.isfinite(off)
+    told = []
+    for s in whole.series:
+        m = whole.measurements[s.source]
+        for i in np.flatnonzero(wrong[s.part]):
+            row = int(s.row[i])
+            told.append(WrongReading(m.name, s.column, row, int(m.run[row]), float(off[s.part][i]), s.unit))
+    return Clean(whole.without(wrong) if told else whole, tuple(told), ~wrong)
+
+
+def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
+    """Which readings were left out, in words: a line for each reading column."""
+    out = []
+    for key in dict.fromkeys((w.measurement, w.column) for w in wrong):
+        mine = [w for w in wrong if (w.measurement, w.column) == key]
+        unit = "µm" if mine[0].unit == "um" else "µrad"
+        rows = ", ".join(f"row {w.row + 1} of run {w.run} ({w.off:+.3g} {unit})" for w in mine[:TOLD])
+        more = f" and {len(mine) - TOLD} more" if len(mine) > TOLD else ""
+        count = "1 wrong reading was" if len(mine) == 1 else f"{len(mine)} wrong readings were"
+        out.append(f"{key[0]} {key[1]}: {count} left out, far from all neighbours: {rows}{more}")
+    return tuple(out)
+
+
+def wrong_readings(readings: Readings) -> Floats:
+    """How far wrong readings are from their neighbours, (m,); NaN of those that are right."""
+    out = np.full(len(readings), np.nan)
+    for s in readings.series:
+        out[s.part] = _of_series(readings, s, readings.values[s.part])
+    return out
+
+
+def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
+    n = len(s)
+    place, still = _places(readings, s)
+    linked = _linked(s)
+    rough = _rough(readings, s, values, linked)
+    rough = rough - _of_visits(rough, place)
+    spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
+    off, wrong = np.zeros(n), np.zeros(n, dtype=bool)
     for _ in range(ROUNDS):
-        rough = less(readings, columns, left, wrong)
-        found = np.zeros(len(left), dtype=bool)
-        for s in readings.series:
-            found[s.part] = _single(rough[s.part], s, float(np.std(left[s.part])), wrong[s.part])
+        middle, least = neighbours(np.where(wrong, np.nan, rough), rough, linked)
+        off = rough - middle
+        sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9)
+        found = _bursts(off, least, sigma, linked, place, still)
+        found &= ~_again(off, place, found) if not still else True
         if not (found & ~wrong).any():
             break
         wrong |= found
-    return wrong
+    return np.where(wrong & (wrong.sum() <= max(MOST * n, FEW)), off, np.nan)
 
 
-def _single(rough: Floats, s: Series, spread: float, wrong: Bools) -> Bools:
-    off = rough - _of_neighbours(np.where(wrong, np.nan, rough), rough, s)
-    sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9)
+def _linked(s: Series) -> Ints:
+    """Stretches whose readings are neighbours, (n,): runs where each has unknowns of its own, else the whole series."""
+    return s.run if s.nuisance.shape[1] else np.zeros(len(s), dtype=np.int64)
+
+
+def _places(readings: Readings, s: Series) -> tuple[Ints, bool]:
+    """A number for each place and way of passing it, (n,), and whether no axis moves at all."""
+    state = readings.states[s.source]
+    pose = readings.poses_mm[s.source][s.row]
+    if not len(pose) or float(np.ptp(pose, axis=0).max(initial=0.0)) < STILL_MM:
+        return np.zeros(len(s), dtype=np.int64), True
+    columns = [np.round(pose[:, i] / PLACE_MM) for i in range(pose.shape[1])]
+    columns += [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
+    # One number for each row: sorting rows of many columns would take most of the time.
+    key = np.zeros(len(s), dtype=np.uint64)
+    for column in columns:
+        key = key * MIX + column.astype(np.int64).view(np.uint64)
+        key ^= key >> np.uint64(29)
+    return np.asarray(np.unique(key, return_inverse=True)[1].ravel(), dtype=np.int64), False
+
+
+def _rough(readings: Readings, s: Series, values: Floats, linked: Ints) -> Floats:
+    """What no smooth dependence on the recorded channels explains, fitted robustly, (n,).
+
+    Of very many readings only what their neighbours do not explain counts: they are close enough to each other.
+    """
+    off = values - neighbours(values, values, linked)[0]
+    columns = np.zeros((len(s), 0))
+    if len(s) <= MANY:
+        columns = smooth_columns(readings, s)
+    sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), 1e-12)
+    weight = 1.0 / (1.0 + (off / (NEAR * sigma)) ** 2)
+    out = values
+    for _ in range(ROUNDS):
+        root = np.sqrt(weight)[:, None]
+        flat = _without_runs(s, np.concatenate([columns, values[:, None]], axis=1), weight)
+        out = flat[:, -1] - flat[:, :-1] @ solve(flat[:, :-1] * root, flat[:, -1] * root[:, 0])
+        sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(out))), 1e-12)
+        weight = 1.0 / (1.0 + (out / (NEAR * sigma)) ** 2)
+    return out
+
+
+def _without_runs(s: Series, columns: Floats, weight: Floats) -> Floats:
+    """Columns less what each run has anew, by weighted least squares, (n, p); a constant where nothing is unknown."""
+    if not s.nuisance.shape[1]:
+        return np.asarray(columns - weight @ columns / weight.sum())
+    out = columns.copy()
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(s.run)) + 1, [len(s)]])
+    if s.nuisance.shape[1] == 1 and not np.ptp(s.nuisance):
+        total = np.add.reduceat(columns * weight[:, None], edges[:-1], axis=0)
+        return np.asarray(out - (total / np.add.reduceat(weight, edges[:-1])[:, None])[s.run])
+    for a, b in itertools.pairwise(edges):
+        own, root = s.nuisance[a:b], np.sqrt(weight[a:b])[:, None]
+        out[a:b] -= own @ np.linalg.lstsq(own * root, out[a:b] * root, rcond=None)[0]
+    return out
+
+
+def _of_visits(rough: Floats, place: Ints) -> Floats:
+    """Median of all visits to the place of each reading, (n,); zero where there are few."""
+    ordered = rough[np.lexsort((rough, place))]
+    count = np.bincount(place)
+    first = np.concatenate([[0], np.cumsum(count)[:-1]])
+    middle = 0.5 * (ordered[first + (count - 1) // 2] + ordered[first + count // 2])
+    return np.asarray(np.where(count >= VISITS, middle, 0.0)[place])
+
+
+def _bursts(off: Floats, least: Floats, sigma: float, linked: Ints, place: Ints, still: bool) -> Bools:
+    """Far readings, single or few in a row, whose neighbours on both sides are not, (n,)."""
     size = np.abs(off)
-    beside = np.zeros(len(off))
-    same = np.diff(s.run) == 0
-    beside[1:] = np.where(same, size[:-1], 0.0)
-    beside[:-1] = np.maximum(beside[:-1], np.where(same, size[1:], 0.0))
-    return np.asarray((size > FAR * sigma) & (beside < np.maximum(NEAR * sigma, COMPANY * size)))
+    far = (size > FAR * sigma) & (least * np.sign(off) > HALF * size)
+    out = np.zeros(len(off), dtype=bool)
+    edge = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(np.int8), [0]])))
+    visits = np.bincount(place)
+    for a, b in zip(edge[::2], edge[1::2], strict=True):
+        if b - a > BURST or linked[a] != linked[b - 1]:
+            continue
+        if b - a > 1 and not still and visits[place[a:b]].min() < VISITS:
+            continue
+        limit = max(NEAR * sigma, COMPANY * float(size[a:b].min()))
+        before = size[a - 1] if a and linked[a - 1] == linked[a] else 0.0
+        after = size[b] if b < len(off) and linked[b] == linked[a] else 0.0
+        out[a:b] = max(before, after) < limit
+    return out
 
 
-def _of_neighbours(values: Floats, own: Floats, s: Series) -> Floats:
-    """Median of the nearest readings of the run, five on either side, the reading itself left out, (n,).
+def _again(off: Floats, place: Ints, found: Bools) -> Bools:
+    """Whether other visits to the place of readings that were found are off the same way, (n,)."""
+    out = np.zeros(len(off), dtype=bool)
+    for p in np.unique(place[found]):
+        group = np.flatnonzero(place == p)
+        mine = off[group]
+        alike = (mine[None, :] * np.sign(mine)[:, None] >= HALF * np.abs(mine)[:, None]).sum(axis=1) - 1
+        out[group] = (alike > 0) & (alike >= AGAIN * (len(group) - 1))
+    return out
+
+
+def neighbours(values: Floats, own: Floats, linked: Ints) -> tuple[Floats, Floats]:
+    """Median of the nearest readings, five on either side, the reading itself left out, (n,), and how near a side is.
 
     Args:
         values: NaN where a reading is known to be wrong, (n,).
-        own: given back where a reading has no neighbours, (n,).
-        s: the series.
+        own: each reading, (n,); given back where it has no neighbours.
+        linked: stretches that neighbours do not reach across, (n,).
+
+    Returns:
+        The median of both sides; and how far a reading is at least from the median of one side, with its sign, zero
+        where it lies between both: at a step it is near to one of them.
     """
+    middle, least = np.empty(len(values)), np.empty(len(values))
+    _medians(values, own, linked, middle, least)
+    return middle, least
+
+
+@njit
+def _medians(values: Floats, own: Floats, linked: Ints, middle: Floats, least: Floats) -> None:
     n = len(values)
-    shifts = [k for k in range(-REACH, REACH + 1) if k and abs(k) < n]
-    if not shifts:
-        return own
-    there = np.full((len(shifts), n), np.nan)
-    for row, k in zip(there, shifts, strict=True):
-        to = slice(max(k, 0), n + min(k, 0))
-        at = slice(max(-k, 0), n - max(k, 0))
-        row[at] = np.where(s.run[to] == s.run[at], values[to], np.nan)
-    alone = np.isnan(there).all(axis=0)
-    # A run of one reading has no neighbours: nothing is said of it.
-    there[:, alone] = own[alone]
-    return np.asarray(np.nanmedian(there, axis=0))
-
-
-def less(readings: Readings, columns: Floats, values: Floats, without: Bools | None = None) -> Floats:
-    """Values less what the columns explain of them by least squares, series by series, (m,).
-
-    Args:
-        readings: of all series.
-        columns: (m, p).
-        values: (m,).
-        without: readings that the fit does not see, (m,).
-    """
-    out = values.copy()
-    for s in readings.series:
-        mine = without_runs(s, columns[s.part])
-        seen = np.ones(len(s), dtype=bool) if without is None else ~without[s.part]
-        out[s.part] -= mine @ solve(mine[seen], values[s.part][seen])
-    return out
-
-
-def without_runs(series: Series, columns: Floats) -> Floats:
-    """Columns of one series less what each run has anew, (n, p)."""
-    out = columns.copy()
-    if series.nuisance.shape[1]:
-        edges = np.concatenate([[0], np.flatnonzero(np.diff(series.run)) + 1, [len(series)]])
-        for a, b in itertools.pairwise(edges):
-            own = series.nuisance[a:b]
-            out[a:b] -= own @ np.linalg.lstsq(own, out[a:b], rcond=None)[0]
-    return out
+    near = np.empty(2 * REACH)
+    for i in range(n):
+        sides = np.zeros(2)
+        there = np.zeros(2)
+        for part in range(3):
+            low = i - REACH if part != 1 else i + 1
+            high = i + REACH if part != 0 else i - 1
+            count = 0
+            for k in range(max(low, 0), min(high + 1, n)):
+                if k != i and linked[k] == linked[i] and not np.isnan(values[k]):
+                    at = count
+                    while at > 0 and near[at - 1] > values[k]:
+                        near[at] = near[at - 1]
+                        at -= 1
+                    near[at] = values[k]
+                    count += 1
+            found = own[i]
+            if count:
+                found = 0.5 * (near[(count - 1) // 2] + near[count // 2])
+            if part < 2:
+                sides[part] = own[i] - found
+                there[part] = count
+            else:
+                middle[i] = found
+        if there[0] == 0.0:
+            least[i] = sides[1]
+        elif there[1] == 0.0:
+            least[i] = sides[0]
+        elif sides[0] * sides[1] <= 0.0:
+            least[i] = 0.0
+        else:
+            least[i] = sides[0] if abs(sides[0]) < abs(sides[1]) else sides[1]

@@ -104,6 +104,11 @@ class Readings:
         return np.concatenate([s.run + int(first) for s, first in zip(self.series, ends[:-1], strict=True)])
 
     @cached_property
+    def series_of(self) -> Ints:
+        """Number of the series of each reading, (m,)."""
+        return np.repeat(np.arange(len(self.series)), [len(s) for s in self.series])
+
+    @cached_property
     def time_s(self) -> Floats:
         """Time of each reading since its measurement began, s, (m,)."""
         return np.concatenate([s.time_s for s in self.series])
@@ -171,10 +176,10 @@ class Readings:
             self.measurements, self.states, tuple(series), self.values[kept], self.setup[kept], self.setup_names
         )
 
-    def causal(self) -> "Readings":
-        """The same with the temperatures as they were read: what the loop will see."""
+    def smoothed(self) -> "Readings":
+        """The same with the temperatures smoothed both ways in time, which the loop cannot do."""
         states = tuple(
-            _state(m, s.reference_degc, smooth=False) for m, s in zip(self.measurements, self.states, strict=True)
+            _state(m, s.reference_degc, smooth=True) for m, s in zip(self.measurements, self.states, strict=True)
         )
         return replace(self, states=states, _arms={})
 

@@ -150,6 +150,26 @@ def drift_draws(time_s: Floats, tau_s: float, steps: Floats) -> None:
 
 
 @njit
+def drift_sums(time_s: Floats, tau_s: float, columns: Floats) -> Floats:
+    """Multiply columns, (n, p), by the covariance of a drift of variance one, `exp(-|t - t'| / τ)`."""
+    n, p = columns.shape
+    out = columns.copy()
+    ahead = columns.copy()
+    for i in range(1, n):
+        f = math.exp(-min((time_s[i] - time_s[i - 1]) / tau_s, 700.0))
+        for j in range(p):
+            out[i, j] += f * out[i - 1, j]
+    for i in range(n - 2, -1, -1):
+        f = math.exp(-min((time_s[i + 1] - time_s[i]) / tau_s, 700.0))
+        for j in range(p):
+            ahead[i, j] += f * ahead[i + 1, j]
+    for i in range(n):
+        for j in range(p):
+            out[i, j] += ahead[i, j] - columns[i, j]
+    return out
+
+
+@njit
 def likelihood(  # noqa: PLR0912 - one pass, compiled
     time_s: Floats,
     run: Ints,

@@ -9,7 +9,7 @@ import pytest
 from rtec.cli.common import kept, told_when_stopped
 from rtec.cli.main import status
 from rtec.diagnosis.compare.compare import compare
-from rtec.diagnosis.extend.add import add, clean_readings, new_effect, refused
+from rtec.diagnosis.extend.add import add, new_effect, refused
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.usable import apart, share
@@ -17,6 +17,7 @@ from rtec.effects.expression import expression_from_text
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation import floor
 from rtec.estimation.joint import joint_fit
+from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
 from rtec.report.additions import improved_page
@@ -71,7 +72,7 @@ def test_aliases_are_told_and_the_start_decides() -> None:
     alias = 1.0 / abs(1.0 / 5.0 - 2.0 / step)
     for start, expected in ((5.1, 5.0), (alias * 1.02, alias)):
         effect = expression_from_text("A*sin(2*pi*x/p + phi)", [f"p={start}:3..200"], "EXX", small_machine())
-        readings = clean_readings(model, measured)
+        readings = clean(measured).readings
         found, words = ranged(new_effect(effect, model), joint_fit(model.effects, readings), readings)
         assert found.theta["p"] == pytest.approx(expected, rel=0.01)
         assert "equal steps" in words[0]
@@ -142,7 +143,7 @@ def test_the_floor_is_that_of_compare() -> None:
 
 def test_the_floor_of_a_series_without_repeats_is_fitted() -> None:
     """Oracle: one run only has no repeats; the noise that was simulated is an upper bound with some room."""
-    readings = clean_readings(model_of(SCALE), [laser([SCALE], 3, protocol="cold", cycles=1)])
+    readings = clean([laser([SCALE], 3, protocol="cold", cycles=1)]).readings
     values, sources = floor.as_compared(readings, floor.cleaned(readings, readings.values), readings.setup)
     assert sources == ("fitted noise model",)
     assert values[0] <= np.std(readings.values)

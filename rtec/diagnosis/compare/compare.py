@@ -13,15 +13,16 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.bins import MOVES, unit_of
 from rtec.diagnosis.compare.locate import locate
-from rtec.diagnosis.compare.result import Compared, Comparison, FloorFrom, Outside, Part, Region, Size, Traces
+from rtec.diagnosis.compare.result import Compared, Comparison, Outside, Part, Region, Size, Traces
 from rtec.diagnosis.usable import check_enough
 from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.errors import MeasurementError
 from rtec.estimation.columns import base_of, effect_columns, ordered
-from rtec.estimation.floor import flattened, flexible_columns, floors, repeats_floor, tails_of
+from rtec.estimation.flexible import flexible_columns, less
+from rtec.estimation.floor import Floor, flattened, floors, noise_floors, tails_of
 from rtec.estimation.noise import Whitener, find_noise
-from rtec.estimation.outliers import less, wrong_readings
-from rtec.estimation.readings import Readings, Series, read
+from rtec.estimation.outliers import clean, outlier_words
+from rtec.estimation.readings import Readings, Series
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -60,16 +61,18 @@ def compare(
     check_enough(measurements, FEWEST)
     with one_blas_thread():
         tell("reading, predicting", 0, 1)
-        readings, columns, notes = _without_spikes(model, read(measurements, model.reference_degc, smooth=False))
+        clean_ones = clean(measurements, model.reference_degc)
+        readings, notes = clean_ones.readings, outlier_words(clean_ones.wrong)
+        columns = flexible_columns(readings, base_of(model, readings).columns)
         traces = _traces(model, readings)
         tell("finding the noise", 0, 1)
         flexible = find_noise(readings, columns)
-        fitted = floors(flexible, seed)
+        noise = noise_floors(readings, traces.left, columns, flexible)
         whitener = _of_chance(readings, traces.left, flexible, find_noise(readings, base_of(model, readings).columns))
         tails = tails_of(whitener, less(readings, columns, traces.left))
         worst = locate(readings, traces.left, whitener, tails, seed, stage)
     items = tuple(
-        _compared(model, traces, s, float(f), w) for s, f, w in zip(readings.series, fitted, worst, strict=True)
+        _compared(model, traces, s, f, w) for s, f, w in zip(readings.series, noise, worst, strict=True)
     )
     odd = odd_scales(readings, traces.measured, traces.predicted)
     return Comparison(model.name, items, (*odd, *_stuck(readings), *notes), seed, traces)
@@ -95,32 +98,6 @@ def _check(model: Model, measurements: Sequence[Measurement]) -> None:
         raise MeasurementError("\n".join(faults))
 
 
-def _without_spikes(model: Model, readings: Readings) -> tuple[Readings, Floats, tuple[str, ...]]:
-    """Leave out single readings far from all neighbours, and tell them; also give the flexible columns, (m, p).
-
-    Looked for in what no smooth dependence explains: the far end of a steep line is no wrong reading.
-    """
-    base = base_of(model, readings)
-    columns = flexible_columns(readings, base.columns)
-    left = flattened(readings, readings.values - base.predicted)
-    lonely = wrong_readings(readings, columns, left)
-    notes = []
-    for s in readings.series:
-        gone = np.flatnonzero(lonely[s.part])
-        if len(gone):
-            m = readings.measurements[s.source]
-            worst = gone[np.argmax(np.abs(left[s.part][gone]))]
-            said = "reading is" if len(gone) == 1 else "readings are"
-            notes.append(
-                f"{m.name} {s.column}: {len(gone)} single {said} far from all neighbours and left out, the largest "
-                f"{left[s.part][worst]:.3g} {'µm' if s.unit == 'um' else 'µrad'} in run {m.run[s.row[worst]]}"
-            )
-    if not lonely.any():
-        return readings, columns, ()
-    kept = readings.without(lonely)
-    return kept, columns[~lonely], tuple(notes)
-
-
 def _traces(model: Model, readings: Readings) -> Traces:
     names = [f.label for f in model.effects]
     labels = [n if names.count(n) == 1 else f"{n} #{names[: i + 1].count(n)}" for i, n in enumerate(names)]
@@ -144,19 +121,14 @@ def _of_chance(readings: Readings, left: Floats, flexible: Whitener, plain: Whit
     return plain.with_noises(noises)
 
 
-def _compared(model: Model, traces: Traces, s: Series, fitted: float, worst: tuple[Region, ...]) -> Compared:
+def _compared(model: Model, traces: Traces, s: Series, noise: Floor, worst: tuple[Region, ...]) -> Compared:
     readings = traces.readings
     m = readings.measurements[s.source]
     measured, left = size_of(traces.measured[s.part]), size_of(traces.left[s.part])
-    repeated = repeats_floor(readings, s, traces.left[s.part])
-    # A fitted noise model errs to the large side where there is no drift; noise is never more than what is left.
-    fitted = min(fitted, left.rms)
-    floor = fitted if repeated is None else repeated
-    source: FloorFrom = "fitted noise model" if repeated is None else "repeats"
     return Compared(
         m.name, s.column, m.instrument.name, "urad" if s.unit == "urad" else "um", len(s), int(s.run[-1]) + 1,
-        measured, size_of(traces.predicted[s.part]), left, floor, source, repeated, fitted,
-        explained(measured.rms, left.rms, floor), _sees(readings, s), _parts(model, traces, s),
+        measured, size_of(traces.predicted[s.part]), left, noise,
+        explained(measured.rms, left.rms, noise.value), _sees(readings, s), _parts(model, traces, s),
         _outside(model, readings, s), worst,
     )  # fmt: skip
 

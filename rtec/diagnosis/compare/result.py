@@ -7,10 +7,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.floor import Floor
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
-FloorFrom = Literal["repeats", "fitted noise model"]
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,7 @@ class Compared:
         unit: "um" or "urad".
         n, runs: readings, and runs they lie in.
         measured, predicted, left: sizes; left is measured minus predicted.
-        floor: what noise alone leaves, root mean square.
-        floor_from: where the floor comes from.
-        floor_repeats, floor_fitted: both floors; None where there are too few repeats.
+        noise: its floor, where that comes from, and the slow drift beside it.
         explained: share of the explainable mean square that the model explains; None where the measured error is at
             the floor, -1 or below told as -1.
         sees: component errors that the instrument sees here.
@@ -149,15 +147,17 @@ class Compared:
     measured: Size
     predicted: Size
     left: Size
-    floor: float
-    floor_from: FloorFrom
-    floor_repeats: float | None
-    floor_fitted: float
+    noise: Floor
     explained: float | None
     sees: tuple[str, ...]
     parts: tuple[Part, ...]
     outside: tuple[Outside, ...]
     worst: tuple[Region, ...]
+
+    @property
+    def floor(self) -> float:
+        """What noise alone leaves, root mean square."""
+        return self.noise.value
 
     def facts(self) -> dict[str, Any]:
         """As plain data; keys as in the documented JSON. `_um` keys are µrad where `unit` says so."""
@@ -174,10 +174,11 @@ class Compared:
             "max_predicted_um": self.predicted.most,
             "rms_residual_um": self.left.rms,
             "max_residual_um": self.left.most,
-            "noise_floor_um": self.floor,
-            "noise_floor_from": self.floor_from,
-            "noise_floor_repeats_um": self.floor_repeats,
-            "noise_floor_fitted_um": self.floor_fitted,
+            "noise_floor_um": self.noise.value,
+            "noise_floor_from": self.noise.source,
+            "noise_floor_repeats_um": self.noise.repeats,
+            "noise_floor_fitted_um": self.noise.fitted,
+            "slow_drift_um": self.noise.drift,
             "explained": self.explained,
             "components": list(self.sees),
             "contributions": [

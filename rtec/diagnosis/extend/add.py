@@ -23,12 +23,12 @@ from rtec.diagnosis.wrong_scale import check_scales
 from rtec.effects import Effect, all_effects, effect_class
 from rtec.errors import ModelError
 from rtec.estimation import floor
-from rtec.estimation.columns import spikes
 from rtec.estimation.floor import Unit
 from rtec.estimation.gls import held_out
 from rtec.estimation.joint import LOOSE, Joint, joint_fit
 from rtec.estimation.noise import least_noise
-from rtec.estimation.readings import Readings, read
+from rtec.estimation.outliers import Clean, clean
+from rtec.estimation.readings import Readings
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin
@@ -126,7 +126,7 @@ class Added:
         better: whether the error on runs left out fell, by more than nothing.
         smoothed: held-out error with temperatures smoothed both ways in time, which the loop cannot do.
         notes: what else is to be known, in words.
-        floor_from: "repeats", "fitted noise model", or both.
+        floor_from: "repeats", "short-time differences", or both.
         passed_over: what these readings cannot tell from what was added.
     """
 
@@ -186,6 +186,7 @@ def add(
     *,
     margin: Margin | None = None,
     stage: Stage | None = None,
+    given: Clean | None = None,
 ) -> Added:
     """Add effects and refit everything on the channels as the loop sees them.
 
@@ -195,6 +196,7 @@ def add(
         measurements: of its machine.
         margin: how far valid ranges reach beyond the readings.
         stage: told how far it is.
+        given: the measurements, read already.
 
     Raises:
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
@@ -202,27 +204,56 @@ def add(
     """
     tell = stage or (lambda *_: None)
     with one_blas_thread():
-        return _add(model, new, measurements, margin or Margin(), tell)
+        return _add(model, new, measurements, margin or Margin(), tell, given)
 
 
 def _add(
-    model: Model, new: Sequence[FittedEffect], measurements: Sequence[Measurement], margin: Margin, tell: Stage
+    model: Model,
+    new: Sequence[FittedEffect],
+    measurements: Sequence[Measurement],
+    margin: Margin,
+    tell: Stage,
+    given: Clean | None,
 ) -> Added:
     _check_new(model, new)
     check_enough(measurements)
     tell("refitting the model as it is", 0, 3)
-    readings = clean_readings(model, measurements)
+    readings = (given or clean(measurements, model.reference_degc)).readings
     check_scales(readings, predicted(model.effects, readings))
     # Readings that the model was fitted to before say nothing new of how sure its numbers are.
     again = any(m.sha256 in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None
     before = joint_fit(model.effects, readings, loose=loose)
     tell("refitting with what is new" if new else "refitting", 1, 3)
-    after, searched = (before, ()) if not new else _with_new(model, new, before, readings, loose)
+    after, searched = (
+        (_no_worse(model, before, readings), ()) if not new else _with_new(model, new, before, readings, loose)
+    )
     tell("runs left out", 2, 3)
     made = _judged(model, new, measurements, readings, (before, after), margin)
     tell("runs left out", 3, 3)
     return replace(made, notes=(*made.notes, *searched))
+
+
+def _no_worse(model: Model, refitted: Joint, readings: Readings) -> Joint:
+    """A refit that leaves no more of the readings than the model as it stands: else the ordinary fit, else none."""
+    stands = readings.values - predicted(model.effects, readings)
+    bound = (1.0 + WORTH) * residual_size(model.effects, readings)
+    fits = [refitted, *([refitted.plain] if refitted.plain is not None else [])]
+    good = [f for f in fits if _size(readings, f.left) <= bound]
+    return good[0] if good else replace(refitted, effects=model.effects, left=stands)
+
+
+def residual_size(effects: Sequence[FittedEffect], readings: Readings) -> float:
+    """What effects leave of the readings as they stand, relative to the readings; the measure of `improve`."""
+    return _size(readings, readings.values - predicted(effects, readings))
+
+
+def _size(readings: Readings, left: Floats) -> float:
+    """Root mean square of residuals, (m,), each series over the spread of its readings."""
+    spread = floor.rms_by_series(readings, floor.cleaned(readings, readings.values))
+    return floor.pooled(
+        readings, floor.rms_by_series(readings, floor.cleaned(readings, left)), 1.0 / np.maximum(spread, 1e-12)
+    )
 
 
 def _moves(readings: Readings, column: Floats) -> bool:
@@ -257,13 +288,17 @@ def _judged(
 ) -> Added:
     """What both fits leave, and the model with its history."""
     after, unit = fits[1], floor.unit_of(readings)
-    floors, sources = floor.as_compared(readings, floor.cleaned(readings, after.left), after.columns)
+    noises = floor.noise_floors(readings, floor.cleaned(readings, after.left), after.columns)
+    floors, sources = np.array([n.value for n in noises]), [n.source for n in noises]
     scale = 1.0 / np.maximum(floors, 1e-12) if unit == "noise" else np.ones(len(floors))
     was, now = (_errors(j, after, readings, scale) for j in fits)
     left = floor.cleaned(readings, readings.values - predicted(model.effects, readings))
     given = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-    # What a refit is compared with is the model as it stands.
-    was = replace(was, as_given=given) if new else Errors(given, given, given)
+    # What a refit is compared with is the model as it stands; and to readings that it was not fitted to, that is
+    # what it leaves of held-out runs.
+    fresh = not any(m.sha256 in model.measurements.values() for m in measurements)
+    was = Errors(given, was.inside, min(was.held_out, given) if fresh else was.held_out)
+    was = was if new else Errors(given, given, given)
     noise, source = floor.pooled(readings, floors, scale), " and ".join(sorted(set(sources)))
     labels = tuple(f.label for f in new)
     entry = entry_of(labels, was, now, (noise, source), unit, measurements, len(readings), model)
@@ -276,8 +311,8 @@ def _judged(
         history=(*model.history, entry),
     )
     better = now.held_out < (1.0 - WORTH) * was.held_out
-    smooth = _with_smooth(after, measurements, model, scale)
-    notes = (*unsure(after.effects[len(model.effects) :]), *notes_of(model, measurements))
+    smooth = _with_smooth(after, scale)
+    notes = (*after.disputed, *unsure(after.effects[len(model.effects) :]), *notes_of(model, measurements))
     return Added(made, labels, was, now, noise, unit, better, smooth, notes, source)
 
 
@@ -287,14 +322,6 @@ def refused(added: Added) -> str:
     if added.after.held_out < added.before.held_out:
         return f"the error on runs left out falls from {before} to {after}, which is next to nothing"
     return f"the error on runs left out rises from {before} to {after}"
-
-
-def clean_readings(model: Model, measurements: Sequence[Measurement]) -> Readings:
-    """Readings with the channels as the loop sees them, without spikes."""
-    readings = read(measurements, model.reference_degc, smooth=False)
-    fit = joint_fit(model.effects, readings, search=False)
-    lonely = spikes(readings, fit.left)
-    return readings.without(lonely) if lonely.any() else readings
 
 
 def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:
@@ -316,20 +343,17 @@ def _check_new(model: Model, new: Sequence[FittedEffect]) -> None:
 
 
 def _errors(joint: Joint, after: Joint, readings: Readings, scale: Floats) -> Errors:
-    """Both fits are judged under one noise, that of the better known model."""
+    """Both fits are judged under the same weights, those of the better known model."""
     left = floor.cleaned(readings, joint.left)
     inside = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-    return Errors(None, inside, held_out(after.whitener, joint.columns, scale).rms)
+    return Errors(None, inside, held_out(after.weights, joint.columns, scale).rms)
 
 
-def _with_smooth(joint: Joint, measurements: Sequence[Measurement], model: Model, scale: Floats) -> float:
-    smooth = read(measurements, model.reference_degc, smooth=True)
-    there = joint.whitener.readings
-    if len(smooth) != len(there):
-        smooth = replace(there, states=smooth.states, _arms={})
+def _with_smooth(joint: Joint, scale: Floats) -> float:
+    smooth = joint.weights.readings.smoothed()
     columns = [smooth.columns(f.effect, f.theta) for f in joint.effects]
     whole = np.concatenate([np.zeros((len(smooth), 0)), *columns, smooth.setup], axis=1)
-    return held_out(joint.whitener, whole, scale).rms
+    return held_out(joint.weights, whole, scale).rms
 
 
 def asked_effect(name: str, component: str | None, settings: Sequence[str], model: Model) -> FittedEffect:

@@ -4,11 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rtec.diagnosis.extend.add import Added, add, new_effect, rivals_of, said
+from rtec.diagnosis.extend.add import WORTH, Added, add, new_effect, residual_size, rivals_of, said
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import ALPHA, DRAWS, diagnose
 from rtec.diagnosis.search.not_found import SURE
 from rtec.diagnosis.usable import check_enough
+from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 
@@ -95,76 +96,87 @@ def improve(
         MeasurementError: as `diagnose`, or there are too few readings.
     """
     check_enough(measurements)
-    refit = _refit(model, measurements, ask_refit, stage)
+    growth = _Growth(measurements, clean(measurements, model.reference_degc), model, (seed, alpha, draws), stage, step)
+    refit = growth.refit(model, ask_refit)
     if refit is None:
-        return _grown(model, measurements, ask, (seed, alpha, draws), stage, step)
+        return growth.grown(model, ask)
     if step:
         step(refit)
-    return replace(_grown(refit.model, measurements, ask, (seed, alpha, draws), stage, step), refit=refit)
+    return replace(growth.grown(refit.model, ask), refit=refit)
 
 
-def _refit(
-    model: Model,
-    measurements: Sequence[Measurement],
-    ask: Callable[[Added], bool] | None,
-    stage: Stage | None,
-) -> Added | None:
-    """The model's own numbers fitted anew; None where that buys little on runs left out, or is not wanted."""
-    if not model.effects:
+class _Growth:
+    """One search: the same readings and the same measure from beginning to end.
+
+    Args:
+        measurements: as given.
+        given: their readings, wrong ones left out once and for all.
+        start: the model that it began with.
+        chance: seed, alpha and draws of the diagnosis.
+    """
+
+    def __init__(
+        self,
+        measurements: Sequence[Measurement],
+        given: Clean,
+        start: Model,
+        chance: tuple[int, float, int],
+        stage: Stage | None,
+        step: Callable[[Added], None] | None,
+    ) -> None:
+        self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
+        self.best = residual_size(start.effects, given.readings)
+
+    def refit(self, model: Model, ask: Callable[[Added], bool] | None) -> Added | None:
+        """The model's own numbers refitted; None where that buys little on held-out runs, or is not wanted."""
+        if not model.effects:
+            return None
+        made = add(model, [], self.measurements, stage=self.stage, given=self.given)
+        if made.after.held_out > (1.0 - LITTLE) * made.before.held_out or not self._no_worse(made):
+            return None
+        return made if ask is None or ask(made) else None
+
+    def grown(self, model: Model, ask: Callable[[Choice], Finding | None] | None) -> Improved:
+        """Diagnose and add, again and again."""
+        seed, alpha, draws = self.chance
+        steps: list[Added] = []
+        diagnoses: list[Diagnosis] = []
+        self.best = min(self.best, residual_size(model.effects, self.given.readings))
+        while len(steps) < MOST:
+            found = diagnose(
+                model, self.measurements, seed=seed, alpha=alpha, draws=draws, stage=self.stage, given=self.given
+            )
+            diagnoses.append(found)
+            if not found.findings or not found.findings[0].accepted:
+                return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
+            choice = found.findings[0]
+            picked = ask(Choice(found, choice, len(steps) + 1)) if ask else choice
+            if picked is None:
+                return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
+            others = [] if ask else [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]
+            added = self._first_gain(model, found, [picked, *others])
+            if added is None:
+                return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
+            steps.append(added)
+            if self.step:
+                self.step(added)
+            model = added.model
+            self.best = min(self.best, residual_size(model.effects, self.given.readings))
+        return Improved(model, tuple(steps), tuple(diagnoses), "steps")
+
+    def _first_gain(self, model: Model, found: Diagnosis, findings: Sequence[Finding]) -> Added | None:
+        """Add the first that predicts held-out runs better on the channels as the loop has them."""
+        for finding in findings:
+            pair = [finding] if finding.partner is None else [finding, finding.partner]
+            new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
+            added = add(model, new, self.measurements, stage=self.stage, given=self.given)
+            if added.after.held_out <= (1.0 - LITTLE) * added.before.held_out and self._no_worse(added):
+                return _with_rivals(added, found, finding)
         return None
-    made = add(model, [], measurements, stage=stage)
-    if made.after.held_out > (1.0 - LITTLE) * made.before.held_out:
-        return None
-    return made if ask is None or ask(made) else None
 
-
-def _grown(
-    model: Model,
-    measurements: Sequence[Measurement],
-    ask: Callable[[Choice], Finding | None] | None,
-    chance: tuple[int, float, int],
-    stage: Stage | None,
-    step: Callable[[Added], None] | None,
-) -> Improved:
-    """Diagnose and add, again and again; `chance` is seed, alpha and draws."""
-    seed, alpha, draws = chance
-    steps: list[Added] = []
-    diagnoses: list[Diagnosis] = []
-    while len(steps) < MOST:
-        found = diagnose(model, measurements, seed=seed, alpha=alpha, draws=draws, stage=stage)
-        diagnoses.append(found)
-        if not found.findings or not found.findings[0].accepted:
-            return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
-        choice = found.findings[0]
-        picked = ask(Choice(found, choice, len(steps) + 1)) if ask else choice
-        if picked is None:
-            return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
-        others = [] if ask else [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]
-        added = _first_gain(model, found, [picked, *others], measurements, stage)
-        if added is None:
-            return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
-        steps.append(added)
-        if step:
-            step(added)
-        model = added.model
-    return Improved(model, tuple(steps), tuple(diagnoses), "steps")
-
-
-def _first_gain(
-    model: Model,
-    found: Diagnosis,
-    findings: Sequence[Finding],
-    measurements: Sequence[Measurement],
-    stage: Stage | None,
-) -> Added | None:
-    """Add the first that makes runs left out better on the channels as the loop has them."""
-    for finding in findings:
-        pair = [finding] if finding.partner is None else [finding, finding.partner]
-        new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
-        added = add(model, new, measurements, stage=stage)
-        if added.after.held_out <= (1.0 - LITTLE) * added.before.held_out:
-            return _with_rivals(added, found, finding)
-    return None
+    def _no_worse(self, added: Added) -> bool:
+        """Whether a model leaves no more of the readings than the start did, and than every step before it."""
+        return residual_size(added.model.effects, self.given.readings) <= (1.0 + WORTH) * self.best
 
 
 def _with_rivals(added: Added, found: Diagnosis, taken: Finding) -> Added:

@@ -27,6 +27,7 @@ from rtec.estimation import floor
 from rtec.estimation.columns import slope
 from rtec.estimation.gls import Fit, inverse, resolved, solve
 from rtec.estimation.noise import Whitener
+from rtec.estimation.outliers import outlier_words
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
@@ -279,7 +280,8 @@ class _Answer:
                 *odd,
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
-                *words.notes(prepared.spikes, len(readings), [m.name for m in readings.measurements]),
+                *outlier_words(prepared.wrong),
+                *words.notes([m.name for m in readings.measurements]),
             ),
             noise=tuple(
                 n.words(f"{readings.measurements[s.source].name} {s.column}", s.unit)

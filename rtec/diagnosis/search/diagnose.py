@@ -23,6 +23,7 @@ from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
 from rtec.estimation.noise import without_drift
+from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.parallel import each, one_blas_thread
@@ -54,6 +55,7 @@ def diagnose(
     only: Sequence[str] | None = None,
     explain: bool = False,
     stage: Stage | None = None,
+    given: Clean | None = None,
 ) -> Diagnosis:
     """Find what a model misses.
 
@@ -67,20 +69,24 @@ def diagnose(
         explain: work out what only people want to know, which takes a second or more: which test of this machine tells
             confusions apart, and what speaks up beside what was named.
         stage: told how far it is.
+        given: the measurements, read already.
 
     Raises:
         MeasurementError: the measurements do not fit together, are too few, or lack a channel that the model needs.
     """
     check_enough(measurements)
     with one_blas_thread():
-        return _Search(model, measurements, seed, alpha, draws, only, explain, stage or (lambda *_: None)).diagnosis()
+        tell = stage or (lambda *_: None)
+        tell("reading, finding the noise", 0, 1)
+        there = given or clean(measurements, model.reference_degc)
+        return _Search(model, there, seed, alpha, draws, only, explain, tell).diagnosis()
 
 
 class _Search:
     def __init__(
         self,
         model: Model,
-        measurements: Sequence[Measurement],
+        given: Clean,
         seed: int,
         alpha: float,
         draws: int,
@@ -90,8 +96,7 @@ class _Search:
     ) -> None:
         self.model, self.seed, self.alpha, self.draws, self.stage = model, seed, alpha, draws, stage
         self.explain = explain
-        stage("reading, finding the noise", 0, 1)
-        self.prepared = prepare(model, measurements)
+        self.prepared = prepare(model, given)
         self.readings = self.prepared.readings
         known = [f.effect for f in model.effects]
         candidates, self.untried = library(self.readings, only)

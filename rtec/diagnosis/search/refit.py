@@ -25,11 +25,11 @@ from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse
 from rtec.diagnosis.search.screen import UNMOVED, Memory, Projected, Screen, screen
 from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
-from rtec.estimation.columns import base_of, spikes
+from rtec.estimation.columns import base_of
 from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out, solve
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
-from rtec.estimation.readings import Readings, looked_at, read
-from rtec.metrology.measurement import Measurement
+from rtec.estimation.outliers import Clean, WrongReading
+from rtec.estimation.readings import Readings, looked_at
 from rtec.model import Model
 from rtec.model.fit import SearchScale
 from rtec.parallel import MANY, each
@@ -126,35 +126,30 @@ class _Search:
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings without spikes, the current model's columns, and the noise.
+    """Readings that count, the current model's columns, and the noise.
 
     Attributes:
         readings: temperatures smoothed.
         base: columns of the current model, (m, p).
         predicted: what it says, (m,).
         whitener: the noise.
-        spikes: how many readings were left out.
+        wrong: readings that were left out.
     """
 
     readings: Readings
     base: Floats
     predicted: Floats
     whitener: Whitener
-    spikes: int
+    wrong: tuple[WrongReading, ...]
 
 
-def prepare(model: Model, measurements: Sequence[Measurement]) -> Prepared:
-    """Read, leave out spikes, find the noise."""
-    readings = read(measurements, model.reference_degc)
+def prepare(model: Model, given: Clean) -> Prepared:
+    """Smooth the temperatures, work out the model, find the noise."""
+    readings = given.smoothed()
     base = base_of(model, readings)
     left = floor.cleaned(readings, readings.values - base.columns @ solve(base.columns, readings.values))
-    lonely = spikes(readings, left)
-    if lonely.any():
-        readings = readings.without(lonely)
-        base = base_of(model, readings)
-        left = left[~lonely]
     whitener = find_noise(readings, base.columns, least=least_noise(readings, left))
-    return Prepared(readings, base.columns, base.predicted, whitener, int(lonely.sum()))
+    return Prepared(readings, base.columns, base.predicted, whitener, given.wrong)
 
 
 @dataclass(frozen=True)

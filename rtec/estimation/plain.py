@@ -1,0 +1,123 @@
+"""Ordinary robust least squares: the referee beside generalised least squares.
+
+A noise model with drift weighs quick changes more than slow ones. Where the drift has taken up what the model misses,
+such a fit follows small quick changes and predicts the readings worse than the model did before. Ordinary least
+squares cannot: it makes the residual itself small. Its standard errors know of the drift all the same, by
+`(X'X)⁻¹ X'ΣX (X'X)⁻¹`.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.estimation.gls import HeldOut, inverse, solve, without_nuisance
+from rtec.estimation.noise import Whitener, refine
+from rtec.estimation.readings import Readings
+
+Floats = NDArray[np.float64]
+
+HUBER = 3.0
+"""Residuals beyond so many robust standard deviations of their series count less."""
+ROUNDS = 4
+SIGMA_PER_MAD = 1.4826
+LEAST_SHARE = 0.02
+"""The robust standard deviation is never below this share of the plain one: quantised residuals are mostly equal."""
+STEPS = 30
+WORSE = 1.04
+"""A mean square on held-out runs that is larger by less than this factor is as good."""
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Weights of ordinary least squares; called with columns, (m,) or (m, p), it gives them weighted.
+
+    Attributes:
+        readings: all readings.
+        noise: of what the fit leaves.
+        sigma: residual of each series, (series,).
+        huber: square root of the weight of each reading, (m,).
+        shrink: square root of how much less such readings tell than independent ones.
+    """
+
+    readings: Readings
+    noise: Whitener
+    sigma: Floats
+    huber: Floats
+    shrink: float = 1.0
+
+    @property
+    def rows(self) -> Floats:
+        """Factor of each reading, (m,)."""
+        return self.huber * (self.shrink / self.sigma)[self.readings.series_of]
+
+    def __call__(self, columns: Floats) -> Floats:
+        """Columns less the unknowns of each run, weighted."""
+        rows = self.rows
+        return without_nuisance(self.readings, columns) * (rows if columns.ndim == 1 else rows[:, None])
+
+    def refined(self, left: Floats, columns: Floats) -> "Plain":
+        """The same for what a fit of columns, (m, p), leaves, (m,)."""
+        made = replace(weights(self.readings, refine(self.noise, left, STEPS), left), shrink=1.0)
+        wide = np.full(columns.shape[1], np.inf)
+        supposed, there = inverse(made(columns)), covariance(made, columns, wide)
+        known = np.diag(supposed) > 0.0
+        if not known.any():
+            return made
+        factor = float(np.median(np.diag(there)[known] / np.diag(supposed)[known]))
+        return replace(made, shrink=1.0 / np.sqrt(max(factor, 1.0)))
+
+
+def covariance(by: Whitener | Plain, columns: Floats, spread: Floats) -> Floats:
+    """Covariance of coefficients under the noise, (p, p).
+
+    Args:
+        by: weights of the fit.
+        columns: that were fitted, (m, p).
+        spread: of the prior of each coefficient, (p,); infinite for none.
+    """
+    tight = 1.0 / spread
+    white = by(columns)
+    bread = inverse(np.concatenate([white, np.diag(tight)]))
+    if isinstance(by, Whitener):
+        return bread
+    pulled = without_nuisance(by.readings, white * by.rows[:, None])
+    meat = pulled.T @ by.noise.covary(pulled) + np.diag(tight**2)
+    return np.asarray(bread @ meat @ bread)
+
+
+def weights(readings: Readings, noise: Whitener, left: Floats) -> Plain:
+    """Weights by what a fit leaves, (m,): one for each series, less for readings that are far off.
+
+    A quiet run weighs no more than others: what one run shows is not worth a hundred.
+    """
+    flat = without_nuisance(readings, left)
+    sigma, huber = np.ones(len(readings.series)), np.ones(len(readings))
+    for i, s in enumerate(readings.series):
+        mine = flat[s.part]
+        robust = SIGMA_PER_MAD * float(np.median(np.abs(mine)))
+        sigma[i] = max(robust, LEAST_SHARE * float(np.sqrt(np.mean(mine**2))), 1e-9)
+        huber[s.part] = np.sqrt(np.minimum(1.0, HUBER * sigma[i] / np.maximum(np.abs(mine), 1e-300)))
+    return Plain(readings, noise, sigma, huber)
+
+
+def plain_fit(readings: Readings, noise: Whitener, columns: Floats) -> tuple[Plain, Floats]:
+    """Fit columns, (m, p), by robust least squares; weights and coefficients, (p,)."""
+    flat = without_nuisance(readings, columns)
+    values = solve(flat, without_nuisance(readings, readings.values))
+    for _ in range(ROUNDS):
+        made = weights(readings, noise, readings.values - columns @ values)
+        values = solve(made(columns), made(readings.values))
+    return made, values
+
+
+def as_good(weighed: HeldOut, plain: HeldOut) -> bool:
+    """Whether a weighted fit predicts held-out runs as well as ordinary least squares does.
+
+    It does not where its mean square is clearly larger, by `WORSE` and by more than the standard error of the
+    difference over the folds.
+    """
+    more = weighed.folds - plain.folds
+    if float(more.sum()) <= (WORSE - 1.0) * float(plain.folds.sum()):
+        return True
+    return len(more) > 1 and float(more.sum()) <= float(np.std(more, ddof=1)) * np.sqrt(len(more))
