@@ -191,7 +191,7 @@ class Floor:
 
 
 def noise_floors(readings: Readings, left: Floats, columns: Floats, flexible: Whitener | None = None) -> list[Floor]:
-    """The floor of each series, the same for every command: repeats where there are enough, else short-time differences.
+    """The floor of each series: repeats where there are enough, else short-time differences; one for every command.
 
     A drift is slow beside the readings, and so is what a model misses: neither counts as noise of a reading. What is
     slow and follows no recorded channel is shown apart.

@@ -1,6 +1,5 @@
 """Report of a comparison: one sentence, a table, where it is worst, what it is made of."""
 
-import math
 import re
 from collections.abc import Sequence
 from itertools import combinations
@@ -19,8 +18,8 @@ from rtec.report.page import Figure, Page, Section, Table, number
 Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN, MOST_LEAD = 8, 3, 5, 4
 AT_FLOOR = 1.1
-TAKES_ALL = 0.99
-"""Of what is left: more than this in a fitted noise model is all of it."""
+SLOW = 0.5
+"""Drift below this share of the noise is not worth a word."""
 
 
 def compare_page(c: Comparison, figures: bool = True) -> Page:
@@ -200,22 +199,12 @@ def _noise(c: Comparison) -> Section:
     words = []
     for i in c.items:
         unit = UNITS[i.unit]
-        if i.floor_repeats is None:
-            said = f"from a fitted noise model, {i.floor_fitted:.2g} {unit}: too few readings were repeated to tell"
-        else:
-            said = f"from repeats, {i.floor:.2g} {unit}"
-            if not math.isclose(i.floor, i.floor_fitted, rel_tol=0.15):
-                said += f" ({_fitted(i)})"
-        words.append(f"{_name(i, c)}: {said}.")
+        source = "repeats" if i.noise.repeats is not None else "neighbouring readings"
+        text = f"{_name(i, c)}: {i.floor:.2g} {unit} between {source}"
+        if i.noise.drift > SLOW * i.floor:
+            text += f"; {i.noise.drift:.2g} {unit} of slow drift that no recorded channel explains"
+        words.append(f"{text}.")
     return Section("Where the noise floor comes from", words)
-
-
-def _fitted(i: Compared) -> str:
-    """What the fitted noise model says where repeats decide: drift that they do not see, and all that it may hold."""
-    if i.floor_fitted >= i.left.rms * TAKES_ALL:
-        return "a fitted noise model, which cannot tell slow drift from what the model misses, takes all that is left"
-    slow = ", drift slower than the repeats with it," if i.floor_fitted > i.floor else ""
-    return f"a fitted noise model{slow} says {i.floor_fitted:.2g} {UNITS[i.unit]}"
 
 
 def _seen(sees: Sequence[str]) -> str:

@@ -12,9 +12,7 @@ import tomli_w
 from rtec.cli.main import status
 from rtec.diagnosis.compare.compare import compare, explained
 from rtec.errors import MeasurementError
-from rtec.estimation.floor import flattened, floors
-from rtec.estimation.outliers import wrong_readings
-from rtec.estimation.readings import read
+from rtec.estimation.floor import flattened
 from rtec.machine import machine_from
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -48,7 +46,7 @@ def test_injected_backlash_is_what_is_left() -> None:
     assert item.left.rms == pytest.approx(1.5, rel=0.01)
     assert item.left.most == pytest.approx(1.5, abs=0.06)
     assert item.floor == pytest.approx(0.01, rel=0.15)
-    assert item.floor_from == "repeats"
+    assert item.noise.source == "repeats"
     # Scale over evenly spaced targets: k times the standard deviation of the positions.
     x = laser([SCALE], 3).channels["x"]
     assert item.predicted.rms == pytest.approx(0.04 * float(np.std(x)), rel=1e-3)
@@ -87,28 +85,30 @@ def test_perfect_model_is_at_the_floor() -> None:
     assert item.worst == ()
 
 
-def test_floor_without_repeats_comes_from_the_noise_model() -> None:
+def test_floor_without_repeats_comes_from_neighbouring_readings() -> None:
     """Oracle: a drift test repeats nothing; the white noise that was simulated."""
     item = compare(model(), [drift(3, white_um=0.3)]).items[0]
-    assert item.floor_from == "fitted noise model"
-    assert item.floor_repeats is None
+    assert item.noise.source == "short-time differences"
+    assert item.noise.repeats is None
     assert item.floor == pytest.approx(0.3, rel=0.1)
+    assert item.noise.drift < 0.5 * item.floor
     assert item.explained is None
     # No axis moved: only links that stand still, and of these what shifts along the probe or turns.
     assert "EZ0workpiece" in item.sees
     assert not {c for c in item.sees if c[2:] in ("X", "Z")}
 
 
-def test_a_fitted_noise_is_never_more_than_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: noise cannot be more than the whole; where repeats decide, the page says that it took all."""
-    monkeypatch.setattr("rtec.diagnosis.compare.compare.floors", lambda *given: 30.0 * floors(*given))
-    slow = compare(model(), [drift(3, white_um=0.3)]).items[0]
-    assert slow.floor == slow.floor_fitted == slow.left.rms
-    repeated = compare(model(SCALE), [laser([SCALE, BACKLASH], 6)])
-    item = repeated.items[0]
-    assert item.floor < item.floor_fitted == item.left.rms
-    (said,) = [s for s in compare_page(repeated, figures=False).sections if s.heading.startswith("Where the noise")]
-    assert "takes all that is left" in said.text[0]
+def test_slow_drift_is_no_noise() -> None:
+    """Oracle: what was simulated: white noise, and what the drift does from one reading to the next."""
+    c = compare(model(), [drift(3, white_um=0.3, drift_um=4.0, drift_tau_s=5400.0)])
+    item = c.items[0]
+    step_s = float(np.median(np.diff(c.traces.readings.time_s)))
+    quick = np.sqrt(0.3**2 + 4.0**2 * -np.expm1(-step_s / 5400.0))
+    assert item.floor == pytest.approx(quick, rel=0.15)
+    assert item.floor < 0.4 * item.left.rms
+    assert item.noise.drift == pytest.approx(item.left.rms, rel=0.2)
+    (said,) = [s for s in compare_page(c, figures=False).sections if s.heading.startswith("Where the noise")]
+    assert "slow drift that no recorded channel explains" in said.text[0]
 
 
 def test_floor_from_repeats_does_not_depend_on_what_the_model_misses() -> None:
@@ -129,19 +129,9 @@ def test_wrong_readings_are_left_out_and_told() -> None:
     spoilt = replace(m, readings={"reading_um": values})
     c = compare(model(SCALE), [spoilt])
     assert c.items[0].n == len(m) - 3
-    assert "3 single readings" in c.notes[0]
-    assert "-19.9" in c.notes[0] or "-20" in c.notes[0]
+    assert "3 wrong readings were left out" in c.notes[0]
+    assert "row 202 of run 7 (-19.9 µm)" in c.notes[0]
     assert c.items[0].left.most < 2.0
-
-
-def test_two_wrong_readings_together_are_kept() -> None:
-    """Oracle: a step of two readings is something the machine did."""
-    r = read([laser([SCALE], 8, noise={"white_um": 0.1})], smooth=False)
-    left = r.values - r.values.mean()
-    rough = np.zeros_like(left)
-    rough[[100, 101]] = 9.0
-    rough += 0.1 * np.random.default_rng(1).standard_normal(len(rough))
-    assert not wrong_readings(r, np.zeros((len(r), 0)), rough)[[100, 101]].any()
 
 
 def test_steep_end_of_travel_is_no_wrong_reading() -> None:
@@ -218,7 +208,7 @@ def test_command_says_it_in_the_terminal(folder: Path, capsys: pytest.CaptureFix
     assert status(["compare", str(folder / "model.toml"), str(folder / "laser-x-3.csv")]) == 0
     said = capsys.readouterr().out
     assert "are left (root mean square)" in said
-    assert "from repeats" in said
+    assert "between repeats" in said
 
 
 def test_missing_channel_is_one_clear_message(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

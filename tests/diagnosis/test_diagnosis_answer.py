@@ -13,7 +13,7 @@ import pytest
 from rtec.diagnosis import words
 from rtec.diagnosis.search.confounded import aliases_mm, fold, step_mm
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.estimation.columns import spikes
+from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
 from rtec.model import Model
 from tests.support.diagnosis_examples import effects, laser, small_machine
@@ -86,15 +86,14 @@ def test_steps_that_are_not_equal_fold_nothing() -> None:
     assert fold(even, screw.effect, screw.theta) is None, "2.5 readings a period are enough"
 
 
-def test_a_machine_that_errs_in_the_same_places_has_no_spikes() -> None:
+def test_a_machine_that_errs_in_the_same_places_has_no_wrong_readings() -> None:
     """A slope and a coarse wave under little noise: neighbours differ, nothing is wrong. Wrong readings are found."""
     m = laser([SCREW, "scale,component=EXX,axis=X,k=60"], 8, **EVEN)
-    readings = read([m])
-    assert not spikes(readings, readings.values).any()
+    assert not clean([m]).wrong
     wrong = np.array([40, 111, 205])
-    values = readings.values.copy()
+    values = m.readings["reading_um"].copy()
     values[wrong] += [15.0, -15.0, 15.0]
-    assert np.flatnonzero(spikes(readings, values)).tolist() == wrong.tolist()
+    assert [w.row for w in clean([replace(m, readings={"reading_um": values})]).wrong] == wrong.tolist()
 
 
 def test_what_hardly_moved_is_not_called_absent() -> None:

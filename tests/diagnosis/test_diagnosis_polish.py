@@ -18,6 +18,7 @@ from rtec.diagnosis.search.refit import live_columns, polished, prepare
 from rtec.diagnosis.search.screen import Projected
 from rtec.errors import MeasurementError
 from rtec.estimation.gls import resolved
+from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -67,7 +68,7 @@ def test_a_number_between_those_tried_is_found_within_its_error(hidden: str, nam
 def test_no_value_near_by_explains_more() -> None:
     """A scan of the whole neighbourhood by `numpy.linalg.lstsq` finds nothing better."""
     m = laser([FADING], 22)
-    prepared = prepare(model(), [m])
+    prepared = prepare(model(), clean([m]))
     projected = Projected.of(prepared.whitener, prepared.base, prepared.readings.values)
     (effect,) = (f.effect for f in effects(FADING))
 
@@ -95,7 +96,7 @@ def test_what_has_no_range_or_lies_between_readings_stays() -> None:
 
 def test_the_best_stays_between_its_neighbours() -> None:
     """What fits best is far from all that was tried: nobody searched there, so nothing from there may be taken."""
-    prepared = prepare(model(), [laser([FADING], 22)])
+    prepared = prepare(model(), clean([laser([FADING], 22)]))
     projected = Projected.of(prepared.whitener, prepared.base, prepared.readings.values)
     (effect,) = (f.effect for f in effects(FADING))
     tried = [{"s0": v} for v in (40.0, 60.0, 90.0)]

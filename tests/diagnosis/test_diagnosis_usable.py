@@ -137,16 +137,16 @@ def test_the_floor_is_that_of_compare() -> None:
     measured, model = [laser([SCALE, NEW], 3)], model_of("scale,component=EXX,axis=X,k=0")
     added = add(model, [], measured)
     assert added.floor == pytest.approx(compare(added.model, measured).items[0].floor, rel=0.02)
-    assert added.floor_from in ("repeats", "fitted noise model")
+    assert added.floor_from in ("repeats", "short-time differences")
     assert added.facts()["noise_floor_um"] == added.floor == added.model.history[-1]["noise_floor"]
 
 
-def test_the_floor_of_a_series_without_repeats_is_fitted() -> None:
-    """Oracle: one run only has no repeats; the noise that was simulated is an upper bound with some room."""
+def test_the_floor_of_a_series_without_repeats_is_of_neighbours() -> None:
+    """Oracle: one run only has no repeats; the noise that was simulated."""
     readings = clean([laser([SCALE], 3, protocol="cold", cycles=1)]).readings
-    values, sources = floor.as_compared(readings, floor.cleaned(readings, readings.values), readings.setup)
-    assert sources == ("fitted noise model",)
-    assert values[0] <= np.std(readings.values)
+    (found,) = floor.noise_floors(readings, floor.cleaned(readings, readings.values), readings.setup)
+    assert found.source == "short-time differences"
+    assert found.value == pytest.approx(NOISE_UM, rel=0.3)
 
 
 def entry(change: str, before: float | None, after: float, **more: object) -> dict[str, object]:

@@ -15,6 +15,7 @@ from rtec.diagnosis.plan.plan import Extra
 from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, usual_size, with_gains
 from rtec.diagnosis.result import Alike
 from rtec.diagnosis.search.refit import prepare
+from rtec.estimation.outliers import clean
 from rtec.machine import load_machine
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -180,7 +181,7 @@ def _laser_column(fitted: FittedEffect, m: Measurement) -> Floats:
 def test_a_confusion_gets_its_test_and_its_odds() -> None:
     """Oracle: an angular laser, or a beam elsewhere, tells a turning slide from a scale; the same beam does not."""
     made = laser([SCALE], 1, **COLD)
-    prepared = prepare(nothing(), [made])
+    prepared = prepare(nothing(), clean([made]))
     mine, other = (fitted_to(prepared.whitener, prepared.base, f.effect, f.theta) for f in effects(SCALE, CURVATURE))
     assert mine.values["k"] == pytest.approx(20.0, abs=3.0)
     assert other.values["k"] == pytest.approx(250.0, abs=40.0)

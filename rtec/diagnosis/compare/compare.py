@@ -71,9 +71,7 @@ def compare(
         whitener = _of_chance(readings, traces.left, flexible, find_noise(readings, base_of(model, readings).columns))
         tails = tails_of(whitener, less(readings, columns, traces.left))
         worst = locate(readings, traces.left, whitener, tails, seed, stage)
-    items = tuple(
-        _compared(model, traces, s, f, w) for s, f, w in zip(readings.series, noise, worst, strict=True)
-    )
+    items = tuple(_compared(model, traces, s, f, w) for s, f, w in zip(readings.series, noise, worst, strict=True))
     odd = odd_scales(readings, traces.measured, traces.predicted)
     return Comparison(model.name, items, (*odd, *_stuck(readings), *notes), seed, traces)
 

@@ -225,17 +225,16 @@ def _add(
     loose = LOOSE if again else None
     before = joint_fit(model.effects, readings, loose=loose)
     tell("refitting with what is new" if new else "refitting", 1, 3)
-    after, searched = (
-        (_no_worse(model, before, readings), ()) if not new else _with_new(model, new, before, readings, loose)
-    )
+    after, searched = _with_new(model, new, before, readings, loose) if new else (no_worse(model, before), ())
     tell("runs left out", 2, 3)
     made = _judged(model, new, measurements, readings, (before, after), margin)
     tell("runs left out", 3, 3)
     return replace(made, notes=(*made.notes, *searched))
 
 
-def _no_worse(model: Model, refitted: Joint, readings: Readings) -> Joint:
+def no_worse(model: Model, refitted: Joint) -> Joint:
     """A refit that leaves no more of the readings than the model as it stands: else the ordinary fit, else none."""
+    readings = refitted.weights.readings
     stands = readings.values - predicted(model.effects, readings)
     bound = (1.0 + WORTH) * residual_size(model.effects, readings)
     fits = [refitted, *([refitted.plain] if refitted.plain is not None else [])]
