@@ -84,7 +84,7 @@ def heated() -> Measurement:
     """
     rng = np.random.default_rng(4)
     n, hot = 1260, 720
-    time = 20.0 * np.arange(n)
+    time = 20.0 * np.arange(n, dtype=np.float64)
     drive = np.where(np.arange(n) < hot, 80.0, 0.0)
     state = replace(measurement(runs([n])), time_s=time).state()
     bed = 20.0 + state.lagged(drive, 300.0)
@@ -132,7 +132,7 @@ def test_improve_never_ends_worse_than_it_began() -> None:
     values[[0, 1, 118, 119]] += [90.0, 60.0, 55.0, 95.0]
     m = replace(
         base, channels={"x": x, "d_x": np.repeat([1.0, -1.0], 60)}, readings={"reading_um": values},
-        time_s=30.0 * np.arange(120),
+        time_s=30.0 * np.arange(120, dtype=np.float64),
     )  # fmt: skip
     scale = FittedEffect(effect("scale", "EXX", axis="X"), {"k": 0.0})
     optimum, _ = least_squares(read([m], smooth=False), [scale])

@@ -85,7 +85,7 @@ def test_the_numbering_of_runs_does_not_matter_where_nothing_is_anew() -> None:
     setup = Probe(ProbeSetup(zero="setup"), component="EX0spindle")
     m = replace(
         measurement(runs([n])), channels=table, readings={"reading_um": values}, instrument=setup,
-        time_s=20.0 * np.arange(n),
+        time_s=20.0 * np.arange(n, dtype=np.float64),
     )  # fmt: skip
     minutes = replace(m, run=runs([3] * (n // 3)))
     assert found(m) == found(minutes) == [40, 41, 42, 120]

@@ -51,6 +51,7 @@ def test_a_refit_of_two_temperatures_stays_what_it_was(name: str, least_squares_
     model = fitted(m, f"{FRAME},{BED}").model
     made = add(model, [], [m])
     assert made.before.as_given == pytest.approx(least_squares_um, rel=0.03)
+    assert made.before.as_given is not None
     assert made.after.inside <= made.before.as_given
     assert any("weighted least squares" in n for n in made.notes)
 
