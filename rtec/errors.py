@@ -14,9 +14,14 @@ A message names the file, the section, the key or row, what was found and what i
 prints it alone, without a traceback, and exits with status 2.
 """
 
+from rtec.text import clean, clean_lines
+
 
 class RtecError(Exception):
-    """Base of all errors that a user can mend; its text is shown as it stands."""
+    """Base of all errors that a user can mend; its text, cleaned of what is not printable, is shown as it is."""
+
+    def __init__(self, *content: object) -> None:
+        super().__init__(*(clean_lines(part) if isinstance(part, str) else part for part in content))
 
 
 class ConfigError(RtecError):
@@ -56,4 +61,4 @@ def unforeseen(error: Exception) -> str:
 
     Libraries of makers raise what they like, also for half a line of garbage.
     """
-    return f"fault in the program or in a library that it uses: {type(error).__name__}: {error}"
+    return clean(f"fault in the program or in a library that it uses: {type(error).__name__}: {error}")

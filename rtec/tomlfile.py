@@ -6,13 +6,14 @@ import json
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from rtec.errors import ConfigError, RtecError
+from rtec.text import clean
 
 M = TypeVar("M", bound=BaseModel)
 MAX_BYTES = 64 * 1024 * 1024
@@ -33,7 +34,7 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
     try:
         if path.stat().st_size > MAX_BYTES:
             raise error(f"{path}: larger than {MAX_BYTES // 2**20} MiB, which no configuration is")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as e:
         raise error(f"{path}: no such file") from e
     except IsADirectoryError as e:
@@ -48,6 +49,25 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
         raise error(f"{path}: cannot be read: {e.strerror}") from e
     except ValueError as e:  # TOMLDecodeError is one; a number of thousands of digits is another
         raise error(f"{path}: not valid TOML: {e}") from e
+    if fault := next(_unprintable(data), ""):
+        raise error(f"{path}: {fault}")
+    return data
+
+
+def _unprintable(value: Any, key: str = "") -> Iterator[str]:
+    """What is no text for people, in keys and values: it would do things to terminals, journals and other files."""
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            if name != clean(name):
+                yield f"key {clean(name)[:80]!r}: has characters that are not printable; take them out"
+            yield from _unprintable(inner, name)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _unprintable(inner, key)
+    elif isinstance(value, str):
+        lines = [value] if key == "name" else value.replace("\t", " ").replace("\r\n", "\n").split("\n")
+        if any(line != clean(line) for line in lines):
+            yield f"{key} = {clean(value)[:80]!r}: has characters that are not printable; take them out"
 
 
 def validated(kind: type[M], data: object, source: str, error: type[RtecError] = ConfigError) -> M:

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 @contextmanager
 def bar(title: str) -> Iterator[Callable[[int, int], None]]:
     """Give a function that is told how much is done, of how much."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %"))
+    from rtec.cli.screen import Console
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:.0f} %"))
     console = Console(stderr=True)
     with Progress(
         *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
@@ -42,10 +43,11 @@ def bar(title: str) -> Iterator[Callable[[int, int], None]]:
 @contextmanager
 def stages() -> Iterator[Callable[[str, int, int], None]]:
     """One bar, which names the stage that it is of; on standard error, so that results can be piped."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description:<32}"), BarColumn(), TimeElapsedColumn())
+    from rtec.cli.screen import Console
+
+    columns = (SpinnerColumn(), TextColumn("{task.description:<32}", markup=False), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("getting ready", total=None)
@@ -65,11 +67,11 @@ BETWEEN, EDGES = 3, 2
 
 def show_page(page: "Page") -> None:
     """Print a page; wide enough for its tables where the output is piped."""
-    from rich.console import Console
+    from rtec.cli.screen import Console
 
-    console = Console(markup=False, highlight=False)
+    console = Console(highlight=False)
     if not console.is_terminal:
-        console = Console(markup=False, highlight=False, width=PIPED_WIDTH)
+        console = Console(highlight=False, width=PIPED_WIDTH)
     console.print(page.lead + "\n")
     for section in page.sections:
         if section.table is None and not section.text:

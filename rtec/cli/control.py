@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.common import PIPED_WIDTH
+from rtec.cli.screen import Console
 from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from rtec.cli.screen import Console
     from rtec.demo.second_story import Later
     from rtec.demo.story import Story
 
@@ -66,9 +65,9 @@ def demo(
 
 
 def _show(story: "Story", page: Path, model_out: Path | None) -> None:
-    from rich.console import Console
     from rich.table import Table
 
+    from rtec.cli.screen import Console
     from rtec.demo.page import error_rows, left_sentences
 
     console = Console()

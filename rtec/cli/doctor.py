@@ -9,10 +9,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
-from rich.console import Console
 from rich.live import Live
 
 from rtec.cli.common import grid
+from rtec.cli.screen import Console
 from rtec.doctor.found import DeviceFound
 from rtec.report.doctor import doctor_table
 

@@ -87,10 +87,11 @@ def _check_out(out: Path, inputs: list[Path]) -> None:
 @contextmanager
 def _stages() -> "Iterator[Stage]":
     """One bar, which names the stage that it is of; on standard error, so that results can be piped."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description:<32}"), BarColumn(), TimeElapsedColumn())
+    from rtec.cli.screen import Console
+
+    columns = (SpinnerColumn(), TextColumn("{task.description:<32}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("getting ready", total=None)
 

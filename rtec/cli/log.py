@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from rtec.cli.screen import Console
 from rtec.correction.guard import Flag
 from rtec.log.folder import Segment
 from rtec.log.format import Log
@@ -123,8 +123,8 @@ def _table(headings: list[str], *, header: bool) -> Table:
 
 def _console() -> Console:
     """A console that never folds a table when its output goes to a file or a program."""
-    console = Console(markup=False, highlight=False)
-    return console if console.is_terminal else Console(markup=False, highlight=False, width=100_000)
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=100_000)
 
 
 app = typer.Typer(

@@ -32,6 +32,7 @@ from rtec.cli import (
 )
 from rtec.cli import control as ctl
 from rtec.cli import control as status_command
+from rtec.cli.screen import shielded
 from rtec.errors import RtecError
 
 app = typer.Typer(
@@ -114,6 +115,11 @@ def _interrupt(left: threading.Event) -> None:
 
 def status(arguments: list[str]) -> int:
     """Run one command; give its exit status."""
+    with shielded():
+        return _status(arguments)
+
+
+def _status(arguments: list[str]) -> int:
     try:
         code = app(args=arguments, prog_name="rtec", standalone_mode=False)
     except RtecError as e:

@@ -10,12 +10,13 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.common import flag_lines
+from rtec.cli.screen import Console
 from rtec.daemon.process import Aloud
 from rtec.daemon.supervisor import Report, Status
 from rtec.log.events import Event

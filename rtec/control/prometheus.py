@@ -8,6 +8,7 @@ from http import HTTPStatus
 from typing import Any, Final
 
 from rtec.correction.guard import Flag
+from rtec.text import clean
 
 CONTENT: Final = "text/plain; version=0.0.4; charset=utf-8"
 _MODES: Final = ("on", "off", "hold")
@@ -88,4 +89,4 @@ def _number(value: float) -> str:
 
 
 def _escaped(value: str) -> str:
-    return value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return clean(value).replace("\\", "\\\\").replace('"', '\\"')

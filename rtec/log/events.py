@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
+from rtec.text import clean
+
 REMEMBERED: Final = 200
 
 
@@ -31,6 +33,10 @@ class Event:
     what: str
     text: str
     who: str
+
+    def __post_init__(self) -> None:
+        for name in ("what", "text", "who"):
+            object.__setattr__(self, name, clean(getattr(self, name)))
 
 
 class Events:

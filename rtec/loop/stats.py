@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rtec.text import clean
+
 BINS = 20_000
 """The last bin holds everything from 20 ms on; the largest time is kept beside."""
 
@@ -57,7 +59,7 @@ class Trouble:
 
     def failed(self, reason: str) -> None:
         """Note a failure."""
-        self.now, self.reason = True, reason
+        self.now, self.reason = True, clean(reason)
         self.times += 1
 
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.text import clean_lines
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -51,10 +53,16 @@ def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, bytes]:
     @functools.wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
         from matplotlib import rc_context
+        from matplotlib.text import Text
 
         out = BytesIO()
         with rc_context(STYLE):
-            draw(*args, **kwargs).savefig(out, format="png", dpi=100, metadata={"Software": None})
+            figure = draw(*args, **kwargs)
+            for text in figure.findobj(Text):
+                if words := text.get_text():  # names from files are no formulas, and may be of what no font has
+                    text.set_text(clean_lines(words))
+                    text.set_parse_math(False)
+            figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
         return out.getvalue()
 
     return drawn

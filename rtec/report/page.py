@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import RtecError
+from rtec.text import clean_lines
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,14 @@ def render(page: Page) -> str:
     from jinja2 import Environment, StrictUndefined
 
     source = resources.files("rtec.report").joinpath("page.html").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_cleaned
+    )
     return environment.from_string(source).render(page=page)
+
+
+def _cleaned(value: Any) -> Any:
+    return clean_lines(value) if isinstance(value, str) else value
 
 
 def plain(value: Any) -> Any:

@@ -12,10 +12,10 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from rtec.cli.common import bar
+from rtec.cli.screen import Console
 from rtec.parallel import one_blas_thread
 from tests.support.ball_bar_machines import KINDS, Judged, judge
 

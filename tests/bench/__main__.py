@@ -4,9 +4,9 @@ import argparse
 import platform
 import sys
 
-from rich.console import Console
 from rich.table import Table
 
+from rtec.cli.screen import Console
 from tests.bench import boxlink, cycle, diagnose, disturb, fit, logs, quadrature, startup, wakeup
 from tests.bench.table import Row
 

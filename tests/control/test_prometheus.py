@@ -42,7 +42,7 @@ def test_every_line_is_of_the_format_and_has_its_figure(found: dict[str, Any]) -
         'rtec_temperature_celsius{sensor="T_bed"} 21.25',
         'rtec_mode{mode="on"} 1',
         'rtec_mode{mode="hold"} 0',
-        'rtec_device_trouble{device="box \\"1\\"\\n\\\\"} 1',
+        'rtec_device_trouble{device="box \\"1\\"\\\\n\\\\"} 1',
         "rtec_cycles_total 7200000",
         "rtec_deadline_misses_total 3",
         "rtec_status_age_seconds 2",

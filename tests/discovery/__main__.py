@@ -11,9 +11,8 @@ from dataclasses import asdict
 from pathlib import Path
 from timeit import default_timer
 
-from rich.console import Console
-
 from rtec.cli.common import bar
+from rtec.cli.screen import Console
 from tests.discovery import tables
 from tests.discovery.figures import cut, figures, seconds
 from tests.discovery.generator.cases import GROUPS, cases

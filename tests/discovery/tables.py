@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from rtec.cli.screen import Console
 from tests.discovery.figures import cut, figures, seconds
 from tests.discovery.generator.noise import FORMS
 from tests.discovery.intervals import share

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
+from rtec.cli.screen import Console
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from tests.discovery import tables, translate, work

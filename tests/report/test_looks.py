@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rich.console import Console
 
 from rtec.cli.common import grid
 from rtec.cli.main import status
+from rtec.cli.screen import Console
 from rtec.diagnosis import words
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.search.diagnose import diagnose
