@@ -70,6 +70,9 @@ lock: $(STAMP)  ## resolve requirements.lock anew from pyproject.toml
 install: install-venv install-files  ## the daemon as a service, for root; PREFIX (/usr/local) and DESTDIR as usual
 	@echo "installed; now see $(PREFIX)/share/doc/rtec/service.md"
 
+# Whatever root's own mask is: the service's user must be able to read what is installed.
+install install-venv install-files: .SHELLFLAGS := -c 'umask 022; eval "$$0"'
+
 # Other paths would hit files that are not meant, when they are removed, too.
 check-paths:
 	@[ $(words x$(DESTDIR)x$(PREFIX)x$(SYSCONFDIR)) -eq 1 ] || { echo "DESTDIR, PREFIX and SYSCONFDIR must have no spaces"; exit 2; }
@@ -82,6 +85,7 @@ install-venv: check-paths
 	  { echo "the service's user cannot reach $$(realpath "$$(command -v $(PYTHON))"). Try: make install PYTHON=/usr/bin/python3"; exit 2; };; esac
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || \
 	  { echo "rtec needs Python 3.11 to 3.13. Try: make install PYTHON=/usr/bin/python3.12"; exit 2; }
+	install -d $(DESTDIR)$(LIB)
 	$(PYTHON) -m venv --clear $(DESTDIR)$(LIB)
 	$(DESTDIR)$(LIB)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock
 	rm -rf build

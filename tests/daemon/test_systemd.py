@@ -19,9 +19,9 @@ needs_systemd = pytest.mark.skipif(
 )
 
 
-def make(target: str, dest: Path) -> None:
+def make(target: str, dest: Path, umask: int = -1) -> None:
     command = ["make", "-C", str(ROOT), target, f"DESTDIR={dest}", "PREFIX=/usr"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, umask=umask)
     assert done.returncode == 0, done.stderr
 
 
@@ -114,6 +114,31 @@ def test_real_time_is_allowed_and_nothing_else(unit: dict[str, list[str]]) -> No
     assert all(re.fullmatch(r"char-tty\w+ rw", value) for value in unit["DeviceAllow"])
     assert "MemoryDenyWriteExecute" not in unit  # the kernels are compiled while it starts
     assert "ProcSubset" not in unit  # the computer's boot id stands in /proc/sys
+
+
+@needs_make
+def test_the_service_s_user_can_read_what_a_cautious_root_installs(tmp_path: Path) -> None:
+    """`umask 077; make install`. Oracle: the modes of everything that is there, also of folders that were there before."""
+    dest = tmp_path / "dest"
+    (dest / "etc/rtec").mkdir(parents=True)
+    (dest / "etc/rtec").chmod(0o700)
+    dest.chmod(0o755)
+    make("install-files", dest, umask=0o077)
+    found = {path: path.stat().st_mode & 0o777 for path in dest.rglob("*")}
+    assert len(found) > 20
+    shut = [str(path) for path, mode in found.items() if mode & 0o044 != 0o044 or (path.is_dir() and not mode & 1)]
+    assert shut == []
+
+
+@needs_make
+def test_the_virtual_environment_is_made_under_the_same_mask(tmp_path: Path) -> None:
+    """It takes the network; so a Python that only says what its mask is stands in for it."""
+    python = tmp_path / "python"
+    python.write_text(f"#!/bin/sh\numask >> {tmp_path}/masks\nexit 1\n")
+    python.chmod(0o755)
+    command = ["make", "-C", str(ROOT), "install-venv", f"DESTDIR={tmp_path}", "PREFIX=/usr", f"PYTHON={python}"]
+    subprocess.run([*command, "ANY_PYTHON=1"], capture_output=True, timeout=120, check=False, umask=0o077)
+    assert set((tmp_path / "masks").read_text().split()) == {"0022"}
 
 
 @needs_make

@@ -55,7 +55,7 @@ def test_packed_and_read_again_it_is_the_same_to_the_last_bit(tmp_path: Path, la
 
 def test_many_groups_of_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows are found in whichever group they lie. Oracle: pyarrow counts the groups."""
-    monkeypatch.setattr("rtec.log.reader.CHUNK_ROWS", 100)
+    monkeypatch.setattr("rtec.log.format.CHUNK_ROWS", 100)
     path = write(tmp_path / "a.arrows", 0, 730, flush=30)
     with open_log(path) as log:
         pack(log, tmp_path / "a.parquet")
