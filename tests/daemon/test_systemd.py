@@ -118,7 +118,7 @@ def test_real_time_is_allowed_and_nothing_else(unit: dict[str, list[str]]) -> No
 
 @needs_make
 def test_the_service_s_user_can_read_what_a_cautious_root_installs(tmp_path: Path) -> None:
-    """`umask 077; make install`. Oracle: the modes of everything that is there, also of folders that were there before."""
+    """`umask 077; make install`. Oracle: the modes of all that is there, also of folders that were there before."""
     dest = tmp_path / "dest"
     (dest / "etc/rtec").mkdir(parents=True)
     (dest / "etc/rtec").chmod(0o700)
