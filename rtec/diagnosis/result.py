@@ -169,12 +169,12 @@ class Picture:
     Attributes:
         label: of the effect, or what an unknown depends on.
         unit: "um" or "urad".
-        residual: what the current model leaves, refitted without the effect, (n,).
-        part: what the effect says of it, (n,).
+        residual: of the current model, refitted without the effect, (n,).
+        part: what the effect explains of it, (n,).
         drivers: channel, its unit and values (n,); the first is drawn along.
         period_mm: of a wave along the first; None for anything else.
         direction: last direction of the first driver where it is a position, (n,); None otherwise.
-        time_s: (n,).
+        time_s, run: of each reading, (n,).
         title: the label and the measurement, with its column where it has several.
         others: pictures of the other reading columns that the finding moves most, strongest first.
     """
@@ -186,6 +186,7 @@ class Picture:
     drivers: tuple[tuple[str, str, Floats], ...]
     direction: Floats | None
     time_s: Floats
+    run: NDArray[np.int64]
     title: str = ""
     others: "tuple[Picture, ...]" = ()
     period_mm: float | None = None

@@ -20,6 +20,7 @@ NAMED = {
     "force_n": "force, N",
     "feed_mm_min": "feed, mm/min",
     "time_s": "time, s",
+    "angle_deg": "angle on the circle, degrees",
     "run": "run",
 }
 OF_AXIS = {

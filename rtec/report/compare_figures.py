@@ -360,16 +360,12 @@ def _with_gaps(time: Floats, value: Floats) -> tuple[Floats, Floats]:
     return np.insert(time, wide, np.nan), np.insert(value, wide, np.nan)
 
 
-TURN_DEG = 360.0
-
-
 def angle_of(readings: Readings, s: Series) -> tuple[str, Floats, Floats] | None:
     """Name, angle, degrees about the middle of the arc, and no direction, of a ball bar's readings; None for others."""
     bar, angle = _bar(readings, s), readings.states[s.source].channels.get("angle_deg")
     if bar is None or angle is None:
         return None
-    middle = (bar.setup.start_deg + 0.5 * bar.setup.sense * bar.setup.arc_deg) % TURN_DEG
-    turned = middle + (angle[s.row] - middle + 0.5 * TURN_DEG) % TURN_DEG - 0.5 * TURN_DEG
+    turned = bar.on_arc_deg(angle[s.row])
     return "angle on the circle, degrees", turned, np.zeros(len(turned))
 
 

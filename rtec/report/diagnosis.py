@@ -4,21 +4,14 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from rtec import __version__
-from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, Picture
-from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken, titled
+from rtec.diagnosis.result import Diagnosis, Finding, NotTestable
+from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken
+from rtec.report.evidence import evidence
 from rtec.report.page import Figure, Page, Section, Table, number
 
-if TYPE_CHECKING:
-    from rtec.report.diagnosis_figures import Panel
-
-MOST_PANELS, SHOWN, WHERE, MOST_NUMBERS = 3, 8, 5, 4
-FOLDED = 4.0
-"""Periods of a wave from which on all are drawn over one."""
+SHOWN, WHERE, MOST_NUMBERS = 8, 5, 4
 BETTER = 0.005
 """Share of the mean square; falls of less are none."""
 
@@ -61,11 +54,9 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
         p = d.picture
         from rtec.report import diagnosis_figures
 
-        png = diagnosis_figures.against_drivers(panels(p))
-        shows = "What the model leaves against what drives it, with what the finding says of it."
-        out.append(
-            Section("What is left, and what the finding says of it", [], None, Figure("evidence.png", png, shows))
-        )
+        png = diagnosis_figures.evidence_figure([evidence(q) for q in (p, *p.others) if q.drivers])
+        shows = "The residual against what drives it, and what the finding explains of it."
+        out.append(Section("The residual, and what the finding explains", [], None, Figure("evidence.png", png, shows)))
     if not d.findings:
         return [*out, Section("Candidates", ["Chance alone would look as good as the best of them."])]
     figure = None
@@ -93,26 +84,6 @@ def _to_type(d: Diagnosis, files: Sequence[Path]) -> list[Section]:
         "It says what the error looks like, not what makes it: look for the cause there.",
     ]
     return [Section("To add it without a name", words)]
-
-
-def panels(p: Picture) -> "list[Panel]":
-    """Of one reading column all that drives it, of several the first driver each."""
-    if not p.others:
-        return [_panel(p, k) for k in range(len(p.drivers[:MOST_PANELS]))]
-    return [_panel(q, 0) for q in (p, *p.others) if q.drivers]
-
-
-def _panel(p: Picture, k: int) -> "Panel":
-    """Against one driver; a wave of many periods within one of them, where all lie on each other."""
-    from rtec.report.diagnosis_figures import Panel
-
-    name, unit, value = p.drivers[k]
-    below = titled(name, unit)
-    if k == 0 and p.period_mm is not None and float(np.ptp(value)) > FOLDED * p.period_mm:
-        value, below = value % p.period_mm, f"{below}: places within each period of {p.period_mm:.4g} mm"
-    return Panel(
-        p.title if k == 0 else "", UNITS[p.unit], p.residual, p.part, below, value, p.direction if k == 0 else None
-    )
 
 
 def _candidate_words(d: Diagnosis) -> list[str]:

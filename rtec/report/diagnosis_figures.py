@@ -1,91 +1,144 @@
-"""Figures of a diagnosis; style and colours as in `figures`. Only arrays come in, PNG goes out."""
+"""Figures of a diagnosis: the evidence of a finding, and the candidates beside each other."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtec.report.figures import GREY, OFF, ON, as_png, stacked
+from rtec.report.evidence import Amplitudes, Evidence
+from rtec.report.figures import GREY, OFF, ON, as_png, canvas, room_above, stacked
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
 
-Floats = NDArray[np.float64]
-BINS, MOST_PLACES = 24, 120
-"""Stretches that a line is drawn over; where there are not too many places, each is its own."""
-MOST_DOTS = 4000
+MOST_DOTS, MOST_MARKERS = 4000, 120
+LEVEL_COLOURS = ("#3B1C8C", "#2A6FB0", "#1FA187", "#A8A800", "#D55E00")
+"""From the lowest to the highest level of a second variable: hue and lightness change together."""
+ROW_IN = 5.2
+LOOKS = {0: ("o", "-"), 1: ("^", "-"), -1: ("v", "--")}
+WAYS = {0: "", 1: ", moving +", -1: ", moving −"}
+"""Marker and line of both directions together, and of each; how they are called."""
 NO_BETTER = 0.005
 """Share of the mean square; falls of less are none."""
 LONG = 24
 """Letters; longer names stand on two lines."""
 
 
-@dataclass(frozen=True)
-class Panel:
-    """What is left of one reading column against one thing that drives it.
-
-    Attributes:
-        title: of the panel; empty where it goes on from the one above.
-        unit: of the readings, for people.
-        residual, part: what is left, and what the finding says of it, (n,).
-        below: title of the lower axis.
-        value: of the driver, (n,).
-        direction: -1 or +1, (n,), where the driver is a position that was gone along both ways.
-    """
-
-    title: str
-    unit: str
-    residual: Floats
-    part: Floats
-    below: str
-    value: Floats
-    direction: Floats | None
-
-
 @as_png
-def against_drivers(panels: Sequence[Panel]) -> "MplFigure":
-    """What is left against what drives it, and what the finding says of it."""
-    figure, axes = stacked(*[4.4] * len(panels))
-    for ax, panel in zip(axes, panels, strict=True):
-        value = panel.value
-        for label, mask, colour, marker in _ways(panel.direction, len(value)):
-            thin = slice(None, None, max(1, int(mask.sum()) // MOST_DOTS))
-            ax.plot(value[mask][thin], panel.residual[mask][thin], linestyle="", marker=marker, markersize=3.5,
-                    color=colour, alpha=0.35)  # fmt: skip
-            middle, height = binned(value[mask], panel.part[mask])
-            # White behind the line keeps it apart from the dots.
-            ax.plot(middle, height, color="white", linewidth=5.5)
-            ax.plot(middle, height, color=colour, linewidth=2.8, label=f"{label}: dots are left, line is the finding")
-        ax.axhline(0.0, color="black", linewidth=1)
-        ax.set_title(panel.title)
-        ax.set_xlabel(panel.below)
-        ax.set_ylabel(f"left, {panel.unit}")
-        ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=12, loc="best")
+def evidence_figure(rows: Sequence[Evidence]) -> "MplFigure":
+    """The residual and what the finding explains of it, a row a reading column."""
+    figure = canvas(ROW_IN * len(rows))
+    for part, row in zip(figure.subfigures(len(rows), 1, squeeze=False)[:, 0], rows, strict=True):
+        part.suptitle(row.title, x=0.01, ha="left", fontsize=17, fontweight="bold")
+        if row.amplitudes:
+            shapes, sizes = part.subplots(1, 2, width_ratios=(3, 2))
+            _draw_curves(shapes, row)
+            _draw_amplitudes(sizes, row.unit, row.amplitudes)
+        elif row.causes:
+            top, *others = part.subplots(1 + len(row.causes), 1, sharex=True, height_ratios=(3, *[1] * len(row.causes)))
+            _draw_curves(top, row)
+            top.set_xlabel("")
+            _draw_causes(others, row)
+        else:
+            _draw_curves(part.subplots(), row)
     return figure
 
 
-def _ways(direction: Floats | None, n: int) -> list[tuple[str, NDArray[np.bool_], str, str]]:
-    if direction is None:
-        return [("all readings", np.ones(n, dtype=bool), ON, "o")]
-    return [("moving +", direction > 0, ON, "^"), ("moving −", direction < 0, OFF, "v")]
+def _draw_curves(ax: "Axes", row: Evidence) -> None:
+    if not row.second:
+        thin = slice(None, None, max(1, len(row.dots[0]) // MOST_DOTS))
+        ax.plot(row.dots[0][thin], row.dots[1][thin], linestyle="", marker=".", markersize=5, color=GREY, alpha=0.25,
+                label="residual of each reading")  # fmt: skip
+    for curve, colour in zip(row.curves, _colours(row), strict=True):
+        marker, line = LOOKS[curve.direction]
+        # White behind the line keeps it apart from the dots.
+        ax.plot(curve.place, curve.part, color="white", linewidth=6.0)
+        ax.plot(curve.place, curve.part, color=colour, linestyle=line, linewidth=3.0)
+        if len(curve.place) <= MOST_MARKERS:
+            ax.plot(curve.place, curve.residual, linestyle="", marker=marker, markersize=9, color=colour,
+                    markeredgecolor="white")  # fmt: skip
+    ax.axhline(0.0, color="black", linewidth=1)
+    ax.set_xlabel(row.below)
+    ax.set_ylabel(f"residual, {row.unit}")
+    for way in dict.fromkeys(c.direction for c in row.curves):
+        marker, line = LOOKS[way]
+        colour = GREY if row.second else OFF if way < 0 else ON
+        if len(row.curves[0].place) <= MOST_MARKERS:
+            ax.plot([], [], linestyle="", marker=marker, markersize=9, color=colour, label=f"mean residual{WAYS[way]}")
+        ax.plot([], [], linestyle=line, color=colour, linewidth=3.0, label=f"explained{WAYS[way]}")
+    room_above(ax, 0.3 if len(row.curves) > 1 and not row.second else 0.2)
+    ax.legend(fontsize=13, loc="upper left", ncols=3, frameon=True, facecolor="white", edgecolor="none",
+              framealpha=0.9, columnspacing=1.0, handletextpad=0.4)  # fmt: skip
+    if row.second:
+        _name_levels(ax, row)
 
 
-def binned(value: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """Mean height over stretches of a value that hold equally many readings, (k,) each."""
-    order = np.argsort(value, kind="stable")
-    places = len(np.unique(value))
-    if places <= MOST_PLACES:
-        edges = np.flatnonzero(np.diff(value[order])) + 1
-        parts = np.split(order, edges)
-    else:
-        parts = np.array_split(order, max(1, min(BINS, len(value))))
-    return (
-        np.array([float(value[p].mean()) for p in parts if len(p)]),
-        np.array([float(height[p].mean()) for p in parts if len(p)]),
-    )
+def _draw_causes(axes: "Sequence[Axes]", row: Evidence) -> None:
+    """What drives the finding, over the same time."""
+    order = np.argsort(row.dots[0], kind="stable")
+    for ax, (name, value) in zip(axes, row.causes, strict=True):
+        ax.plot(row.dots[0][order], value[order], color=GREY, drawstyle="steps-post")
+        ax.set_ylabel(name.replace(", ", ",\n"))
+    axes[-1].set_xlabel(row.below)
+
+
+def _name_levels(ax: "Axes", row: Evidence) -> None:
+    """The value of the second variable at the end of its curve; moved up where two would lie on each other."""
+    last = {c.level: (c, colour) for c, colour in zip(row.curves, _colours(row), strict=True) if c.level is not None}
+    ends = sorted(last.items(), key=lambda item: float(item[1][0].part[-1]))
+    values = [v for v, _ in ends]
+    digits = decimals(min(np.diff(np.sort(values)), default=1.0))
+    low, high = ax.get_ylim()
+    heights = spread_out([float(c.part[-1]) for _, (c, _) in ends], 0.075 * (high - low))
+    for (value, (_, colour)), height in zip(ends, heights, strict=True):
+        ax.annotate(f"{value:.{digits}f}", (1.0, height), (6, 0), xycoords=ax.get_yaxis_transform(),
+                    textcoords="offset points", ha="left", va="center", color=colour, fontweight="bold", fontsize=14,
+                    annotation_clip=False)  # fmt: skip
+    ax.set_title(row.second, loc="right", fontsize=14, fontweight="normal")
+
+
+def spread_out(heights: Sequence[float], least: float) -> list[float]:
+    """Rising heights, none nearer than `least` to the one below it, together as near to where they were as can be."""
+    step = least * np.arange(len(heights))
+    level = np.asarray(heights, dtype=np.float64) - step
+    # The nearest rising sequence: neighbours that would cross share their mean.
+    blocks: list[list[float]] = []
+    for value in level:
+        blocks.append([float(value)])
+        while len(blocks) > 1 and np.mean(blocks[-2]) > np.mean(blocks[-1]):
+            blocks[-2:] = [blocks[-2] + blocks[-1]]
+    flat = [float(np.mean(b)) for b in blocks for _ in b]
+    return [float(v) for v in np.asarray(flat) + step]
+
+
+def decimals(step: float) -> int:
+    """Digits after the point that tell values apart which differ by a step."""
+    return max(0, -math.floor(math.log10(max(step, 1e-6))))
+
+
+def _colours(row: Evidence) -> list[str]:
+    """By level where there is a second variable, else by direction."""
+    if not row.second:
+        return [OFF if c.direction < 0 else ON for c in row.curves]
+    levels = sorted({c.level for c in row.curves if c.level is not None})
+    spread = np.linspace(0, len(LEVEL_COLOURS) - 1, len(levels)).round().astype(int)
+    return [LEVEL_COLOURS[spread[levels.index(c.level)]] for c in row.curves if c.level is not None]
+
+
+def _draw_amplitudes(ax: "Axes", unit: str, a: Amplitudes) -> None:
+    """Height of the shape against what sets it: dots from the residual, the line from the finding."""
+    ax.plot(a.value, a.explained, color=OFF, linewidth=3.0, label="explained")
+    ax.errorbar(a.value, a.measured, 2.0 * a.error, linestyle="", marker="o", markersize=9, color=ON,
+                markeredgecolor="white", capsize=4, elinewidth=1.6, label="residual, ± 2 std. errors")  # fmt: skip
+    ax.axhline(0.0, color="black", linewidth=1)
+    ax.set_title("Height of this shape")
+    ax.set_xlabel(a.below)
+    ax.set_ylabel(f"lowest to highest, {unit}")
+    room_above(ax, 0.25)
+    ax.legend(fontsize=13, loc="upper left", frameon=True, facecolor="white", edgecolor="none", framealpha=0.9)
 
 
 @as_png
@@ -126,44 +179,3 @@ def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
 def _on_two(name: str) -> str:
     """A long label on two lines: at the bracket."""
     return name.replace("(", "\n(", 1) if len(name) > LONG else name
-
-
-@as_png
-def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: float | None) -> "MplFigure":
-    """The error falling, change by change, down to the noise floor.
-
-    Args:
-        unit: for people.
-        names: what each step was; the first is the model as it began.
-        errors: root mean square on runs left out after each.
-        floor: what noise alone leaves; None where it is not known.
-    """
-    figure, (ax,) = stacked(5.6)
-    x = np.arange(len(names) + 1)
-    ax.step(x, [*errors, errors[-1]], where="post", color=ON, linewidth=3.4)
-    for place, value in enumerate(errors):
-        ax.text(place + 0.5, value, f"{value:.2f}", ha="center", va="bottom", fontweight="bold", color=ON)
-        if place and value < errors[place - 1]:
-            ax.annotate("", (place, value), (place, errors[place - 1]),
-                        arrowprops={"arrowstyle": "-|>", "color": OFF, "linewidth": 2.5})  # fmt: skip
-    top = 1.22 * max([*errors, floor or 0.0])
-    if floor is not None:
-        ax.axhspan(0.0, floor, color="#E4E4E4", zorder=0)
-        ax.text(len(names) - 0.02, 0.5 * floor, f"noise of the measurement, {floor:.2f}", color=GREY, ha="right",
-                va="center", fontsize=13)  # fmt: skip
-    ax.set_ylim(0.0, top)
-    ax.set_xlim(0.0, len(names))
-    ax.set_xticks(np.arange(len(names)) + 0.5, [_broken(n) for n in names], fontsize=12)
-    ax.grid(visible=False, axis="x")
-    ax.set_title("The error falls as the model learns")
-    ax.set_ylabel(f"left on runs not used, {unit}")
-    return figure
-
-
-def _broken(name: str) -> str:
-    """A label on several lines: at the bracket; words where they are many; long names at an underscore too."""
-    head, mark, rest = name.partition("(")
-    if len(head) > 18 and "_" in head:
-        at = head.rindex("_") + 1
-        head = f"{head[:at]}\n{head[at:]}"
-    return f"{head}\n{mark}{rest}" if mark else name.replace(" the ", " the\n", 1)

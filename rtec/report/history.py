@@ -128,7 +128,7 @@ def _bought(s: Mapping[str, Any]) -> str:
 
 
 def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
-    from rtec.report import diagnosis_figures
+    from rtec.report.history_figures import staircase
 
     unit = steps[-1]["unit"]
     same = [{**s, "error": e} for s, e in zip(steps, rescaled(steps), strict=True) if s["unit"] == unit]
@@ -141,5 +141,5 @@ def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
         names.append(s["name"])
         errors.append(s["error"])
     floor = next((float(s["floor"]) for s in reversed(same) if s["floor"] is not None), None)
-    png = diagnosis_figures.staircase(UNITS.get(unit, unit), names, errors, floor)
-    return Figure("history.png", png, "The error on runs left out after each change, and the noise floor.")
+    png = staircase(UNITS.get(unit, unit), names, errors, floor)
+    return Figure("history.png", png, "The residual on held-out runs after each change, and the noise floor.")

@@ -22,8 +22,8 @@ from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.report.diagnosis import diagnosis_page, panels
-from rtec.report.diagnosis_figures import binned
+from rtec.report.diagnosis import diagnosis_page
+from rtec.report.evidence import evidence
 from tests.support.diagnosis_examples import effects, laser, small_machine, write_laser, write_machine
 
 FADING = "lost_motion,component=EXX,axis=X,A=5,s0=7.3"
@@ -199,19 +199,11 @@ def test_a_short_wave_is_drawn_within_one_period() -> None:
     period = d.picture.period_mm
     assert period is not None
     assert period == pytest.approx(5.021, rel=1e-3)
-    (panel,) = panels(d.picture)
-    assert 0.0 <= float(panel.value.min()) < float(panel.value.max()) < period
-    assert "each period of 5.02" in panel.below
-    _, height = binned(panel.value, panel.part)
-    assert float(np.ptp(height)) == pytest.approx(2.0 * np.hypot(1.6, 0.9), rel=0.1)
-
-
-def test_every_place_has_its_own_point_of_the_line() -> None:
-    """Oracle: numpy's mean, place by place."""
-    value, height = np.tile(np.arange(60.0), 3), np.random.default_rng(1).standard_normal(180)
-    at, mean = binned(value, height)
-    np.testing.assert_allclose(at, np.arange(60.0))
-    np.testing.assert_allclose(mean, height.reshape(3, 60).mean(axis=0))
+    shown = evidence(d.picture)
+    (wave,) = shown.curves
+    assert 0.0 <= wave.place[0] < wave.place[-1] < period
+    assert "one period of 5.02" in shown.below
+    assert float(np.ptp(wave.part)) == pytest.approx(2.0 * np.hypot(1.6, 0.9), rel=0.1)
 
 
 def test_an_empty_list_of_effects_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""What a figure of a finding shows: residuals against what drives them, and what the finding says of them."""
+"""What a figure of a finding shows: residuals, what drives them, and what the finding explains of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis import words as units
 from rtec.diagnosis.result import Picture
 from rtec.diagnosis.search.confounded import period_mm
 from rtec.effects import Effect
@@ -15,6 +14,7 @@ from rtec.estimation import floor
 from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, Series
+from rtec.metrology.instruments.ball_bar import BallBar
 
 Floats = NDArray[np.float64]
 PANELS = 3
@@ -27,18 +27,18 @@ def of_effect(
 ) -> Picture | None:
     """Picture of an effect."""
     channels = effect.channels(readings.machine)
-    found = _picture(readings, base, whitener, readings.columns(effect, theta), label, channels)
+    shown = _picture(readings, base, whitener, readings.columns(effect, theta), label, channels)
     period = period_mm(effect, theta)
-    if found is None or period is None:
-        return found
-    return replace(found, period_mm=period, others=tuple(replace(other, period_mm=period) for other in found.others))
+    if shown is None or period is None:
+        return shown
+    return replace(shown, period_mm=period, others=tuple(replace(other, period_mm=period) for other in shown.others))
 
 
 def of_shape(
     readings: Readings, base: Floats, whitener: Whitener, columns: Floats, variables: Sequence[str]
 ) -> Picture | None:
     """Picture of a shape without a name: its columns, (m, k), and what it depends on."""
-    label = f"what depends on {' and '.join(map(units.named, variables))}"
+    label = f"what depends on {' and '.join(map(words.named, variables))}"
     return _picture(readings, base, whitener, columns, label, variables)
 
 
@@ -70,18 +70,28 @@ def _of_series(
 ) -> Picture:
     rows, machine = series.part, readings.machine
     drivers = [(name, readings.channel(name)[rows]) for name in _by_interest(readings, channels)]
-    seen = [(n, "degC" if n in machine.sensor_names else words.unit_of_channel(n), v) for n, v in drivers]
-    # What stood still in this measurement tells nothing.
-    seen = sorted((s for s in seen if np.isfinite(s[2]).all()), key=lambda s: np.ptp(s[2]) == 0.0)
+    known = [(n, "degC" if n in machine.sensor_names else words.unit_of_channel(n), v) for n, v in drivers]
+    # What stood still in this measurement drives nothing.
+    known = sorted((d for d in known if np.isfinite(d[2]).all()), key=lambda d: np.ptp(d[2]) == 0.0)
     direction = None
-    axis = next((a for a in machine.axes if seen and a.channel == seen[0][0]), None)
+    axis = next((a for a in machine.axes if known and a.channel == known[0][0]), None)
     if axis is not None:
-        found = readings.channel(axis.direction_channel)[rows]
-        direction = found if np.isfinite(found).all() and np.ptp(found) > 0 else None
+        way = readings.channel(axis.direction_channel)[rows]
+        direction = way if np.isfinite(way).all() and np.ptp(way) > 0 else None
+    known = [*_on_circle(readings, series), *known]
     return Picture(
-        label, "urad" if series.unit == "urad" else "um", residual[rows], part[rows], tuple(seen), direction,
-        readings.time_s[rows], f"{label}, in {series_name(readings, series)}",
+        label, "urad" if series.unit == "urad" else "um", residual[rows], part[rows], tuple(known), direction,
+        readings.time_s[rows], series.run, f"{label}, in {series_name(readings, series)}",
     )  # fmt: skip
+
+
+def _on_circle(readings: Readings, series: Series) -> list[tuple[str, str, Floats]]:
+    """The angle of a ball bar, which says more than the positions of two axes; none for other instruments."""
+    instrument = readings.measurements[series.source].instrument
+    angle = readings.states[series.source].channels.get("angle_deg")
+    if not isinstance(instrument, BallBar) or angle is None:
+        return []
+    return [("angle_deg", "deg", instrument.on_arc_deg(angle[series.row]))]
 
 
 def series_name(readings: Readings, series: Series) -> str:

@@ -32,6 +32,9 @@ COVERED_DEG = 1.0
 """Of two ways to count turns that cover the arc equally well but for this, the one that fits the overshoot is right."""
 
 
+TURN_DEG = 360.0
+
+
 class BallBarSetup(Setup):
     """`[setup]` of a ball bar.
 
@@ -100,6 +103,11 @@ class BallBar(Instrument):
     def columns(self) -> tuple[str, ...]:
         """One reading."""
         return ("reading_um",)
+
+    def on_arc_deg(self, angle_deg: Floats) -> Floats:
+        """Angles on the circle, by whole turns so that each is within half a turn of the middle of the arc, (n,)."""
+        middle = (self.setup.start_deg + 0.5 * self.setup.sense * self.setup.arc_deg) % TURN_DEG
+        return np.asarray(middle + (angle_deg - middle + 0.5 * TURN_DEG) % TURN_DEG - 0.5 * TURN_DEG)
 
     def bar_mm(self, machine: Machine, pose_mm: Floats) -> Floats:
         """From the ball on the table to the ball at the tool, nominally, (n, 3)."""

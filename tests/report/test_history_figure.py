@@ -1,0 +1,46 @@
+"""The staircase of the error: a logarithmic axis, each step's number, and the noise floor named beside its line."""
+
+import numpy as np
+import pytest
+from matplotlib.text import Annotation, Text
+
+from rtec.report.history_figures import staircase
+from tests.support.figures import drawn, overlapping
+
+NAMES = ["as it was", "angular_reversal(EBX, X)", "axis_expansion_nonuniform(EXX, X, T_x_nut)"]
+LONG = ["as it was", *(["axis_expansion_nonuniform(EXX, X, T_x_nut)", "backlash(EXX, X)"] * 4)]
+
+
+@pytest.mark.parametrize(
+    ("names", "errors", "floor"),
+    [
+        (NAMES, [3.32, 0.588, 0.252], 0.245),
+        (LONG, [33.2, 20.1, 9.5, 9.6, 4.1, 3.1, 2.1, 1.3, 1.02], 1.0),
+        (NAMES[:2], [0.031, 0.029], 0.03),
+        (NAMES[:2], [250.0, 3.0], None),
+    ],
+)
+def test_steps_and_floor_have_room(names: list[str], errors: list[float], floor: float | None) -> None:
+    """Oracle: boxes of the texts as laid out; heights of the steps as given."""
+    figure = drawn(staircase, "µm", names, errors, floor)
+    (ax,) = figure.axes
+    assert ax.get_yscale() == "log"
+    assert ax.get_ylabel() == "residual on held-out runs, rms, µm"
+    steps = [np.asarray(line.get_ydata())[0] for line in ax.get_lines()][: len(errors)]
+    assert steps == pytest.approx(errors)
+    texts = [t for t in ax.texts if t.get_text()]
+    assert not overlapping(texts)
+    label = [t for t in texts if t.get_text().startswith("noise floor")]
+    assert len(label) == (floor is not None)
+    for text in label:
+        # Beside the panel: neither its own line nor a step can run through it.
+        assert text.get_window_extent().x0 > ax.get_window_extent().x1
+    names_below: list[Text] = list(ax.get_xticklabels())
+    assert len(names) > 5 or not overlapping(names_below)
+
+
+def test_an_arrow_for_each_fall_and_none_for_a_rise() -> None:
+    """Oracle: counted by hand."""
+    (ax,) = drawn(staircase, "µm", ["a", "b", "c", "d"], [4.0, 2.0, 2.1, 1.0], None).axes
+    arrows = [t for t in ax.texts if isinstance(t, Annotation) and t.arrow_patch is not None]
+    assert [(a.xy, a.xyann) for a in arrows] == [((1, 2.0), (1, 4.0)), ((3, 1.0), (3, 2.1))]
