@@ -58,7 +58,7 @@ def straightness_bars(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]
             hatch = "//" if name == "uncorrected" else ""
             ax.bar(place + shift, values, 0.4, color=style["color"], hatch=hatch, edgecolor="white", label=name)
         ax.set_title(title)
-        ax.set_ylabel("µm")
+        ax.set_ylabel("straightness, µm")
         ax.set_xticks(place[::2], [f"{h:.0f}" for h in hours[::2]])
         ax.grid(visible=False, axis="x")
         ax.set_ylim(0, 1.25 * max(float(v.max()) for v in both))
@@ -96,7 +96,7 @@ def temperatures(hours: Floats, degc: Mapping[str, Floats], night_from_h: float)
         ax.plot(hours, values, color=LINES[place % len(LINES)], label=name)
     ax.legend(loc="upper right", title="hottest first", frameon=True, facecolor="white", framealpha=1.0)
     ax.set_title("Temperatures that the sensors read")
-    ax.set_ylabel("°C")
+    ax.set_ylabel("temperature, °C")
     ax.set_xlabel("hours since the cold start")
     return figure
 
@@ -113,7 +113,7 @@ def shares(title: str, rows: Sequence[tuple[str, float, float]]) -> "MplFigure":
     ax.set_yticks([])
     ax.set_xlim(0, 1.45 * max(largest for _, _, largest in rows))
     ax.set_title(title)
-    ax.set_xlabel("µm at the tool tip: dark bar root mean square, light bar largest")
+    ax.set_xlabel("error at the tool tip, µm: dark bar root mean square, light bar largest")
     ax.grid(visible=False, axis="y")
     return figure
 

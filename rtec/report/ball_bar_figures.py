@@ -154,12 +154,12 @@ def _scale(largest: float) -> float:
 ACROSS = 2
 """Panels beside each other."""
 PANEL_IN = 2.7
-SHADE = "#ECECEC"
+SHADE, MOST_DOTS = "#ECECEC", 4000
 
 
 @as_png
 def linear(traces: Sequence[CircleTrace], window_deg: float, *, used: bool = False) -> "MplFigure":
-    """Deviation against angle, one panel a test: measured, fitted, and what is left over.
+    """Deviation against angle, one panel a test: measured, fitted, and the residual.
 
     Args:
         traces: the tests.
@@ -171,11 +171,14 @@ def linear(traces: Sequence[CircleTrace], window_deg: float, *, used: bool = Fal
         deg = shown_deg(trace.angle_rad)
         order = np.argsort(deg, kind="stable")
         _ground(ax, deg, window_deg)
-        # What is measured lies wide and pale under what is fitted, so that neither hides the other.
-        ax.plot(deg[order], trace.measured_um[order], color=GREY, linewidth=4.0, alpha=0.45, label="measured")
-        ax.plot(deg[order], trace.fitted_um[order], color=OFF, linewidth=2.2, label="fitted")
-        left = (trace.measured_um - trace.fitted_um)[order]
-        ax.plot(deg[order], left, color=ON, linewidth=0.8, label="left over")
+        thin = slice(None, None, max(1, len(deg) // MOST_DOTS))
+        for values, colour, name in (
+            (trace.measured_um, GREY, "measured"),
+            (trace.measured_um - trace.fitted_um, ON, "residual"),
+        ):
+            ax.plot(deg[thin], values[thin], color=colour, linestyle="", marker=".", markersize=4, alpha=0.35)
+            ax.plot([], [], color=colour, linestyle="", marker="o", markersize=9, label=name)
+        ax.plot(deg[order], trace.fitted_um[order], color=OFF, linewidth=2.6, label="fitted")
         ax.set_title(f"{trace.name}, {'ccw' if trace.sense > 0 else 'cw'}")
         ax.set_ylabel("bar longer, µm")
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
@@ -210,7 +213,7 @@ def causes(
             ax.plot(deg[order], curve[order], color=colour, linestyle=line, linewidth=2.0, label=label)
         ax.set_title(name, fontsize=15)
         if place % ACROSS == 0:
-            ax.set_ylabel("µm")
+            ax.set_ylabel("bar longer, µm")
         if place >= len(curves) - ACROSS:
             ax.set_xlabel("angle on the circle, degrees")
             ax.tick_params(labelbottom=True)

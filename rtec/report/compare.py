@@ -244,7 +244,7 @@ def _figures(c: Comparison, item: Compared, s: Series, title: str) -> list[tuple
         where = "position, each direction by itself" if polar is None else "the angle on the circle"
         shows = f"Measured and predicted over {where}; below what is left."
         out.append(("measured and predicted", Figure("position.png", png, shows)))
-    cells = _map(readings, s, left, main, {b.channel for r in item.worst[:1] for b in r.bounds})
+    cells = None if polar else _map(readings, s, left, main, {b.channel for r in item.worst[:1] for b in r.bounds})
     if cells is not None:
         png = draw.residual_map(title, unit, *cells, item.floor)
         out.append(("where it is left", Figure("map.png", png, "Mean of what is left, channel by channel.")))
@@ -290,7 +290,7 @@ def _stack(c: Comparison, item: Compared, s: Series, main: tuple[str, Floats, Fl
     slow = [
         (f"{n}, °C", v) for n, v in _sensors(c.traces.readings, s) if np.isfinite(v).all() and np.ptp(v) > REAL_DEGC
     ]
-    for channel in [(f"{name} since the first reading", (s.time_s - s.time_s[0]) / scale), *slow]:
+    for channel in [(f"time since the first reading, {name}", (s.time_s - s.time_s[0]) / scale), *slow]:
         found.append(draw.stack_along(channel, None, parts, measured))
     return max((f for f in found if f is not None), key=lambda f: f.shows, default=None)
 
@@ -304,7 +304,7 @@ def _map(
     """The map that shows most: position over a temperature or time, or two channels where nothing moved."""
     scale, name = time_unit(float(np.ptp(s.time_s)))
     warm = [(f"{n}, °C", v) for n, v in _sensors(readings, s) if np.isfinite(v).all() and np.ptp(v) > REAL_DEGC]
-    slow = [*warm, (f"time, {name} since the first reading", (s.time_s - s.time_s[0]) / scale)]
+    slow = [*warm, (f"time since the first reading, {name}", (s.time_s - s.time_s[0]) / scale)]
     pairs = [((main[0], main[1]), up) for up in slow] if main else list(combinations(slow, 2))
     # What the worst region is told by is shown, where it can be.
     pairs = [p for p in pairs if any(name.split(",")[0] in wanted for name, _ in p[1 if main else 0 :])] or pairs

@@ -133,7 +133,7 @@ def residual_map(
     means: Sequence[tuple[str, Floats]],
     floor: float,
 ) -> "MplFigure":
-    """Mean of what is left in each cell: red above, blue below zero, hatched where there are few readings.
+    """Mean residual in each cell: red above, blue below zero, hatched where there are few readings.
 
     Args:
         title: of the figure.
@@ -146,7 +146,7 @@ def residual_map(
     most = max(floor, *(float(np.abs(mean[np.isfinite(mean)]).max(initial=0.0)) for _, mean in means), 1e-9)
     for ax, (name, mean) in zip(axes, means, strict=True):
         _panel(figure, ax, unit, across, up, mean, most)
-        ax.set_title(f"{title}{name}: mean left in each cell, {unit}")
+        ax.set_title(f"{title}{name}: mean residual in each cell, {unit}")
     axes[-1].set_xlabel(f"{across[0]}   (hatched: fewer than 3 readings)")
     return figure
 
@@ -172,7 +172,7 @@ def _panel(
         ax.text(x[j], y[i], _short(value), ha="center", va="center", fontsize=11,
                 color="white" if abs(value) > 0.6 * most else "black")  # fmt: skip
     bar = figure.colorbar(shown, ax=ax, pad=0.02)
-    bar.set_label(f"mean left, {unit}")
+    bar.set_label(f"mean residual, {unit}")
     ax.set_ylabel(up[0])
 
 
@@ -191,7 +191,7 @@ def contributions(
     floor: float,
     stack: Stack | None = None,
 ) -> "MplFigure":
-    """What each effect adds: bars between what was measured and what is left; below, one on top of the other.
+    """What each effect adds: bars between what was measured and the residual; below, one on top of the other.
 
     Args:
         title: of the figure.
@@ -202,7 +202,7 @@ def contributions(
     """
     shown = rows[:MOST_BARS]
     effects = [(name, rms, colour, "") for (name, rms, _), colour in zip(shown, colours(len(shown)), strict=True)]
-    bars = [("measured", measured, GREY, ""), *effects, ("left", left, OFF, "//")]
+    bars = [("measured", measured, GREY, ""), *effects, ("residual", left, OFF, "//")]
     high = 0.7 * len(bars) + 1.6
     figure, axes = stacked(high, STACK_IN) if stack else stacked(high)
     if stack:
@@ -213,7 +213,7 @@ def contributions(
         ax.barh(place, rms, 0.7, color=colour, hatch=hatch, edgecolor="white")
         ax.text(rms + 0.01 * most, place, f"{rms:.2f}", va="center", fontsize=14)
         ax.text(-0.02, place, _broken(name), va="center", ha="right", transform=ax.get_yaxis_transform(),
-                linespacing=1.0)  # fmt: skip
+                linespacing=1.2)  # fmt: skip
     ax.axvspan(0.0, floor, color="#BBBBBB", alpha=0.6, zorder=3, linewidth=0)
     ax.set_yticks([])
     ax.set_xlim(0, 1.15 * most)
@@ -244,7 +244,7 @@ def over_position(
     predicted: Floats,
     floor: float,
 ) -> "MplFigure":
-    """Measured and predicted over position, both directions; below what is left, with the noise floor as a band.
+    """Measured and predicted over position, both directions; below the residual, with the noise floor as a band.
 
     Args:
         title: of the figure.
@@ -255,21 +255,26 @@ def over_position(
         measured, predicted: (n,).
         floor: noise, root mean square.
     """
-    figure, (top, low) = stacked(4.4, 4.4)
+    figure, (top, low) = stacked(4.4, 4.4, share=True)
     low.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
-    for name, mask, colour, marker, line in _ways(direction):
+    drawn: list[tuple[Floats, Floats]] = []
+    for name, mask, colour, marker, _ in _ways(direction):
         at, mean, spread = _by_place(place[mask], measured[mask])
         top.errorbar(at, mean, spread, color=colour, marker=marker, linestyle="", markersize=8, elinewidth=1.4,
                      label=f"measured{name}")  # fmt: skip
-        there, said, _ = _by_place(place[mask], predicted[mask])
-        top.plot(there, said, color=colour, linestyle=line, linewidth=2.6, label=f"predicted{name}")
+        drawn.append(_by_place(place[mask], predicted[mask])[:2])
         at, mean, spread = _by_place(place[mask], (measured - predicted)[mask])
         # Beside each other, so that the bars of one direction do not hide those of the other.
         aside = 0.004 * float(np.ptp(place)) * (1.0 if marker == "^" else -1.0)
         low.errorbar(at + aside, mean, spread, color=colour, marker=marker, linestyle=":", linewidth=1.2, markersize=8,
-                     elinewidth=1.4, label=f"left{name}")  # fmt: skip
+                     elinewidth=1.4, label=f"residual{name}")  # fmt: skip
+    if len(drawn) == 2 and _alike(*drawn):
+        top.plot(*drawn[0], color="black", linewidth=2.6, label="predicted, both directions")
+    else:
+        for (name, _, colour, _, line), points in zip(_ways(direction), drawn, strict=True):
+            top.plot(*points, color=colour, linestyle=line, linewidth=2.6, label=f"predicted{name}")
     top.set_title(title)
-    for ax, what in ((top, "error"), (low, "left")):
+    for ax, what in ((top, "error"), (low, "residual")):
         ax.axhline(0.0, color="black", linewidth=1)
         ax.set_ylabel(f"{what}, {unit}")
         _legend_above(ax)
@@ -281,6 +286,12 @@ def _ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str, str
     ways = [(", moving +", direction > 0, ON, "^", "-"), (", moving −", direction < 0, OFF, "v", "--")]
     there = [w for w in ways if w[1].any()]
     return there or [("", np.ones(len(direction), dtype=bool), ON, "o", "-")]
+
+
+def _alike(one: tuple[Floats, Floats], two: tuple[Floats, Floats]) -> bool:
+    """Whether two lines lie on each other, as far as an eye can see."""
+    seen = 0.005 * max(float(np.ptp(np.concatenate([one[1], two[1]]))), 1e-9)
+    return one[0].shape == two[0].shape and bool(np.allclose(one[1], two[1], atol=seen))
 
 
 def _by_place(place: Floats, value: Floats) -> tuple[Floats, Floats, Floats]:
@@ -319,7 +330,7 @@ def over_time(
     floor: float,
     sensors: Sequence[tuple[str, Floats]],
 ) -> "MplFigure":
-    """What is left over time, with the temperatures below.
+    """The residual over time, with the temperatures below.
 
     Args:
         title: of the figure.
@@ -336,19 +347,19 @@ def over_time(
     thin = slice(None, None, max(1, len(left) // MOST_DOTS))
     if measured is not None:
         ax.plot(time[thin], measured[thin], color=GREY, linestyle="", marker="+", markersize=5, label="measured")
-    ax.plot(time[thin], left[thin], color=ON, linestyle="", marker="o", markersize=3.5, alpha=0.5, label="left")
+    ax.plot(time[thin], left[thin], color=ON, linestyle="", marker="o", markersize=3.5, alpha=0.5, label="residual")
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_title(title)
-    ax.set_ylabel(f"left, {unit}")
+    ax.set_ylabel(f"{'residual' if measured is None else 'error'}, {unit}")
     _legend_above(ax)
     if sensors:
         for place, (name, value) in enumerate(sensors):
             axes[1].plot(*_with_gaps(time, value), color=LINES[place % len(LINES)], label=name, linewidth=2.2)
         axes[1].set_title("Temperatures")
-        axes[1].set_ylabel("°C")
+        axes[1].set_ylabel("temperature, °C")
         axes[1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=13)
         axes[1].set_xlim(axes[0].get_xlim())
-    axes[-1].set_xlabel(f"{time_unit} since the first reading")
+    axes[-1].set_xlabel(f"time since the first reading, {time_unit}")
     return figure
 
 
@@ -370,7 +381,7 @@ def angle_of(readings: Readings, s: Series) -> tuple[str, Floats, Floats] | None
 
 
 def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, predicted: Floats) -> bytes | None:
-    """Measured and predicted drawn outwards from the circle, and beside it what is left; None for other instruments.
+    """Measured and predicted drawn outwards from the circle, beside it the residual; None for other instruments.
 
     Args:
         readings: all of them.
@@ -395,7 +406,7 @@ def _polar_pair(title: str, letters: tuple[str, str], trace: CircleTrace) -> "Mp
     arrow(both, trace, MIDDLE + 1.1 * ROOM, GREY)
     rest = trace.measured_um - trace.fitted_um
     gain = frame(left, letters, float(np.abs(rest).max()))
-    around(left, trace.angle_rad, MIDDLE + gain * rest, OFF, "-", 1.4, 1.0, "left")
+    around(left, trace.angle_rad, MIDDLE + gain * rest, OFF, "-", 1.4, 1.0, "residual")
     for ax in (both, left):
         ax.legend(loc="upper left", frameon=False, fontsize=13)
     figure.suptitle(f"{title}: deviation from the circle, magnified", x=0.01, ha="left", fontweight="bold")

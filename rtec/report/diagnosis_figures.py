@@ -58,8 +58,8 @@ def _draw_curves(ax: "Axes", row: Evidence) -> None:
         ax.plot(curve.place, curve.part, color="white", linewidth=6.0)
         ax.plot(curve.place, curve.part, color=colour, linestyle=line, linewidth=3.0)
         if len(curve.place) <= MOST_MARKERS:
-            ax.plot(curve.place, curve.residual, linestyle="", marker=marker, markersize=9, color=colour,
-                    markeredgecolor="white")  # fmt: skip
+            ax.plot(curve.place, curve.residual, linestyle="-" if row.second else "", linewidth=1.0, color=colour,
+                    marker=marker, markersize=9, markeredgecolor="white")  # fmt: skip
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_xlabel(row.below)
     ax.set_ylabel(f"residual, {row.unit}")
@@ -143,29 +143,29 @@ def _draw_amplitudes(ax: "Axes", unit: str, a: Amplitudes) -> None:
 
 @as_png
 def rivals(rows: Sequence[tuple[str, float, bool, str]]) -> "MplFigure":
-    """How much of the error goes with each candidate, on runs that were not used: bars, best on top.
+    """How much of the residual each candidate explains on held-out runs: bars, best on top.
 
     Args:
         rows: label, relative fall of the mean square, whether it is of the winner's group, and why it is preferred or
             not, in few words.
     """
     figure, (ax,) = stacked(0.74 * len(rows) + 2.0)
-    groups = (("found, or not to be told from it", ON, ""), ("not preferred", "#BBBBBB", "//"))
+    groups = (("named, or confounded with what is named", ON, ""), ("not preferred", "#BBBBBB", "//"))
     for place, (name, drop, chosen, why) in enumerate(reversed(rows)):
         label, colour, hatch = groups[0 if chosen else 1]
         ax.barh(place, 100.0 * max(drop, 0.0), 0.7, color=colour, hatch=hatch, edgecolor="white", label=label)
         said = f"{100.0 * drop:.0f} %" if drop >= NO_BETTER else "no better"
         ax.text(100.0 * max(drop, 0.0), place, f" {said}", va="center", fontsize=14)
         ax.text(0.97, place, fill(why, 22), va="center", fontsize=12, color=ON if chosen else GREY,
-                linespacing=1.0, transform=ax.get_yaxis_transform())  # fmt: skip
-        ax.text(-0.02, place, _on_two(name), va="center", ha="right", fontsize=13, linespacing=1.0,
+                linespacing=1.2, transform=ax.get_yaxis_transform())  # fmt: skip
+        ax.text(-0.02, place, _on_two(name), va="center", ha="right", fontsize=13, linespacing=1.2,
                 transform=ax.get_yaxis_transform())  # fmt: skip
     ax.set_yticks([])
     ax.set_xlim(0, 119)
     ax.set_xticks(range(0, 101, 20))
-    figure.suptitle("How much of the error would go, and how likely each is beside the first", x=0.01, ha="left",
+    figure.suptitle("How much of the residual each candidate explains, and how likely it is", x=0.01, ha="left",
                     fontsize=17, fontweight="bold")  # fmt: skip
-    ax.set_xlabel("% of the mean square on runs that were not used")
+    ax.set_xlabel("fall of the mean square residual on held-out runs, %")
     ax.grid(visible=False, axis="y")
     # Once each, in the order of the list, above the bars: there is always room.
     handles, names = ax.get_legend_handles_labels()

@@ -21,7 +21,7 @@ Ints = NDArray[np.int64]
 PLACES, STRETCHES, MOST_TIMES = 120, 40, 300
 """Different values up to which each is a place of its own; where there are more, stretches of equally many readings;
 how many of these in time, where quick changes are to be seen."""
-MOST_CAUSES = 2
+MOST_CAUSES, FEW_PLACES = 2, 2
 LEVELS, GROUPS = 5, 12
 """Levels of the second variable that get a curve each; groups of readings that get an amplitude each."""
 ENOUGH, ENOUGH_OF_TWO = 0.97, 0.8
@@ -162,9 +162,10 @@ def places(value: Floats, most: int = PLACES, stretches: int = STRETCHES) -> Int
     levels, code = np.unique(np.round(value / step), return_inverse=True)
     if len(levels) <= most:
         return np.asarray(code, dtype=np.int64)
-    rank = np.empty(len(value), dtype=np.int64)
-    rank[np.argsort(value, kind="stable")] = np.arange(len(value))
-    return np.asarray(rank * min(stretches, len(value)) // len(value), dtype=np.int64)
+    # What is equal stays together: all of it is where the first of it is.
+    before = np.concatenate([[0], np.cumsum(np.bincount(code))[:-1]])
+    stretch = before[code] * min(stretches, len(value)) // len(value)
+    return np.asarray(np.unique(stretch, return_inverse=True)[1], dtype=np.int64)
 
 
 def _first_good(p: Picture, choices: Sequence[tuple[_Variable, ...]], enough: float) -> tuple[_Variable, ...] | None:
@@ -238,14 +239,15 @@ def _curves(p: Picture, over: _Variable, second: _Variable | None = None, *, apa
     """A curve for each direction, where they differ, and each level of the second variable."""
     level = np.zeros(len(p.part), dtype=np.int64) if second is None else _levels(p, second)
     side = _side_that_matters(p, over.code * LEVELS + level) if apart else 0 * level
-    out = []
+    out: list[Curve] = []
     for k in np.unique(level):
         for way in np.unique(side)[::-1]:
             rows = np.flatnonzero((level == k) & (side == way))
             if len(rows):
                 mean = None if second is None else float(second.value[rows].mean())
                 out.append(_curve(p, over, rows, (1 if way else -1) if side.any() else 0, mean))
-    return tuple(out)
+    # A level at which too little was read has no curve.
+    return tuple(c for c in out if len(c.place) > FEW_PLACES) or tuple(out)
 
 
 def _levels(p: Picture, second: _Variable) -> Ints:
@@ -278,12 +280,14 @@ def _amplitudes(p: Picture, over: _Variable, second: _Variable) -> Amplitudes | 
     rows = [r for r in rows if float(np.var(shape[r])) > 0.1 * float(np.var(shape))]
     fits = [(*_height(shape[r], p.residual[r]), _height(shape[r], p.part[r])[0]) for r in rows]
     off = sum(float(np.sum(_misfit(shape[r], p.part[r]) ** 2)) for r in rows)
-    if len(rows) < 3 or off > ALIKE * float(np.var(p.part)) * len(p.part):
+    if len(rows) <= FEW_PLACES or off > ALIKE * float(np.var(p.part)) * len(p.part):
         return None
     value = np.array([float(second.value[r].mean()) for r in rows])
     order = np.argsort(value, kind="stable")
-    measured, error, said = (np.array(v)[order] for v in zip(*fits, strict=True))
-    return Amplitudes(second.title, value[order], measured, error, said)
+    if len(np.unique(places(value))) <= FEW_PLACES:
+        return None
+    measured, error, part = (np.array(v)[order] for v in zip(*fits, strict=True))
+    return Amplitudes(second.title, value[order], measured, error, part)
 
 
 def _groups(p: Picture, second: _Variable) -> Ints:

@@ -78,10 +78,10 @@ def canvas(height_in: float) -> "MplFigure":
     return figure
 
 
-def stacked(*heights_in: float) -> "tuple[MplFigure, Sequence[Axes]]":
-    """A figure with panels of these heights, one below the other."""
+def stacked(*heights_in: float, share: bool = False) -> "tuple[MplFigure, Sequence[Axes]]":
+    """A figure with panels of these heights, one below the other; they may share what is drawn over."""
     figure = canvas(sum(heights_in))
-    axes = figure.subplots(len(heights_in), 1, squeeze=False, height_ratios=heights_in)
+    axes = figure.subplots(len(heights_in), 1, squeeze=False, sharex=share, height_ratios=heights_in)
     return figure, list(axes[:, 0])
 
 

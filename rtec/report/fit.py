@@ -109,7 +109,7 @@ def _search(r: Characterisation, figures: bool) -> list[Section]:
     ]
     picture = (
         Figure("search.png", _search_figure(r), "Error against number of terms, in sample and held out")
-        if figures
+        if figures and len(r.steps) > 1
         else None
     )
     return [Section("How it was chosen", words, table, picture)]

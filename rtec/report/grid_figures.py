@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 COLOURS = (ON, OFF, LINES[3], LINES[4], LINES[5])
+SMOOTH = 30
+"""Of a piece, the mean over twice this part of it is drawn bold over what was read."""
 SCALES_UM = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
@@ -70,7 +72,7 @@ def contour(
     ax.set_aspect("equal")
     ax.set_xlabel(f"{letters[0]}, mm; {how}" if how else f"{letters[0]}, mm")
     ax.set_ylabel(f"{letters[1]}, mm")
-    ax.set_title(f"{title}; deviation {f'{magnification:,.0f}'.replace(',', chr(0x2009))} times")
+    ax.set_title(f"{title}; deviation drawn {f'{magnification:,.0f}'.replace(',', chr(0x2009))} times as large")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=min(3, len(names)), frameon=False)
     return figure
 
@@ -86,21 +88,32 @@ def usual_magnification(pieces: Sequence[Piece]) -> float:
 
 def _draw(ax: "Axes", piece: Piece, colour: str, magnification: float, label: str) -> None:
     away = piece.beside_mm + piece.deviation_um * 1e-3 * magnification
+    smooth = _smoothed(away)
     straight = np.full(len(away), piece.beside_mm)
-    line: dict[str, Any] = {"color": colour, "linewidth": 1.5, "linestyle": "-" if piece.way > 0 else (0, (5, 2))}
+    line: dict[str, Any] = {"color": colour, "linewidth": 2.4, "linestyle": "-" if piece.way > 0 else (0, (5, 2))}
     if piece.along == 0:
         ax.plot(piece.place_mm, straight, color=GREY, linewidth=1.0)
-        ax.plot(piece.place_mm, away, label=label, **line)
+        ax.plot(piece.place_mm, away, color=colour, linewidth=0.8, alpha=0.35)
+        ax.plot(piece.place_mm, smooth, label=label, **line)
     else:
         ax.plot(straight, piece.place_mm, color=GREY, linewidth=1.0)
-        ax.plot(away, piece.place_mm, label=label, **line)
+        ax.plot(away, piece.place_mm, color=colour, linewidth=0.8, alpha=0.35)
+        ax.plot(smooth, piece.place_mm, label=label, **line)
     n = len(away)
     at = int(n * (0.62 if piece.way > 0 else 0.38)) + 4 * piece.family
     step = max(n // 30, 1) * piece.way
     ends = [min(max(at, 0), n - 1), min(max(at + step, 0), n - 1)]
-    smooth = np.convolve(np.pad(away, 5, mode="edge"), np.full(11, 1 / 11.0), mode="valid")
     points = [(piece.place_mm[k], smooth[k]) if piece.along == 0 else (smooth[k], piece.place_mm[k]) for k in ends]
-    ax.annotate("", points[1], points[0], arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 20})
+    ax.annotate("", points[1], points[0], arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 28})
+
+
+def _smoothed(value: Floats) -> Floats:
+    """Mean over a stretch about each place, shorter towards the ends, where it stays in the middle of its stretch."""
+    n = len(value)
+    reach = np.minimum(np.minimum(np.arange(n), np.arange(n)[::-1]), max(1, n // SMOOTH))
+    total = np.concatenate([[0.0], np.cumsum(value)])
+    at = np.arange(n)
+    return np.asarray((total[at + reach + 1] - total[at - reach]) / (2 * reach + 1))
 
 
 def _size(ax: "Axes", pieces: Sequence[Piece], magnification: float) -> None:

@@ -166,14 +166,14 @@ def _interval(a: Approach) -> str:
 
 def _drift_figure(r: Drift) -> Figure:
     groups = []
-    for unit, title in (("µm", "Drift of the probes"), ("µrad", "Tilt")):
+    for unit, title, what in (("µm", "Drift of the probes", "displacement"), ("µrad", "Tilt", "tilt")):
         traces = {t.name: (t.values - _first(t.values), _curve(r, t)) for t in r.traces if t.unit == unit}
         if traces:
-            groups.append((title, unit, traces))
+            groups.append((title, f"{what}, {unit}", traces))
     if r.temperatures_degc:
         nothing = np.full(len(r.time_h), np.nan)
         most = sorted(r.temperatures_degc.items(), key=lambda item: -float(np.nanmax(item[1]) - np.nanmin(item[1])))[:4]
-        groups.append(("Temperatures that change most", "°C above start", {
+        groups.append(("Temperatures that change most", "change since the start, K", {
             n: (v - _first(v), nothing) for n, v in most
         }))  # fmt: skip
     phases = [draw.Stretch(p.start_h, p.start_h + p.hours, p.rpm) for p in r.phases]

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+MOST_DOTS = 4000
+LOOKS = ((ON, "-"), (OFF, "--"), (LINES[3], "-."), (LINES[4], ":"))
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -75,8 +78,8 @@ def _cycles(ax: "Axes", cycle_um: Floats) -> None:
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_xticks(number[:: max(1, len(number) // 20)])
     ax.set_title("Cycles as a whole: mean over all targets")
-    ax.set_xlabel("cycle")
-    ax.set_ylabel("µm")
+    ax.set_xlabel("cycle, number")
+    ax.set_ylabel("mean deviation, µm")
 
 
 @as_png
@@ -104,7 +107,7 @@ def straightness(
     for ax, name in zip(axes, (title, other[0]), strict=True):
         ax.axhline(0.0, color="black", linewidth=1)
         ax.set_title(name)
-        ax.set_ylabel("µm")
+        ax.set_ylabel(f"{name.split(',')[0].split(' of ')[0].lower()}, µm")
     room_above(axes[0], 0.22, 0.132)
     axes[-1].set_xlabel(below)
     return figure
@@ -112,15 +115,15 @@ def straightness(
 
 @as_png
 def parallelism(
-    below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: float, left: Sequence[Floats]
+    below: str, place_mm: Floats, axis_um: Floats, slope_um_per_mm: float, radii: Sequence[Floats]
 ) -> "MplFigure":
-    """The spindle's axis seen from the motion with its best-fit line, and what the circles leave over the turn.
+    """The spindle's axis seen from the motion with its best-fit line, and the radii of the circles.
 
     Args:
         below: name of the axis.
         place_mm, axis_um: (k,).
         slope_um_per_mm: of the line.
-        left: radii of both probes, (k,) each, from their mean.
+        radii: of both probes, (k,) each.
     """
     figure, axes = stacked(4.2, 3.2)
     level = float(axis_um.mean())
@@ -130,14 +133,14 @@ def parallelism(
     axes[0].set_title("Spindle's axis seen from the motion, positive towards probe 1")
     axes[0].legend(frameon=False, loc="best")
     for values, colour, marker, style, name in zip(
-        left, (ON, OFF), ("o", "s"), ("-", "--"), ("probe 1", "probe 2"), strict=True
+        radii, (ON, OFF), ("o", "s"), ("-", "--"), ("probe 1", "probe 2"), strict=True
     ):
         axes[1].plot(place_mm, values - values.mean(), color=colour, marker=marker, linestyle=style, label=name)
     axes[1].set_title("Radius of the best-fit circle, from its mean")
     axes[1].legend(frameon=False, loc="best")
     for ax in axes:
         ax.axhline(0.0, color="black", linewidth=1)
-        ax.set_ylabel("µm")
+        ax.set_ylabel("distance, µm" if ax is axes[0] else "radius, µm")
     axes[-1].set_xlabel(below)
     return figure
 
@@ -151,21 +154,26 @@ def drift(
     Args:
         hours: (n,).
         phases: stretches of constant speed; those at 0 1/min are shaded.
-        groups: title, unit, and by name the values and the fitted curve, (n,) each, NaN where there is none.
+        groups: title, title of the axis, and by name the values and the fitted curve, (n,) each; NaN for none.
     """
     figure, axes = stacked(*[4.4] * len(groups))
-    for ax, (title, unit, traces) in zip(axes, groups, strict=True):
+    thin = slice(None, None, max(1, len(hours) // MOST_DOTS))
+    for ax, (title, beside, traces) in zip(axes, groups, strict=True):
         _shade(ax, phases)
         for k, (name, (values, curve)) in enumerate(traces.items()):
-            colour = (ON, OFF, LINES[3], LINES[4])[k % 4]
-            ax.plot(hours, values, color=colour, linewidth=3.5, alpha=0.45, label=name)
-            ax.plot(hours, curve, color=colour, linewidth=1.8, linestyle="--")
+            colour, line = LOOKS[k % len(LOOKS)]
+            if np.isnan(curve).all():
+                ax.plot(hours, values, color=colour, linestyle=line, label=name)
+                continue
+            ax.plot(hours[thin], values[thin], color=colour, linestyle="", marker=".", markersize=5, alpha=0.4)
+            ax.plot(hours, curve, color=colour, linewidth=2.6)
+            ax.plot([], [], color=colour, linewidth=2.6, marker="o", label=name)
         ax.axhline(0.0, color="black", linewidth=1)
         room_above(ax, 0.28, 0.168)
         ax.set_title(title)
-        ax.set_ylabel(unit)
+        ax.set_ylabel(beside)
         ax.legend(frameon=True, framealpha=0.9, facecolor="white", edgecolor="none", ncols=4, loc="lower left")
-    axes[-1].set_xlabel("hours; grey: spindle off; dashed: fitted approach")
+    axes[-1].set_xlabel("time, hours; grey: spindle off; dots: read; lines: fitted approach")
     _speeds(axes[0], phases)
     return figure
 
