@@ -39,7 +39,7 @@ def hil(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults of --soak.")] = 1,
     shared: Annotated[
         bool,
-        typer.Option("--shared", help="Others use this PC, too: --soak tells lost deadlines and does not judge them."),
+        typer.Option("--shared", help="Others use this PC, too: what depends on its clock is told, not judged."),
     ] = False,
     report: Annotated[
         Path | None,
@@ -73,7 +73,7 @@ def hil(
         _soak(bench, SoakOrder(config, soak, seed, report, shared), as_json)
         return
     faults = [parse_fault(text, known) for text in fault or ()]
-    _run(bench, HilOrder(config, off_s, on_s, faults, report), as_json)
+    _run(bench, HilOrder(config, off_s, on_s, faults, report, shared), as_json)
 
 
 def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:

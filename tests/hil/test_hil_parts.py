@@ -26,7 +26,14 @@ from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.can.signals import Dbc
 from rtec_drivers.hil.adapter import adapter
 from rtec_drivers.hil.catalogue import FAULTS
-from rtec_drivers.hil.findings import faults_found, given_astray, improvement_check, quiet_spans
+from rtec_drivers.hil.findings import (
+    faults_found,
+    given_astray,
+    held_check,
+    improvement_check,
+    quiet_spans,
+    unheld_spans,
+)
 from rtec_drivers.hil.injector import can_switches, modbus_switches
 from rtec_drivers.hil.logbook import Logbook, held_spans, read_logbook
 from rtec_drivers.hil.resources import Resources, Series, Step
@@ -283,6 +290,21 @@ def test_a_hold_that_lasts_into_the_next_fault_ends_when_it_ends() -> None:
     assert quiet == pytest.approx(np.array([[4.0, 10.0], [23.0, 26.0]]), abs=0.01)
 
 
+def test_holds_of_a_busy_pc_are_told_and_say_nothing_of_the_accuracy() -> None:
+    """Held for a fault, for 20 ms, and for 3 s without any; quiet is what is left, a second behind each."""
+    faults = [FaultOrder("box-silent", 2.0, 1.0)]
+    logbook = _logbook([(2.0, 3.2), (25.0, 25.02), (27.0, 29.0)])
+    run: Any = SimpleNamespace(logbook=logbook, start_ns=0)
+    alone = held_check("soak", run, faults, judged=True)
+    assert (alone.passed, alone.good) == (False, False)
+    assert alone.found == "held 2 times, 1 of them without a fault"
+    assert held_check("soak", run, faults, judged=False).good
+    left = unheld_spans([(4.0, 10.0), (20.0, 30.0)], held_spans(logbook, 0))
+    assert np.array(left) == pytest.approx(np.array([[4.2, 10.0], [20.0, 25.0], [26.02, 27.0]]), abs=0.01)
+    assert unheld_spans([(4.0, 10.0)], []) == [(4.0, 10.0)]
+    assert unheld_spans([(4.0, 10.0)], [(0.0, 20.0)]) == []
+
+
 def test_counts_that_nobody_commanded_are_seen() -> None:
     logbook = _logbook([(11.0, 12.0)])
     track = _track(logbook)
@@ -408,9 +430,9 @@ def test_lost_deadlines_are_put_down_to_their_cause() -> None:
     assert resources.checks(1e6)[-1].passed
     resources._cycles = 10_000
     assert not resources.checks(1e6)[-1].passed
-    told = resources.checks(1e6, shared=True)[-1]
-    assert told.passed
-    assert "not judged" in told.found
+    told = resources.checks(1e6, judged=False)[-1]
+    assert (told.passed, told.judged, told.good) == (False, False, True)
+    assert told.words.startswith("not judged, as this PC is shared: ")
 
 
 def _series(values: list[float]) -> Series:

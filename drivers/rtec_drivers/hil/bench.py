@@ -8,12 +8,20 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import ConfigError
-from rtec.hil import Check, Comparison, Course, FaultFound, FaultOrder, HilOrder, HilResult, SoakOrder, SoakResult, Tell
+from rtec.hil import Comparison, Course, FaultOrder, HilOrder, HilResult, SoakOrder, SoakResult, Tell
 from rtec.loop.records import MODE_OFF, MODE_ON
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS, Bus
 from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses
-from rtec_drivers.hil.findings import checks_of, faults_found, improvement_check, quiet_spans
+from rtec_drivers.hil.findings import (
+    checks_of,
+    faults_found,
+    held_check,
+    improvement_check,
+    quiet_spans,
+    unheld_spans,
+)
+from rtec_drivers.hil.logbook import held_spans
 from rtec_drivers.hil.reference import simulated_run
 from rtec_drivers.hil.soak import RECOVER_S, soak
 from rtec_drivers.hil.track import Track, accuracy, directions, errors_um
@@ -83,7 +91,7 @@ def _result(wiring: Wiring, order: HilOrder, off: BusRun, on: BusRun, simulated:
     off_s, on_s = (run.report.summary["cycles"] / run.setup.file.run.rate_hz for run in (off, on))
     found = faults_found(order.faults, on.logbook, on.track, on.watch, on_s, names)
     calm = [(settle_s, off_s)]
-    quiet = quiet_spans(found, settle_s, on_s)
+    quiet = unheld_spans(quiet_spans(found, settle_s, on_s), held_spans(on.logbook, on.start_ns))
     buses = Comparison(accuracy(off.track, names, calm), accuracy(on.track, names, quiet))
     alike = Comparison(accuracy(simulated[0], names, calm), accuracy(simulated[1], names, quiet))
     return HilResult(
@@ -97,15 +105,16 @@ def _result(wiring: Wiring, order: HilOrder, off: BusRun, on: BusRun, simulated:
         off_timing=_timing(off),
         on_timing=_timing(on),
         faults=found,
-        checks=[*_checks(off, on, found), improvement_check(buses, alike, quiet)],
+        checks=[
+            *checks_of("uncorrected", off, (), not order.shared),
+            *checks_of("corrected", on, found, not order.shared),
+            held_check("corrected", on, order.faults, not order.shared),
+            improvement_check(buses, alike, quiet, not order.shared),
+        ],
         warnings=list(dict.fromkeys([*off.warnings, *on.warnings])),
         course=_course(off.track, on.track, names),
         log=on.log if order.keep else None,
     )
-
-
-def _checks(off: BusRun, on: BusRun, found: Sequence[FaultFound]) -> list[Check]:
-    return [*checks_of("uncorrected", off, ()), *checks_of("corrected", on, found)]
 
 
 def _timing(run: BusRun) -> dict[str, Any]:

@@ -27,6 +27,10 @@ ROWS_BACK, ROWS_ON = 20, 2
 """A command reaches the machine within so many cycles; the clocks of both sides are one."""
 CALM_ROWS = 200
 """So many cycles behind a hold commands go through again."""
+LINGERS_S = 20.0
+"""So long after a fault's end the correction may still be held for it: back-off, late answers, a full reopening."""
+SHORT_S = 0.5
+"""A hold shorter than this is a hiccup of this PC: the counts were stale for some cycles, and the guard saw it."""
 Spans = Sequence[tuple[float, float]]
 
 
@@ -86,8 +90,35 @@ def quiet_spans(found: Sequence[FaultFound], settle_s: float, on_s: float) -> li
     return [*out, (low, on_s)] if low < on_s else out
 
 
-def checks_of(which: str, run: BusRun, found: Sequence[FaultFound]) -> list[Check]:
-    """What must be so of one run."""
+def unheld_spans(quiet: Spans, held: Spans) -> list[tuple[float, float]]:
+    """The parts of quiet time in which the correction followed the model: without holds, and without a moment behind.
+
+    A hold without a fault is the PC's, which kept a far side or a worker waiting; how often says a check of its own.
+    """
+    out = list(quiet)
+    for begin, end in held:
+        pieces = [(low, min(high, begin)) for low, high in out] + [(max(low, end + CALM_S), high) for low, high in out]
+        out = sorted((low, high) for low, high in set(pieces) if low < high)
+    return out
+
+
+def held_check(which: str, run: BusRun, faults: Sequence[FaultOrder], judged: bool) -> Check:
+    """Was the correction held for faults only?"""
+    spans = [s for s in held_spans(run.logbook, run.start_ns) if s[1] - s[0] > SHORT_S]
+    alone = [s for s in spans if not any(f.at_s - SHORT_S <= s[0] <= f.end_s + LINGERS_S for f in faults)]
+    text = f"held {len(spans)} times, {len(alone)} of them without a fault"
+    return Check(f"{which}: held only for faults", not alone, text, judged)
+
+
+def checks_of(which: str, run: BusRun, found: Sequence[FaultFound], judged: bool = True) -> list[Check]:
+    """What must be so of one run.
+
+    Args:
+        which: of the runs, in a word.
+        run: as it was found afterwards.
+        found: what the faults did.
+        judged: this PC is the bench's alone, so what depends on its clock counts, too.
+    """
     summary, logbook = run.report.summary, run.logbook
     own, logged = list(summary["output"].values()), list(logbook.output.values())
     machine = list(run.found["machine"]["inserted"])
@@ -104,6 +135,7 @@ def checks_of(which: str, run: BusRun, found: Sequence[FaultFound]) -> list[Chec
             f"{which}: the machine was given what was commanded",
             astray == 0,
             f"in {astray} of {looked} instants in which the box could be reached it was not",
+            judged,
         ),
         Check(
             f"{which}: no jump",
@@ -118,7 +150,7 @@ def checks_of(which: str, run: BusRun, found: Sequence[FaultFound]) -> list[Chec
     ]
     if found:
         text = f"not after {', '.join(lost)}" if lost else f"after all {len(found)} faults"
-        checks.append(Check(f"{which}: correction follows again", not lost, text))
+        checks.append(Check(f"{which}: correction follows again", not lost, text, judged))
     return checks
 
 
@@ -142,7 +174,7 @@ def given_astray(run: BusRun) -> tuple[int, int]:
     return int(np.count_nonzero(~good)), len(row)
 
 
-def improvement_check(buses: Comparison, simulated: Comparison, quiet: Spans) -> Check:
+def improvement_check(buses: Comparison, simulated: Comparison, quiet: Spans, judged: bool = True) -> Check:
     """Is the correction as good behind real buses as without any?"""
     name = f"improvement within {100.0 * WITHIN:.0f} % of the all-simulated run"
     quiet_s = sum(high - low for low, high in quiet)
@@ -153,4 +185,5 @@ def improvement_check(buses: Comparison, simulated: Comparison, quiet: Spans) ->
         name,
         abs(ratio - 1.0) <= WITHIN,
         f"factor {buses.factor:.2f} behind real buses, {simulated.factor:.2f} all simulated: ratio {ratio:.3f}",
+        judged,
     )

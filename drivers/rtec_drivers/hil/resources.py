@@ -115,18 +115,18 @@ class Resources:
                 behind += step.misses
         return Deadlines(lost, own, away, behind, usual_us)
 
-    def checks(self, period_ns: float, *, shared: bool = False) -> list[Check]:
+    def checks(self, period_ns: float, *, judged: bool = True) -> list[Check]:
         """What must be so; of a PC that others use, too, lost deadlines are told and not judged."""
         out = []
         for what in UNITS:
             mine = [r for r in self.found() if r.what == what]
             text = "; ".join(f"{r.process} {r.middle:.4g} then {r.last:.4g} {r.unit}".strip() for r in mine)
-            judged = what != "memory" or self._looks() >= LEAST_LOOKS
-            words = text if judged else f"not judged in less than {LEAST_LOOKS} s: {text}"
-            out.append(Check(f"{what} flat", not judged or all(r.flat for r in mine), words))
-        return [*out, self._deadline_check(period_ns, shared)]
+            long_enough = what != "memory" or self._looks() >= LEAST_LOOKS
+            words = text if long_enough else f"not judged in less than {LEAST_LOOKS} s: {text}"
+            out.append(Check(f"{what} flat", not long_enough or all(r.flat for r in mine), words))
+        return [*out, self._deadline_check(period_ns, judged)]
 
-    def _deadline_check(self, period_ns: float, shared: bool) -> Check:
+    def _deadline_check(self, period_ns: float, judged: bool) -> Check:
         lost, cycles = self.deadlines(period_ns), int(self._cycles)
         ours = lost.own + lost.behind_worker
         text = (
@@ -134,8 +134,7 @@ class Resources:
             f"{lost.behind_worker} one of its own threads was kept off the processor; allowed 1 in "
             f"{1.0 / ALLOWED_SHARE:.0f} of {cycles} cycles"
         )
-        words = f"not judged, as this PC is shared: {text}" if shared else text
-        return Check("no deadline lost to our own code", shared or ours <= ALLOWED_SHARE * cycles, words)
+        return Check("no deadline lost to our own code", ours <= ALLOWED_SHARE * cycles, text, judged)
 
     def _looks(self) -> int:
         return max((len(s.values) for s in self._series.values()), default=0)

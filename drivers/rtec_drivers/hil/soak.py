@@ -12,8 +12,7 @@ from rtec.hil import Check, FaultOrder, SoakFault, SoakOrder, SoakResult, Tell
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS, Bus
 from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses
-from rtec_drivers.hil.findings import checks_of
-from rtec_drivers.hil.logbook import held_spans
+from rtec_drivers.hil.findings import checks_of, held_check
 from rtec_drivers.hil.resources import Resources
 from rtec_drivers.hil.wiring import read_wiring
 
@@ -22,10 +21,6 @@ RECOVER_S = 8.0
 LENGTH_S: dict[Bus, tuple[float, float]] = {"box": (0.3, 4.0), "modbus": (1.0, 10.0), "can": (1.0, 10.0)}
 PAUSE_S: dict[Bus, tuple[float, float]] = {"box": (4.0, 12.0), "modbus": (3.0, 12.0), "can": (3.0, 12.0)}
 FIRST_S = 4.0
-LINGERS_S = 20.0
-"""So long after a fault's end the correction may still be held for it: back-off, late answers, a full reopening."""
-SHORT_S = 0.5
-"""A hold shorter than this is a hiccup of this PC: the counts were stale for some cycles, and the guard saw it."""
 
 
 def draw_faults(buses: Sequence[Bus], duration_s: float, seed: int) -> list[FaultOrder]:
@@ -69,7 +64,7 @@ def soak(order: SoakOrder, tell: Tell) -> SoakResult:
             resources=resources.found(),
             deadlines=resources.deadlines(cycle_ns),
             timing={k: summary[k] for k in ("cycles", "deadline_misses", "wake_up", "compute", "driver_errors")},
-            checks=[*_checks(run, faults), *resources.checks(cycle_ns, shared=order.shared)],
+            checks=[*_checks(run, faults, not order.shared), *resources.checks(cycle_ns, judged=not order.shared)],
             warnings=list(dict.fromkeys(run.warnings)),
             log=run.log if order.keep else None,
         )
@@ -85,14 +80,10 @@ def _counted(faults: Sequence[FaultOrder], run: BusRun) -> list[SoakFault]:
     return [SoakFault(n, times[n], len(soon[n]), max(soon[n], default=float("nan"))) for n in sorted(times)]
 
 
-def _checks(run: BusRun, faults: Sequence[FaultOrder]) -> list[Check]:
-    spans = [s for s in held_spans(run.logbook, run.start_ns) if s[1] - s[0] > SHORT_S]
-    alone = [s for s in spans if not any(f.at_s - SHORT_S <= s[0] <= f.end_s + LINGERS_S for f in faults)]
+def _checks(run: BusRun, faults: Sequence[FaultOrder], judged: bool) -> list[Check]:
     at_end = bool(run.logbook.held[-1])
     return [
-        *checks_of("soak", run, ()),
-        Check(
-            "soak: held only for faults", not alone, f"held {len(spans)} times, {len(alone)} of them without a fault"
-        ),
-        Check("soak: correction follows at the end", not at_end, "held" if at_end else "it follows the model"),
+        *checks_of("soak", run, (), judged),
+        held_check("soak", run, faults, judged),
+        Check("soak: correction follows at the end", not at_end, "held" if at_end else "it follows the model", judged),
     ]
