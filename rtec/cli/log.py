@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.screen import Console
-from rtec.correction.guard import Flag
+from rtec.correction.guard import MODE_HOLD, MODE_OFF, MODE_ON, MODE_TAKEN_OVER, ORDER_MASK, Flag
 from rtec.log.folder import Segment
 from rtec.log.format import Log
 from rtec.log.stretch import utc_text
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rtec.log.format import Log
 
 
-MODES = {0: "off", 1: "on", 2: "hold", 3: "taken over"}
+MODES = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold", MODE_TAKEN_OVER: "taken over"}
 DAY_S = 86_400.0
 LONGEST = 160
 
@@ -94,8 +94,7 @@ def _headings(layout: Layout, *, degc: bool) -> list[str]:
 
 def _cells(samples: Samples, commands: Commands, *, degc: bool) -> Iterator[list[str]]:
     for i in range(len(samples)):
-        mode = int(samples.mode[i])
-        cells = [f"{samples.time_ns[i] * 1e-9:.6f}", MODES.get(mode, str(mode))]
+        cells = [f"{samples.time_ns[i] * 1e-9:.6f}", MODES[int(samples.mode[i]) & ORDER_MASK]]
         per_axis = zip(
             samples.counts[i], commands.requested_um[i], commands.applied_um[i], commands.output[i], strict=True
         )

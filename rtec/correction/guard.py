@@ -1,18 +1,48 @@
-"""The guard: what stands between a model's wish and the machine.
+"""The guard: what stands between a model's wish and the machine. This file alone says what the machine will do.
 
-In this order: are the inputs fresh and in range? then the slew and acceleration limits, then the stop limit. While
-anything is wrong the correction brakes within its acceleration limit and stays where it comes to rest: never a
-jump, never a silent zero.
+Every cycle, in this order:
+
+1. Judge what was read (`judge_counts`, `judge_range`, `judge_sensor`, `judge_spindle`, `judge_age`): fresh, possible,
+   and inside the range that the model was fitted in? Temperatures that are not known or not possible never reach the
+   model (`known`); it goes on with those before.
+2. Judge what the model asks for (`judge_request`): below the warning limit, below the stop limit?
+3. Judge the orders, and whether the actuator does what it is told (`judge_mode`).
+4. Decide for all axes together (`decide`): follow the model, fade to nothing, hold, or stand still.
+5. Move each axis (`move`, `guard_update`) within acceleration, slew and stop limit; then the ledger
+   (`rtec.correction.ledger`) within what the sink can hold (`within_sink`).
+
+While anything is wrong the correction brakes within its acceleration limit and stays where it comes to rest: never a
+jump, never a silent zero. While the actuator is in trouble it stands at once where the actuator has it, since a command
+that nobody takes moves nothing; and it goes on from there, from rest. A gap between two cycles counts as one cycle at
+most (`cycle_s`), so that no pause is made up for by one large command.
+
+The functions are compiled where numba is there, and are plain Python where it is not. `rtec.loop.step_source` writes
+the text that calls them for a machine's axes and sensors; it decides nothing.
 """
 
 import math
 from enum import IntFlag
-from typing import Annotated
+from typing import Annotated, Final
 
 from pydantic import Field, model_validator
 
 from rtec.jit import njit
 from rtec.tomlfile import Strict
+
+MODE_OFF: Final = 0
+"""Ordered: the correction fades to nothing at the slew limit."""
+MODE_ON: Final = 1
+"""Ordered: the correction follows the model."""
+MODE_HOLD: Final = 2
+"""Ordered: the correction stays where it is."""
+MODE_TAKEN_OVER: Final = 3
+"""One row: the ledger is what the device itself says that it has, which stands in `output`; held."""
+ORDER_MASK: Final = 3
+"""Bits of `Samples.mode` that hold one of these four; the other two are the actuator's."""
+OUTPUT_UNCONFIRMED: Final = 4
+"""Bit of `Samples.mode`: the actuator has not said yet that it has the command before; nothing moves in this cycle."""
+OUTPUT_TROUBLE: Final = 8
+"""Bit of `Samples.mode`: the actuator takes no commands, or does not do as it is told."""
 
 
 class Flag(IntFlag):
@@ -41,16 +71,19 @@ class Flag(IntFlag):
     OUTPUT_SATURATED = 1024
     """The sink can give no more."""
     HELD = 2048
-    """The correction stays where it is, for one of the reasons above."""
+    """The correction stays where it is, for one of the reasons here."""
+    OUTPUT_TROUBLE = 4096
+    """The actuator takes no commands, or does not do as it is told: the correction stands where the actuator has it."""
 
 
-HOLD_REASONS = int(
+HOLD_REASONS: Final = int(
     Flag.STALE_COUNTS
     | Flag.STALE_TEMPERATURE
     | Flag.SENSOR_FAULT
     | Flag.OUT_OF_RANGE
     | Flag.OVER_STOP_LIMIT
     | Flag.ORDERED_HOLD
+    | Flag.OUTPUT_TROUBLE
 )
 
 REASONS = {
@@ -64,6 +97,7 @@ REASONS = {
     Flag.ORDERED_OFF: "switched off",
     Flag.FADING: "fading to nothing",
     Flag.OUTPUT_SATURATED: "the actuator can give no more",
+    Flag.OUTPUT_TROUBLE: "the actuator takes no commands",
 }
 
 
@@ -101,6 +135,182 @@ class GuardSettings(Strict):
     counts_max_age_s: Annotated[float, Field(gt=0)] = 0.005
     temperature_max_age_s: Annotated[float, Field(gt=0)] = 30.0
     fade_after_s: Annotated[float, Field(gt=0)] | None = None
+
+
+# Plain integers: the compiler knows no enumerations.
+_STALE_COUNTS: Final = int(Flag.STALE_COUNTS)
+_STALE_TEMPERATURE: Final = int(Flag.STALE_TEMPERATURE)
+_SENSOR_FAULT: Final = int(Flag.SENSOR_FAULT)
+_OUT_OF_RANGE: Final = int(Flag.OUT_OF_RANGE)
+_OVER_STOP_LIMIT: Final = int(Flag.OVER_STOP_LIMIT)
+_OVER_WARNING_LIMIT: Final = int(Flag.OVER_WARNING_LIMIT)
+_ORDERED_HOLD: Final = int(Flag.ORDERED_HOLD)
+_ORDERED_OFF: Final = int(Flag.ORDERED_OFF)
+_FADING: Final = int(Flag.FADING)
+_LIMITED: Final = int(Flag.LIMITED)
+_SATURATED: Final = int(Flag.OUTPUT_SATURATED)
+_HELD: Final = int(Flag.HELD)
+_TROUBLE: Final = int(Flag.OUTPUT_TROUBLE)
+
+FOLLOW: Final = 0
+"""Decision: go towards what the model asks for."""
+FADE: Final = 1
+"""Decision: go towards nothing."""
+HOLD: Final = 2
+"""Decision: brake, and stay where that ends."""
+WAIT: Final = 3
+"""Decision: do not move in this cycle; the actuator has not said yet that it has the command before."""
+STAND: Final = 4
+"""Decision: do not move at all; the actuator would not."""
+
+
+@njit
+def cycle_s(time_ns: int, last_ns: int, longest_ns: int) -> float:
+    """Time, s, that a cycle may use: since the one before, at most `longest_ns`, never below zero."""
+    return max(0, min(time_ns - last_ns, longest_ns)) * 1e-9
+
+
+@njit
+def judge_counts(time_ns: int, latched_ns: int, max_age_ns: int) -> int:
+    """Flag counts that were latched too long ago."""
+    return _STALE_COUNTS if time_ns - latched_ns > max_age_ns else 0
+
+
+@njit
+def judge_range(value: float, low: float, high: float) -> int:
+    """Flag a channel outside the range that the model was fitted in, both ends inside; never a NaN."""
+    return _OUT_OF_RANGE if value < low or value > high else 0
+
+
+@njit
+def judge_sensor(degc: float, lowest: float, highest: float, fitted_low: float, fitted_high: float) -> int:
+    """Flag a temperature, °C, that is not known (NaN), that its sensor cannot give, or that the model does not know."""
+    if math.isnan(degc):
+        return _STALE_TEMPERATURE
+    if degc < lowest or degc > highest:
+        return _SENSOR_FAULT
+    return judge_range(degc, fitted_low, fitted_high)
+
+
+@njit
+def judge_spindle(rpm: float, fitted_low: float, fitted_high: float) -> int:
+    """Flag a spindle speed, 1/min, that is not known (NaN), or that the model does not know."""
+    if math.isnan(rpm):
+        return _STALE_TEMPERATURE
+    return judge_range(rpm, fitted_low, fitted_high)
+
+
+@njit
+def known(reasons: int) -> bool:
+    """Whether temperatures and spindle speed with these flags are numbers that the model may take."""
+    return (reasons & (_STALE_TEMPERATURE | _SENSOR_FAULT)) == 0
+
+
+@njit
+def judge_age(time_ns: int, oldest_ns: int, max_age_ns: int) -> int:
+    """Flag temperatures of which the oldest was acquired too long ago."""
+    return _STALE_TEMPERATURE if time_ns - oldest_ns > max_age_ns else 0
+
+
+@njit
+def judge_request(requested_um: float, warning_um: float, stop_um: float) -> int:
+    """Flag a correction beyond the warning or the stop limit; a NaN is beyond both."""
+    reasons = 0
+    if not abs(requested_um) <= warning_um:
+        reasons |= _OVER_WARNING_LIMIT
+    if not abs(requested_um) <= stop_um:
+        reasons |= _OVER_STOP_LIMIT
+    return reasons
+
+
+@njit
+def judge_mode(mode: int) -> int:
+    """Flag what was ordered, and an actuator in trouble; `mode` is that of the sample."""
+    order = mode & ORDER_MASK
+    reasons = 0
+    if order >= MODE_HOLD:
+        reasons |= _ORDERED_HOLD
+    elif order != MODE_ON:
+        reasons |= _ORDERED_OFF
+    if mode & OUTPUT_TROUBLE:
+        reasons |= _TROUBLE
+    return reasons
+
+
+@njit
+def decide(reasons: int, mode: int, time_ns: int, held_since_ns: int, fade_after_ns: int) -> tuple[int, int, int]:
+    """Decide what the correction does in this cycle.
+
+    An actuator in trouble comes first: whatever was ordered, nothing moves. Then an order to fade, which goes on with
+    old inputs too. Then every other reason to hold; where that lasts longer than `fade_after_ns` the correction fades.
+    Whatever was decided waits for the actuator to confirm the command before.
+
+    Args:
+        reasons: flags of this cycle so far.
+        mode: that of the sample.
+        time_ns: instant of the cycle.
+        held_since_ns: since when the correction is held; 0 where it is not.
+        fade_after_ns: longest hold; 0: no limit.
+
+    Returns:
+        FOLLOW, FADE, HOLD, WAIT or STAND; the flags with what follows from that; `held_since_ns` for the next cycle.
+    """
+    if reasons & _TROUBLE:
+        return STAND, reasons | _HELD, held_since_ns if held_since_ns else time_ns
+    decision = HOLD
+    if reasons & _ORDERED_OFF:
+        decision, held_since_ns = FADE, 0
+    elif (reasons & HOLD_REASONS) == 0:
+        decision, held_since_ns = FOLLOW, 0
+    elif held_since_ns == 0:
+        held_since_ns = time_ns
+    elif fade_after_ns > 0 and time_ns - held_since_ns > fade_after_ns:
+        decision, reasons = FADE, reasons | _FADING
+    if decision == HOLD:
+        reasons |= _HELD
+    if mode & OUTPUT_UNCONFIRMED:
+        return WAIT, reasons | (0 if decision == HOLD else _LIMITED), held_since_ns
+    return decision, reasons, held_since_ns
+
+
+@njit
+def may_command(decision: int) -> bool:
+    """Whether the ledger may move, so that there is a new command."""
+    return decision < WAIT
+
+
+@njit
+def move(
+    decision: int,
+    applied_um: float,
+    speed_um_s: float,
+    requested_um: float,
+    dt_s: float,
+    stop_um: float,
+    slew_um_s: float,
+    acceleration_um_s2: float,
+) -> tuple[float, float, int]:
+    """Move the applied correction of one axis as was decided; give it, its speed, and LIMITED while on the way.
+
+    After standing it goes on from rest; after waiting, with the speed that braking would have left it.
+    """
+    if decision == STAND:
+        return applied_um, 0.0, 0
+    if decision == WAIT:
+        return applied_um, math.copysign(max(0.0, abs(speed_um_s) - acceleration_um_s2 * dt_s), speed_um_s), 0
+    goal_um = 0.0 if decision == FADE else requested_um
+    applied_um, speed_um_s = guard_update(
+        applied_um, speed_um_s, goal_um, decision == HOLD, dt_s, stop_um, slew_um_s, acceleration_um_s2
+    )
+    return applied_um, speed_um_s, (0 if decision == HOLD or applied_um == goal_um else _LIMITED)
+
+
+@njit
+def within_sink(units: float, lowest: float, highest: float) -> tuple[float, int]:
+    """Keep units of output inside what the sink can hold; flag where that cuts them."""
+    if units < lowest or units > highest:
+        return min(max(units, lowest), highest), _SATURATED
+    return units, 0
 
 
 @njit

@@ -41,7 +41,6 @@ from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, s
 from rtec.loop.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
 from rtec.loop.step import Step, StepSettings
 
-PARENT_CHECK_CYCLES: Final = 256
 NOTES_PER_S: Final = 10
 
 
@@ -80,8 +79,7 @@ class Between:
             loop.order_resume()
         if stats.cycles % self._note_cycles == 0:
             self._tell()
-        alive = stats.cycles % PARENT_CHECK_CYCLES != 0 or os.getppid() == self._parent
-        return alive and not ring.stop_requested
+        return os.getppid() == self._parent and not ring.stop_requested
 
     def finish(self, in_order: bool) -> None:
         """The last word to the kept state; without order it stays as after a kill."""

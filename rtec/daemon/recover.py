@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.loop.loop import HOLDS, lost
+from rtec.loop.output import HOLDS, lost
 from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.loop.state import Saved, structure_of, units_of
 from rtec.loop.step import Step
@@ -124,8 +124,7 @@ def _why_wait(step: Step, found: Found, saved: Saved, output: IntArray) -> str:
 
 def allowed(step: Step, slack_s: float) -> IntArray:
     """How far, by axis, a ledger may be off one that is so much older."""
-    units = np.abs(step.constants("per_um")) * step.constants("slew") * slack_s + 2 * step.constants("quantum")
-    return np.asarray(np.ceil(units), np.int64)
+    return np.asarray(step.units_in(slack_s) + step.constants("quantum"), np.int64)
 
 
 def _told(saved: Saved, output: IntArray, mode: int) -> str:

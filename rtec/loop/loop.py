@@ -1,7 +1,7 @@
-"""The loop: wait for the deadline, read, step, apply, record. Nothing else, and nothing allocated on the way.
+"""The loop: wait for the deadline, read, step, keep the state, command. Nothing else.
 
-An order to resume (`Loop.order_resume`) goes to every device that takes one. From then on the correction is held and
-nothing is commanded until the actuator has told its ledger; that becomes the step's own, and the loop goes on from it.
+Whether there may be a command at all, `rtec.loop.output` says. An order to resume (`Loop.order_resume`) goes to every
+device that takes one; the ledger is then taken over from the actuator before anything is commanded.
 
 The state is kept (`rtec.loop.state`) between the step and the command: what is kept is never behind the actuator.
 
@@ -14,26 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtec.correction.guard import MODE_HOLD, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock
 from rtec.loop.devices import Ports
+from rtec.loop.output import Output
 from rtec.loop.ports import FloatArray, IntArray
-from rtec.loop.records import MODE_HOLD, MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.state import StateWriter
 from rtec.loop.stats import LoopStats, Trouble
 from rtec.loop.step import Step
-
-HOLDS = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
-
-
-def lost(expected: IntArray, found: IntArray, allowed: IntArray) -> str:
-    """Say that an actuator's ledger is not the one that it should have; "" where it is near enough."""
-    if (np.abs(found - expected) <= allowed).all():
-        return ""
-    return (
-        f"the actuator has {found.tolist()}, the run before left {expected.tolist()}: it started anew, and its counts "
-        f"may mean something else now; {HOLDS}"
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +63,17 @@ class Loop:
         self._counts_trouble = self._trouble("counts")
         self._temperatures = [(s, self._trouble("temperatures", k)) for k, s in enumerate(ports.temperatures)]
         self._spindle_trouble = self._trouble("spindle")
-        self._output_trouble = self._trouble("output")
+        output_trouble = self._trouble("output")
         self._waiting = Trouble(ports.name("output"), "state")
         self.stats.troubles.append(self._waiting)
         layout = step.layout
-        self._ledger = np.zeros(len(layout.axes), dtype=np.int64)
-        self._resuming = False
-        self._expected: IntArray | None = None
-        self._allowed: IntArray | None = None
+        self._output = Output(ports.actuator, len(layout.axes), output_trouble, self._waiting, period_ns)
         self._counts = np.zeros(len(layout.axes), dtype=np.int64)
         self._degc = np.full(len(layout.sensors), np.nan)
         self._degc_time_ns = np.zeros(len(layout.sensors), dtype=np.int64)
         # Before the first good reading the counts are as old as the clock itself, which is stale.
         self._counts_time_ns = -(2**62)
+        self._spindle_rpm = float("nan")
         self._next = 0
 
     def run(self, cycles: int | None, after_cycle: Callable[[Row], bool]) -> None:
@@ -118,18 +106,13 @@ class Loop:
         self.take_over(None)
 
     def take_over(self, expected: IntArray | None, allowed: IntArray | None = None) -> None:
-        """Hold, and command nothing, until the actuator tells its ledger; go on from that one.
-
-        Args:
-            expected: what it should have; where it is further off than `allowed`, the order to resume is waited for.
-            allowed: by axis; both None: whatever it has is right.
-        """
-        self._resuming, self._expected, self._allowed = True, expected, allowed
+        """Stand, and command nothing, until the actuator tells its ledger; see `Output.take_over`."""
+        self._output.take_over(expected, allowed)
 
     @property
     def waits(self) -> bool:
         """Is an order to resume waited for, or not carried out yet?"""
-        return self._resuming or self._waiting.now or any(d.must_resume for d in self._resumable)
+        return self._output.waits or any(d.must_resume for d in self._resumable)
 
     def go_on_with(self, step: Step, rows: list[Row]) -> list[Row]:
         """Take another step, and rows bound to it in the same memory, from the next cycle on; give the old rows."""
@@ -142,28 +125,30 @@ class Loop:
         clock, stats = self._clock, self.stats
         now_ns = clock.now_ns()
         self._read()
-        samples, resuming = row.samples, self._resuming
-        samples.time_ns[0] = now_ns
-        samples.mode[0] = self._mode_while_resuming() if resuming else MODE_HOLD if self._waiting.now else self.mode
+        samples = row.samples
+        mode = self._output.look(self.step, MODE_HOLD if self._waiting.now else self.mode, now_ns)
+        taken_over = mode & ORDER_MASK == MODE_TAKEN_OVER
+        samples.time_ns[0], samples.mode[0] = now_ns, mode
         samples.counts_time_ns[0] = self._counts_time_ns
         row.counts[:] = self._counts
         row.degc[:] = self._degc
         row.degc_time_ns[:] = self._degc_time_ns
         samples.spindle_rpm[0] = self._spindle_rpm
         row.step()
-        if resuming and not self._resuming:  # taken over in this cycle: the device has it already, and the row says so
-            row.output[:] = self._ledger
+        if taken_over:  # the device has it already, and the row says so
+            row.output[:] = self._output.has
+            stats.takeovers += mode == MODE_TAKEN_OVER
         if self.keeper is not None:
+            self.keeper.order = self.mode
+            self.keeper.waits |= self._waiting.now
             self.keeper.keep(samples, row.output, stats.cycles)
-        if not resuming:
-            self._apply(row.output)
+        if not taken_over:
+            self._output.send(row.output)
         end_ns = clock.now_ns()
         stats.cycles += 1
         stats.wake_up.add(now_ns - deadline_ns)
         stats.compute.add(end_ns - now_ns)
         return end_ns
-
-    _spindle_rpm = float("nan")
 
     def _read(self) -> None:
         """Read every source; what fails keeps its old value and its old time, and the guard judges the age."""
@@ -186,32 +171,6 @@ class Loop:
             except DriverError as e:
                 self._spindle_rpm = float("nan")
                 self._spindle_trouble.failed(str(e))
-
-    def _apply(self, output: IntArray) -> None:
-        try:
-            self._ports.actuator.apply(output)
-            self._output_trouble.now = False
-        except DriverError as e:
-            self._output_trouble.failed(str(e))
-
-    def _mode_while_resuming(self) -> int:
-        """Take over the ledger as soon as the actuator tells it; hold until then."""
-        try:
-            self._ports.actuator.read_output(self._ledger)
-        except DriverError as e:
-            self._output_trouble.failed(str(e))
-            return MODE_HOLD
-        self.step.resume(self._ledger)
-        self._resuming, self._output_trouble.now = False, False
-        if self._expected is not None and self._allowed is not None:
-            self._check_expected(self._expected, self._allowed)
-        self.stats.takeovers += 1
-        return MODE_TAKEN_OVER
-
-    def _check_expected(self, expected: IntArray, allowed: IntArray) -> None:
-        why = lost(expected, self._ledger, allowed)
-        if why:
-            self.wait_for_order(why)
 
     def _trouble(self, does: str, k: int = 0) -> Trouble:
         made = Trouble(self._ports.name(does, k), does)

@@ -11,14 +11,20 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-MODE_OFF = 0
-"""Correction fades to nothing at the slew limit."""
-MODE_ON = 1
-"""Correction follows the model."""
-MODE_HOLD = 2
-"""Correction stays where it is."""
-MODE_TAKEN_OVER = 3
-"""One row after an order to resume: held, and the ledger is what the device itself said, which stands in `output`."""
+from rtec.correction.guard import MODE_HOLD, MODE_OFF, MODE_ON, MODE_TAKEN_OVER
+
+__all__ = [
+    "MODES_BY_NAME",
+    "MODE_HOLD",
+    "MODE_OFF",
+    "MODE_ON",
+    "MODE_TAKEN_OVER",
+    "Commands",
+    "Field",
+    "Layout",
+    "Samples",
+]
+
 MODES_BY_NAME = {"off": MODE_OFF, "on": MODE_ON, "hold": MODE_HOLD}
 
 

@@ -205,7 +205,7 @@ class Setup:
     def step_settings(self) -> StepSettings:
         """What the step is made of."""
         sinks = {a.name: self.file.output.get(a.name, PulseSink()).scale(a) for a in self.machine.axes}
-        longest_s = 10.0 / self.file.run.rate_hz
+        longest_s = 1.0 / self.file.run.rate_hz
         return StepSettings(self.model, self.file.limits, sinks, self.file.guard, longest_s, self.file.inputs)
 
     def log_header(self) -> dict[str, str]:
@@ -221,6 +221,7 @@ class Setup:
             "model": self.model.name,
             "model_sha256": self.model.hash,
             "rate_hz": f"{self.file.run.rate_hz:g}",
+            "longest_cycle_s": f"{1.0 / self.file.run.rate_hz!r}",
             **{name: f"{value!r}" for name, value in self.file.inputs.model_dump().items()},
         }
 

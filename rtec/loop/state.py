@@ -67,8 +67,8 @@ class Saved:
 
 
 def structure_of(step: Step) -> bytes:
-    """32 bytes that tell whether memory of one step means the same to another: text of the step, names, units."""
-    told = hashlib.sha256(step.source.text.encode())
+    """32 bytes that tell whether memory of one step means the same to another: model, places, names, units."""
+    told = hashlib.sha256(step.source.memory.encode())
     told.update(units_of(step))
     return told.digest()
 
@@ -87,6 +87,7 @@ class StateWriter:
     Attributes:
         sequence: slots written so far, by whoever wrote this image.
         start_mode: the mode of the run file.
+        order: the mode that is ordered.
         waits: the loop waits for an order to resume.
 
     Args:
@@ -100,7 +101,7 @@ class StateWriter:
     """
 
     def __init__(self, image: NDArray[np.uint8], step: Step, start_mode: int, sequence: int = 0) -> None:
-        self.sequence, self.start_mode, self.waits = sequence, start_mode, False
+        self.sequence, self.start_mode, self.order, self.waits = sequence, start_mode, start_mode, False
         axes, state = len(step.layout.axes), step.state
         words = _HEAD + 2 * axes + state.ints.size + state.floats.size
         if (words + 1) * _WORD > SLOT_BYTES:
@@ -130,7 +131,7 @@ class StateWriter:
     def _write(self, slot: "_Slot", samples: Samples, output: NDArray[np.int64], row: int, clean: int) -> None:
         head = self._head
         head[_AT_SEQUENCE], head[_AT_ROW] = self.sequence, row
-        head[_AT_TIME], head[_AT_MODE] = samples.time_ns[0], samples.mode[0]
+        head[_AT_TIME], head[_AT_MODE] = samples.time_ns[0], self.order
         head[_AT_CLEAN], head[_AT_WAITS] = clean, self.waits
         slot.head[:] = head
         slot.output[:] = output

@@ -280,6 +280,17 @@ class Step:
         """The ledger: absolute output of every axis."""
         return state.ints[self.source.ints.at["out"]]
 
+    def units_in(self, span_s: float) -> NDArray[np.int64]:
+        """By how many units an output may move in so long a time, by axis: at its slew limit, in whole quanta.
+
+        A sink that takes a new value less often moves by what has come together since.
+        """
+        span = np.maximum(span_s, self._times[self.source.times.at["period"]] / NS)
+        quantum = self.constants("quantum")
+        units = np.abs(self.constants("per_um")) * self.constants("slew") * span
+        steps = np.floor(units / quantum + (0.5 + ledger.DEAD_BAND + 1e-9))
+        return np.asarray(steps * quantum, np.int64)
+
     def resume(self, output: NDArray[np.int64]) -> None:
         """Take over a ledger that the actuator already holds, so that starting again is no jump; from rest."""
         self.state.ints[self.source.ints.at["out"]] = output

@@ -4,18 +4,21 @@ It is the model's kernel with guard and ledger behind it, in one function over n
 n = 1, replay with n = many, so that both are the same machine code. All numbers that a user can change (limits,
 coefficients, ranges) come in as arrays; only sizes and channel indices are written into the text.
 
-The text of one cycle in pieces, for `kernel.py` to put together: `{name}` lines are blocks, `<name>` words.
+The text decides nothing: whether and how far a correction may move, the functions of `rtec.correction.guard` say.
+In the pieces of it below, `{name}` lines are replaced by blocks of lines and `<name>` by words.
 """
 
 from dataclasses import dataclass
 
-from rtec.correction.guard import HOLD_REASONS
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model.kernel.write import EXTRA_ARRAYS, KernelSource
 
 IMPORTS = """
-from rtec.correction.guard import guard_update
+from rtec.correction.guard import (
+    cycle_s, decide, judge_age, judge_counts, judge_mode, judge_range, judge_request, judge_sensor, judge_spindle,
+    known, may_command, move, within_sink,
+)
 from rtec.correction.ledger import ledger_update
 from rtec.effects.derived import direction_update, lag_update, motion_update, reversal_update, since_reversal
 from rtec.model.kernel.build import sin_cos
@@ -24,36 +27,15 @@ from rtec.model.kernel.build import sin_cos
 """
 
 SENSOR = """\
-value = degc[n, {s}]
+slow_why[0] |= judge_sensor(degc[n, {s}], s_low[{s}], s_high[{s}], u_low[{s}], u_high[{s}])
 oldest[0] = min(oldest[0], degc_time_ns[n, {s}])
-if value != value:
-    slow_why[0] |= 2
-    broken = True
-elif value < s_low[{s}] or value > s_high[{s}]:
-    slow_why[0] |= 4
-    broken = True
-elif value < u_low[{s}] or value > u_high[{s}]:
-    slow_why[0] |= 8
 """
 
-SPINDLE = """\
-value = spindle_rpm[n]
-if value != value:
-    slow_why[0] |= 2
-    broken = True
-elif value < u_low[{s}] or value > u_high[{s}]:
-    slow_why[0] |= 8
-"""
+SPINDLE = "slow_why[0] |= judge_spindle(spindle_rpm[n], u_low[{s}], u_high[{s}])"
 
-CONSTANT = """\
-if constants[{i}] < u_low[{s}] or constants[{i}] > u_high[{s}]:
-    slow_why[0] |= 8
-"""
+CONSTANT = "slow_why[0] |= judge_range(constants[{i}], u_low[{s}], u_high[{s}])"
 
-RANGE = """\
-if {x}[a] < {x}_low[a] or {x}[a] > {x}_high[a]:
-    why |= 8
-"""
+RANGE = "why |= judge_range({x}[a], {x}_low[a], {x}_high[a])"
 
 TURNING = """\
 if first:
@@ -94,18 +76,15 @@ def step(
         if first:
             started[0] = 1
             last[0] = t
-        dt = max(0, min(t - last[0], longest[0])) * 1e-9
+        dt = cycle_s(t, last[0], longest[0])
         last[0] = t
 
         # Fresh and in range?
-        why = 0
-        if t - counts_time_ns[n] > max_age[0]:
-            why |= 1
+        why = judge_mode(mode[n]) | judge_counts(t, counts_time_ns[n], max_age[0])
         for a in range(<axes>):
             q[a] = counts[n, a] / counts_per_mm[a]
             {turning}
-            if q[a] < q_low[a] or q[a] > q_high[a]:
-                why |= 8
+            why |= judge_range(q[a], q_low[a], q_high[a])
         {motion}
         {ranges}
         # Temperatures are looked at when one has a new instant; what was found then stands until the next.
@@ -114,60 +93,33 @@ def step(
         if changed:
             slow_why[0] = 0
             oldest[0] = t
-            broken = False
             {sensors}
             {spindle}
             {constant}
-            if not broken:
+            if known(slow_why[0]):
                 {keep}
                 slow_part(m, p, u, (t - slow_at[0]) * 1e-9, ready[0] == 0)
                 ready[0] = 1
                 slow_at[0] = t
         why |= slow_why[0]
         {age}
-        order = mode[n]
         if ready[0] == 1:
             tip = fast_part(m, <arrays>)
             {wanted}
             for a in <active>:
-                size = abs(target[a])
-                if not size <= warning[a]:
-                    why |= 32
-                if not size <= stop[a]:
-                    why |= 16
-
-        # Hold, fade, off?
-        if order >= 2:
-            why |= 64
-        elif order != 1:
-            why |= 128
-        hold = (why & <hold>) != 0 and (why & 128) == 0
-        to_zero = (why & 128) != 0
-        if not hold:
-            held_at[0] = 0
-        elif held_at[0] == 0:
-            held_at[0] = t
-        elif fade[0] > 0 and t - held_at[0] > fade[0]:
-            why |= 256
-            hold = False
-            to_zero = True
-        if hold:
-            why |= 2048
+                why |= judge_request(target[a], warning[a], stop[a])
 
         # Guard and ledger, each axis.
+        decision, why, held_at[0] = decide(why, mode[n], t, held_at[0], fade[0])
         for a in <active>:
-            goal = 0.0 if to_zero else target[a]
-            now[a], speed[a] = guard_update(
-                now[a], speed[a], goal, hold, dt, stop[a], slew[a], acceleration[a]
+            now[a], speed[a], limited = move(
+                decision, now[a], speed[a], target[a], dt, stop[a], slew[a], acceleration[a]
             )
-            if not hold and now[a] != goal:
-                why |= 512
-            if t >= due[a]:
+            why |= limited
+            if may_command(decision) and t >= due[a]:
                 due[a] = t + period[a]
-                units = now[a] * per_um[a]
-                if units < lowest[a] or units > highest[a]:
-                    units = min(max(units, lowest[a]), highest[a])
-                    why |= 1024
+                units, saturated = within_sink(now[a] * per_um[a], lowest[a], highest[a])
+                why |= saturated
                 out[a], allowance[a] = ledger_update(
                     units, out[a], allowance[a], dt, quantum[a], rate[a]
                 )
@@ -201,12 +153,14 @@ class StepSource:
 
     Attributes:
         text: functions `slow_part`, `fast_part`, `step`.
+        memory: tells what the state means: the model's kernel, and what lies where.
         numbers: constants, floats: parameters, scales, limits, ranges.
         times: constants, integers: ages and periods in ns.
         floats, ints: the state.
     """
 
     text: str
+    memory: str
     numbers: Places
     times: Places
     floats: Places
@@ -235,7 +189,8 @@ def write_step(machine: Machine, kernel: KernelSource, parameters: int) -> StepS
         **({"motion_at": 1} if kernel.moving else {}),
     )  # fmt: skip
     text = "\n".join([IMPORTS + kernel.text, "", *_step_lines(machine, kernel, [numbers, times, floats, ints]), ""])
-    return StepSource(text, numbers, times, floats, ints)
+    memory = "\n".join([kernel.text, *floats.lines("f"), *ints.lines("i")])
+    return StepSource(text, memory, numbers, times, floats, ints)
 
 
 def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) -> list[str]:
@@ -256,13 +211,13 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
         "names": names,
         "news": news,
         "sensors": [line for s in kernel.sensors for line in SENSOR.format(s=s).splitlines()],
-        "spindle": SPINDLE.format(s=spindle).splitlines() if kernel.uses_spindle else [],
-        "constant": [x for at, i in constants.items() for x in CONSTANT.format(s=at, i=i).splitlines()],
+        "spindle": [SPINDLE.format(s=spindle)] if kernel.uses_spindle else [],
+        "constant": [CONSTANT.format(s=at, i=i) for at, i in constants.items()],
         "turning": TURNING_SINCE if "since" in kernel.arrays else TURNING,
         "motion": MOTION if kernel.moving else [],
         "ranges": _ranges([name for name in kernel.arrays if name in EXTRA_ARRAYS]),
         # Only sensors age: a model without any would else hold for ever once its first cycle is old enough.
-        "age": ["if t - oldest[0] > max_age[1]:", "    why |= 2"] if kernel.sensors else [],
+        "age": ["why |= judge_age(t, oldest[0], max_age[1])"] if kernel.sensors else [],
         "keep": keep,
         "wanted": wanted,
     }
@@ -270,7 +225,6 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
         "axes": str(len(machine.axes)),
         "active": f"({', '.join(map(str, active))},)",
         "moving": f"({', '.join(map(str, kernel.moving))},)",
-        "hold": str(HOLD_REASONS),
         "arrays": ", ".join(kernel.arrays),
     }
     return _filled(STEP, blocks, words)
@@ -278,7 +232,7 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
 
 def _ranges(names: list[str]) -> list[str]:
     """Lines that compare each of these arrays with the model's range, axis by axis; a NaN never gets in here."""
-    lines = [f"    {line}" for name in names for line in RANGE.format(x=name).splitlines()]
+    lines = [f"    {RANGE.format(x=name)}" for name in names]
     return ["for a in range(<axes>):", *lines] if lines else []
 
 

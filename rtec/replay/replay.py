@@ -1,6 +1,7 @@
-"""Replay: a log through the same step, on a virtual clock, as fast as it goes; memory does not grow with its length.
+"""Replay: a log, or every log of a folder, through the same step as in the run, as fast as it goes.
 
-Replays a log, or every log of a folder, each from its own beginning.
+Each log is replayed from its own beginning; memory does not grow with its length. What a log of an older version does
+not say, that version did: a gap between two cycles then counted as ten cycles at most, since then as one.
 """
 
 import json
@@ -13,12 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.guard import MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import LogError
 from rtec.log.folder import log_files
 from rtec.log.format import Log
 from rtec.log.reader import open_log
 from rtec.log.writer import LogWriter
-from rtec.loop.records import MODE_TAKEN_OVER, Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import state_from_text, structure_of
 from rtec.loop.step import Step
@@ -81,12 +83,12 @@ def replay_log(
     Raises:
         LogError: the log cannot be read, or is of a machine with other axes or sensors.
     """
-    step = Step(setup.step_settings())
     report = ReplayReport()
     with open_log(log) as reader:
+        step = Step(replace(setup.step_settings(), longest_cycle_s=_longest_cycle_s(reader.header, setup, log)))
         _check_layout(reader, step.layout, log)
         report.notes = _notes(reader.header, setup)
-        _begin_as(reader.header, step, log)
+        _begin_as(reader.header, step, setup, log)
         total = reader.rows
         writer = None if out is None else LogWriter(out, step.layout, {**setup.log_header(), "replay_of": log.name})
         memory = Commands.empty(step.layout, BLOCK_ROWS)
@@ -113,7 +115,8 @@ def replay_log(
 def _stepped(step: Step, samples: Samples, logged: Commands, memory: Commands) -> Commands:
     """Step through rows; where the run took over a ledger from the device, take over the one that it logged."""
     commands = memory.rows(0, len(samples))
-    starts = [0, *np.flatnonzero(samples.mode == MODE_TAKEN_OVER).tolist(), len(samples)]
+    taken_over = (samples.mode & ORDER_MASK) == MODE_TAKEN_OVER
+    starts = [0, *np.flatnonzero(taken_over).tolist(), len(samples)]
     for k, (start, stop) in enumerate(pairwise(starts)):
         if k:
             step.resume(logged.output[start])
@@ -121,6 +124,17 @@ def _stepped(step: Step, samples: Samples, logged: Commands, memory: Commands) -
         if k:
             commands.output[start] = logged.output[start]
     return commands
+
+
+def _longest_cycle_s(header: dict[str, str], setup: Setup, log: Path) -> float:
+    """The longest time that a cycle of the run counted for, s."""
+    try:
+        longest_s = float(header.get("longest_cycle_s", 10.0 / setup.file.run.rate_hz))
+    except ValueError:
+        longest_s = -1.0
+    if not 0.0 < longest_s <= 3600.0:
+        raise LogError(f"{log}: header longest_cycle_s is not a time between 0 and 3600 s")
+    return longest_s
 
 
 def _check_layout(reader: Log, layout: Layout, log: Path) -> None:
@@ -150,14 +164,19 @@ def _notes(header: dict[str, str], setup: Setup) -> list[str]:
     return out
 
 
-def _begin_as(header: dict[str, str], step: Step, log: Path) -> None:
-    """Put the step where it was before the log's first row: all of its memory, or at least its ledger."""
+def _begin_as(header: dict[str, str], step: Step, setup: Setup, log: Path) -> None:
+    """Put the step where it was before the log's first row: all of its memory, or at least its ledger.
+
+    Another version tells the structure of its step in other words; machine and model are then enough.
+    """
     try:
         told = json.loads(header.get("initial_state", "null"))
     except ValueError:
         told = None
     state = state_from_text(told, step.state)
-    if state is not None and told.get("structure") == structure_of(step).hex():
+    now = setup.log_header()
+    same_model = all(header.get(key) == now[key] for key in ("machine_sha256", "model_sha256"))
+    if state is not None and (same_model or told.get("structure") == structure_of(step).hex()):
         step.restore(state)
     else:
         step.resume(_initial_output(header, step.layout, log))

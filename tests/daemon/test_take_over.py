@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.correction.guard import OUTPUT_TROUBLE, Flag
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import VirtualClock
@@ -76,7 +77,9 @@ def start(tmp_path: Path, has: tuple[int, int], expected: Ints | None) -> tuple[
 @pytest.mark.parametrize("expected", [None, np.array([42, -31])])
 def test_a_port_that_appears_later(tmp_path: Path, expected: Ints | None) -> None:
     box, loop, samples, commands = start(tmp_path, (40, -30), expected)
-    assert (samples.mode[:199] == MODE_HOLD).all()
+    assert (samples.mode[:199] == MODE_ON | OUTPUT_TROUBLE).all()
+    both = Flag.OUTPUT_TROUBLE | Flag.HELD
+    assert (commands.flags[:199] & both == both).all()
     assert samples.mode[199] == MODE_TAKEN_OVER
     assert (samples.mode[200:] == MODE_ON).all()
     assert commands.output[199].tolist() == [40, -30]

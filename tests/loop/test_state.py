@@ -35,9 +35,9 @@ def step(tmp_path_factory: pytest.TempPathFactory) -> Step:
     return Step(setups.setup(tmp_path_factory.mktemp("run")).step_settings())
 
 
-def sample(step: Step, time_ns: int, mode: int = MODE_ON) -> Samples:
+def sample(step: Step, time_ns: int) -> Samples:
     out = Samples.empty(step.layout, 1)
-    out.time_ns[0], out.mode[0] = time_ns, mode
+    out.time_ns[0], out.mode[0] = time_ns, MODE_ON
     out.counts[0] = [time_ns, -time_ns]
     return out
 
@@ -46,10 +46,11 @@ def kept(step: Step, n: int, mode: int = MODE_ON, output: tuple[int, int] | None
     """An image into which n cycles were written; the k-th has ledger (k, -k) where none is given."""
     image = np.zeros(IMAGE_BYTES, np.uint8)
     writer = StateWriter(image, step, MODE_ON)
+    writer.order = mode
     for k in range(1, n + 1):
         step.state.floats[:] = k + 0.25
         step.state.ints[:] = k
-        writer.keep(sample(step, 1000 * k, mode), np.array(output or (k, -k)), k)
+        writer.keep(sample(step, 1000 * k), np.array(output or (k, -k)), k)
     return image
 
 
@@ -265,7 +266,8 @@ def test_a_run_file_that_was_changed_since_decides_the_mode(step: Step) -> None:
 def test_after_an_end_in_order_the_run_file_decides(step: Step) -> None:
     image = np.zeros(IMAGE_BYTES, np.uint8)
     writer = StateWriter(image, step, MODE_ON)
-    writer.finish(sample(step, 1, MODE_OFF), np.array([120, 7]), 1)
+    writer.order = MODE_OFF
+    writer.finish(sample(step, 1), np.array([120, 7]), 1)
     start = recover(step, found(newest(image.tobytes())))
     assert (start.mode, start.waits, start.notes) == (MODE_ON, "", [])
     assert start.output.tolist() == [5, -5]

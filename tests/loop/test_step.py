@@ -139,7 +139,7 @@ def test_without_numba_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None
     plain = Step(settings(SLOW))
     module: dict[str, Any] = {}
     exec(f"import math\n{PLAIN_NJIT}\n{plain.source.text}", module)  # noqa: S102 - our own text
-    for name in ("guard_update", "ledger_update", "direction_update", "lag_update"):
+    for name in ("move", "ledger_update", "direction_update", "lag_update"):
         monkeypatch.setitem(module, name, jit.as_written(module[name]))
     monkeypatch.setattr(plain, "_step", module["step"])
     found = plain.run(data)

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from rtec.cli.main import status
+from rtec.correction.guard import Flag
 from rtec.errors import ConfigError, LogError
-from rtec.log.reader import LogReader
+from rtec.log.reader import LogReader, open_log
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
@@ -23,6 +24,7 @@ from tests.loop.test_loop import run
 from tests.support import setups
 from tests.support.real_data import real_file
 
+BEFORE = Path(__file__).parent / "before"
 GRAY = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
 
 
@@ -54,6 +56,23 @@ def test_a_log_replays_to_the_same_bits(tmp_path: Path) -> None:
         olds = np.concatenate([c.applied_um for _, c in old.blocks()])
         news = np.concatenate([c.applied_um for _, c in new.blocks()])
     np.testing.assert_array_equal(olds.view(np.int64), news.view(np.int64))
+
+
+@pytest.mark.parametrize("name", ["first", "behind"])
+def test_logs_of_an_older_version_replay_to_the_same_bits(name: str) -> None:
+    """Oracle: two files of one run, written before the guard became functions, with every reason to hold in them.
+
+    A gap then counted as ten cycles; the second file begins with a step's memory under the older name of its structure.
+    """
+    made = load_setup(BEFORE / "run.toml")
+    report = replay_log(made, BEFORE / f"{name}.parquet", check=True)
+    assert report.rows == {"first": 1120, "behind": 880}[name]
+    assert (report.different, report.differences, report.unchecked) == (0, [], 0)
+    with open_log(BEFORE / f"{name}.parquet") as reader:
+        flags = np.concatenate([commands.flags for _, commands in reader.blocks()])
+    seen = {flag for flag in Flag if (flags & int(flag)).any()}
+    assert {Flag.STALE_COUNTS, Flag.STALE_TEMPERATURE, Flag.OUT_OF_RANGE, Flag.ORDERED_HOLD, Flag.ORDERED_OFF} <= seen
+    assert {Flag.FADING, Flag.LIMITED, Flag.HELD, Flag.OUTPUT_SATURATED} <= seen
 
 
 def test_one_changed_bit_is_found(tmp_path: Path) -> None:

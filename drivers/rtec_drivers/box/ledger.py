@@ -93,7 +93,15 @@ class BoxLedger:
         self._tries += self.pending
         if self._waiting_ns < 0:
             self._waiting_ns = now_ns
-        elif now_ns - self._waiting_ns > self._timeout_ns:
+        self.check_taken(now_ns)
+
+    def check_taken(self, now_ns: int) -> None:
+        """Does the box take commands? Asked in every cycle, whether one was sent or not.
+
+        Raises:
+            DriverTimeout: it has taken none for too long.
+        """
+        if 0 <= self._waiting_ns < now_ns - self._timeout_ns:
             raise DriverTimeout(f"the encoder box has taken no command for {(now_ns - self._waiting_ns) * 1e-9:.2f} s")
 
     def _take_up(self, state: BoxState) -> None:

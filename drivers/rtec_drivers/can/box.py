@@ -184,6 +184,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         self._ledger.check_command(targets)
         now_ns = self._clock.now_ns()
         if targets == self._sent and now_ns - self._sent_ns < REPEAT_NS:
+            self._ledger.check_taken(now_ns)
             return
         self._session.command(targets, self._ledger.boot)
         self._sent, self._sent_ns = targets, now_ns

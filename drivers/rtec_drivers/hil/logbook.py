@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.correction.guard import HOLD_REASONS
+from rtec.correction.guard import HOLD_REASONS, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.log.reader import LogReader
-from rtec.loop.records import MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import Setup
 
 NS = 1e-9
@@ -75,11 +75,11 @@ def _fastest(
 
     A row whose ledger was taken over from the box is no change: the box had it already.
     """
-    time_ns, applied, mode = samples.time_ns, commands.applied_um, samples.mode
+    time_ns, applied, mode = samples.time_ns, commands.applied_um, samples.mode & ORDER_MASK
     if before is not None:
         time_ns = np.concatenate([before[0].time_ns, time_ns])
         applied = np.concatenate([before[1].applied_um, applied])
-        mode = np.concatenate([before[0].mode, mode])
+        mode = np.concatenate([before[0].mode & ORDER_MASK, mode])
     if len(time_ns) < 2:
         return 0.0
     allowed = np.diff(time_ns)[:, None] * NS * slew
