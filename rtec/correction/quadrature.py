@@ -6,12 +6,9 @@
 Every edge of A or B is one count; A leads B = positive [NIST guidelines, section 4.2.1]. A step of 2 means that
 both lines changed between two samples: the direction is lost. It is counted as illegal and moves the count by nothing.
 
-Samples are bytes; A and B are two of their bits.
-
-Kernels of the x4 decoder: no allocation, eight samples at a time where it pays.
-
-Eight one-byte samples are one 64-bit word whose lowest byte is the earliest sample (little-endian machines).
-`totals` is net counts, illegal transitions, legal edges; the kernels add to it.
+Samples are bytes; A and B are two of their bits. The kernels allocate nothing and decode eight samples at a time where
+it pays: one 64-bit word, whose lowest byte is the earliest sample (little-endian machines). `totals` is net counts,
+illegal transitions, legal edges; the kernels add to it.
 """
 
 from dataclasses import dataclass

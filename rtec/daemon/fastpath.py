@@ -1,13 +1,11 @@
 """The fast path: the loop in a process of its own, writing into the ring that the supervisor made.
 
 It owns the count source, the actuator and the kept state. It ends when its cycles are done, when the supervisor asks
-through the ring, or when the supervisor is gone; in each case the devices hold, then close.
+through the ring, or in the next cycle after the supervisor is gone; in each case the devices hold, then close.
 
-What the loop does between two cycles: hands the row on, looks at the orders, takes over what was loaded anew.
-
-A reload with the same structure (other limits, other coefficients) is some numbers: they are copied between two
-cycles. Another structure is another compiled step: a thread of ordinary priority makes it while the loop goes on, and
-it is taken between two cycles.
+Between two cycles (`Between`) it hands the row on, looks at the orders, and takes what was reloaded. A reload with the
+same structure (other limits, other coefficients) is some numbers, which are copied. Another structure is another
+compiled step: a thread of ordinary priority makes it while the loop goes on.
 """
 
 import os
@@ -31,10 +29,10 @@ from rtec.daemon.ring import Ring
 from rtec.daemon.sign_check import with_step
 from rtec.daemon.workers import worker_ports
 from rtec.errors import DriverError, RtecError, unforeseen
-from rtec.loop.clock import Clock, RealClock
+from rtec.loop.clock import RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
-from rtec.loop.ports import OneWay
+from rtec.loop.ports import IntArray, OneWay
 from rtec.loop.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
@@ -114,7 +112,9 @@ class Between:
         elif making.step is not None and keeper is not None:
             making.step.adopt(old, row.samples)
             _let_go(self._loop.go_on_with(making.step, making.rows))
-            self._loop.keeper = StateWriter(self._image, making.step, keeper.start_mode, keeper.sequence)
+            writer = StateWriter(self._image, making.step, keeper.start_mode, keeper.sequence)
+            writer.order, writer.waits = keeper.order, keeper.waits
+            self._loop.keeper = writer
             self._taken(row, making.generation)
 
     def _taken(self, row: Row, generation: int) -> None:
@@ -161,13 +161,13 @@ class _Making:
 
 
 REHEARSAL_CYCLES = 100
+LONGEST_REHEARSED_NS = 10_000_000
+"""A slow loop rehearses quicker, so that it begins within a second or so."""
 FIRST_TRIES = 5
 DISK_SLACK_S = 1.0
 """The copy on disk is at most so much behind (`[run] flush_s` is at most that)."""
 SWITCH_INTERVAL_S = 5e-5
 """Another thread of this process (one that opens a port again, one that makes a new step) gives way so soon."""
-
-Output = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ def _damaged(spoilt: list[Path]) -> str:
     return f"the state that the run before kept in {places} is damaged, or of another version of rtec"
 
 
-def _tells(ports: Ports, output: Output) -> bool:
+def _tells(ports: Ports, output: IntArray) -> bool:
     try:
         ports.actuator.read_output(output)
     except DriverError:
@@ -287,7 +287,7 @@ def _tells(ports: Ports, output: Output) -> bool:
     return True
 
 
-def _counted(ports: Ports, counts: Output) -> bool:
+def _counted(ports: Ports, counts: IntArray) -> bool:
     for _ in range(FIRST_TRIES):
         try:
             ports.counts.read_counts(counts)
@@ -305,7 +305,7 @@ def _ready(step: Step, start: Start, warnings: list[str]) -> dict[str, Any]:
     }
 
 
-def _rehearse(setup: Setup, ports: Ports, output: Output | None) -> list[str]:
+def _rehearse(setup: Setup, ports: Ports, output: IntArray | None) -> list[str]:
     """Go through the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
 
     The step is a second one that holds what the actuator already has: nothing moves, nothing is recorded. An actuator
@@ -317,11 +317,11 @@ def _rehearse(setup: Setup, ports: Ports, output: Output | None) -> list[str]:
     rows = bind_rows(step, [(Samples.empty(step.layout, 1), Commands.empty(step.layout, 1))])
     warnings = prepare_process(setup.file.realtime)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    clock: Clock = RealClock()
-    loop = Loop(step, ports, clock, setup.period_ns, rows, MODE_HOLD)
+    clock, parent = RealClock(), starter()
+    loop = Loop(step, ports, clock, min(setup.period_ns, LONGEST_REHEARSED_NS), rows, MODE_HOLD)
     if output is None:
         loop.take_over(None)
-    loop.run(REHEARSAL_CYCLES, lambda _: True)
+    loop.run(REHEARSAL_CYCLES, lambda _: os.getppid() == parent)
     return warnings
 
 

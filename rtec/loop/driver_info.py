@@ -4,12 +4,9 @@ An entry point gives either the driver's class, then its own name is the driver'
 as rtec's own registry; modules of a table are imported only when their driver is asked for. One package that cannot be
 loaded hides no other.
 
-Options of a driver as people read them: name, type, what holds where it is not given, meaning.
-
-They are read off the pydantic model that checks them. The meaning is the field's description where it has one, else
-what the class' docstring says under "Attributes:".
-
-What the drivers that are installed can do, and what may be said to them.
+What people read of a driver (`driver_facts`, `options_of`) is read off its class: its ports, and each option's name,
+type, default and meaning off the pydantic model that checks it. The meaning is the field's description where it has
+one, else what the class' docstring says under "Attributes:".
 """
 
 import importlib

@@ -18,7 +18,7 @@ from rtec.correction.guard import MODE_HOLD, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock
 from rtec.loop.devices import Ports
-from rtec.loop.output import Output
+from rtec.loop.output import CommandGate
 from rtec.loop.ports import FloatArray, IntArray
 from rtec.loop.records import Commands, Samples
 from rtec.loop.state import StateWriter
@@ -67,7 +67,7 @@ class Loop:
         self._waiting = Trouble(ports.name("output"), "state")
         self.stats.troubles.append(self._waiting)
         layout = step.layout
-        self._output = Output(ports.actuator, len(layout.axes), output_trouble, self._waiting, period_ns)
+        self._gate = CommandGate(ports.actuator, len(layout.axes), output_trouble, self._waiting, period_ns)
         self._counts = np.zeros(len(layout.axes), dtype=np.int64)
         self._degc = np.full(len(layout.sensors), np.nan)
         self._degc_time_ns = np.zeros(len(layout.sensors), dtype=np.int64)
@@ -106,13 +106,13 @@ class Loop:
         self.take_over(None)
 
     def take_over(self, expected: IntArray | None, allowed: IntArray | None = None) -> None:
-        """Stand, and command nothing, until the actuator tells its ledger; see `Output.take_over`."""
-        self._output.take_over(expected, allowed)
+        """Stand, and command nothing, until the actuator tells its ledger; see `CommandGate.take_over`."""
+        self._gate.take_over(expected, allowed)
 
     @property
     def waits(self) -> bool:
         """Is an order to resume waited for, or not carried out yet?"""
-        return self._output.waits or any(d.must_resume for d in self._resumable)
+        return self._gate.waits or any(d.must_resume for d in self._resumable)
 
     def go_on_with(self, step: Step, rows: list[Row]) -> list[Row]:
         """Take another step, and rows bound to it in the same memory, from the next cycle on; give the old rows."""
@@ -126,7 +126,7 @@ class Loop:
         now_ns = clock.now_ns()
         self._read()
         samples = row.samples
-        mode = self._output.look(self.step, MODE_HOLD if self._waiting.now else self.mode, now_ns)
+        mode = self._gate.look(self.step, MODE_HOLD if self._waiting.now else self.mode, now_ns)
         taken_over = mode & ORDER_MASK == MODE_TAKEN_OVER
         samples.time_ns[0], samples.mode[0] = now_ns, mode
         samples.counts_time_ns[0] = self._counts_time_ns
@@ -136,14 +136,14 @@ class Loop:
         samples.spindle_rpm[0] = self._spindle_rpm
         row.step()
         if taken_over:  # the device has it already, and the row says so
-            row.output[:] = self._output.has
+            row.output[:] = self._gate.has
             stats.takeovers += mode == MODE_TAKEN_OVER
         if self.keeper is not None:
             self.keeper.order = self.mode
             self.keeper.waits |= self._waiting.now
             self.keeper.keep(samples, row.output, stats.cycles)
         if not taken_over:
-            self._output.send(row.output)
+            self._gate.send(row.output)
         end_ns = clock.now_ns()
         stats.cycles += 1
         stats.wake_up.add(now_ns - deadline_ns)

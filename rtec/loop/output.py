@@ -38,7 +38,7 @@ def lost(expected: IntArray, found: IntArray, allowed: IntArray, source: str = "
     )
 
 
-class Output:
+class CommandGate:
     """The actuator as the loop sees it.
 
     Attributes:

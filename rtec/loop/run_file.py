@@ -1,8 +1,6 @@
-"""The run file: which machine, model, devices, limits; read whole, checked whole, all faults told at once.
+"""The run file: which machine, model, devices and limits, and the daemon's control, log and real-time tables.
 
-`[control]` of a run file: who may ask the daemon how it goes, and order it about, and where.
-
-`[log]` of a run file: how long one file of a log grows, and how much of the disk all of them may take.
+It is read whole and checked whole, with everything that it names; all faults are reported at once.
 """
 
 import re

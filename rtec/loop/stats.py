@@ -1,4 +1,4 @@
-"""Times of a loop in histograms of 1 µs, so that a week of cycles takes the memory of a minute."""
+"""What a loop did: times, in histograms of 1 µs (a week takes the memory of a minute), and troubles of its devices."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -1,10 +1,9 @@
 """One step: `(state, sample) -> (state, command)`, the same for a live machine, a simulated one and a log.
 
-What the loop cannot read from a device: constants from the run file, and how motion is made from counts.
-
-What the lags of a model remember, by what they lag: so that another model can go on from it.
-
-The numbers that a step works with, laid into the arrays that its compiled text reads.
+A step is made of a model and of what the run file says (`StepSettings`, `Inputs`). Its text is written for the machine
+and the structure of the model (`rtec.loop.step_source`); the numbers it works with are laid into arrays here, so that a
+reload of limits or coefficients changes numbers only. Where another model is taken up while the loop runs, its lags go
+on from those that remember the same (`lags_of`, `slots_to_carry`).
 """
 
 import math
@@ -33,6 +32,12 @@ from rtec.model.kernel.trace import Plan, plan_model
 from rtec.model.kernel.write import EXTRA_ARRAYS, LAG_SLOTS, write_kernel
 from rtec.tomlfile import Strict
 
+Array = NDArray[Any]
+Lag = tuple[str, float]
+NS: Final = 1e9
+MOST_APART: Final = math.log(2.0)
+"""Time constants within a factor of two remember much the same."""
+
 
 class Inputs(Strict):
     """`[inputs]`: what holds during the whole run.
@@ -47,142 +52,6 @@ class Inputs(Strict):
     load_kg: Annotated[float, Field(ge=0)] = 0.0
     force_n: float = 0.0
     motion_filter_s: Annotated[float, Field(ge=0.001, le=10)] = 0.02
-
-
-def loop_faults(model: Model) -> list[str]:
-    """Why the loop cannot run a model, one message an effect; empty where it can."""
-    return [
-        f"model {model.name!r}: effect {i + 1}, {fitted.label}, reads time_s. Such an effect can be found and its "
-        "cause removed, but not corrected by the loop: time since the start of a measurement means nothing on another "
-        "day. Fit the model again without it, or delete its [[effect]] from the model file"
-        for i, fitted in enumerate(model.effects)
-        if "time_s" in fitted.effect.channels(model.machine)
-    ]
-
-
-MOST_APART: Final = math.log(2.0)
-"""Time constants within a factor of two remember much the same."""
-
-Lag = tuple[str, float]
-
-
-def lags_of(model: Model) -> list[Lag]:
-    """What each lag of a model lags, as text, and its time constant, s; in the order of the kernel's memory."""
-    plan = plan_model(model)
-    values = [float(v) for v in model.parameter_values()]
-    out = []
-    for n in plan.lags:
-        value, tau = plan.graph.nodes[n].args
-        node = plan.graph.nodes[tau]
-        at = values[int(node.key or 0)] if node.op == "param" else float(node.key or 0.0) if node.op == "const" else 0.0
-        out.append((_text(plan, value, values), at))
-    return out
-
-
-def slots_to_carry(old: Sequence[Lag], new: Sequence[Lag]) -> list[tuple[int, int]]:
-    """Pairs (from, to) of places in the kernels' memories: of each new lag the old one of the same, nearest in time."""
-    out = []
-    for k, (what, tau_s) in enumerate(new):
-        near = [(_apart(tau_s, other_s), i) for i, (other, other_s) in enumerate(old) if other == what]
-        if near and min(near)[0] <= MOST_APART:
-            source = LAG_SLOTS * min(near)[1]
-            out += [(source + j, LAG_SLOTS * k + j) for j in range(LAG_SLOTS)]
-    return out
-
-
-def _apart(a_s: float, b_s: float) -> float:
-    if a_s == b_s:
-        return 0.0
-    return abs(math.log(a_s / b_s)) if min(a_s, b_s) > 0.0 else math.inf
-
-
-def _text(plan: Plan, n: int, values: Sequence[float]) -> str:
-    node = plan.graph.nodes[n]
-    if node.op == "param":
-        return repr(values[int(node.key or 0)])
-    if node.op in ("input", "const"):
-        return str(node.key)
-    return f"{node.op}({', '.join(_text(plan, a, values) for a in node.args)})"
-
-
-NS = 1e9
-
-
-def check_limits(machine: Machine, limits: Mapping[str, Limits]) -> None:
-    """Refuse a machine without a compensated axis, or one of these without limits.
-
-    Raises:
-        ConfigError: what is missing.
-    """
-    compensated = [a.name for a in machine.axes if a.compensate]
-    if not compensated:
-        raise ConfigError(f"machine {machine.name!r}: no axis has compensate = true; there is nothing to correct")
-    missing = [name for name in compensated if name not in limits]
-    if missing:
-        raise ConfigError(
-            "\n".join(
-                f"[limits.{name}] is missing: axis {name} is compensated and needs warning_um, stop_um, slew_um_s "
-                "and acceleration_um_s2; nothing runs without limits"
-                for name in missing
-            )
-        )
-
-
-def numbers_of(settings: "StepSettings", source: StepSource, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Parameters, scales, limits and ranges, as `StepSource.numbers` lays them."""
-    machine = settings.model.machine
-    out = np.zeros(source.numbers.size)
-
-    def put(name: str, numbers: Any) -> None:
-        out[source.numbers.at[name]] = numbers
-
-    put("p", values)
-    put("counts_per_mm", [a.counts_per_mm for a in machine.axes])
-    put("dead_band", [settings.model.dead_bands_mm[a.name] for a in machine.axes])
-    limits = [settings.limits.get(a.name) for a in machine.axes]
-    put("warning", [x.warning_um if x else 0.0 for x in limits])
-    put("stop", [x.stop_um if x else 0.0 for x in limits])
-    put("slew", [x.slew_um_s if x else 0.0 for x in limits])
-    put("acceleration", [x.acceleration_um_s2 if x else 0.0 for x in limits])
-    sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]
-    put("per_um", [s.units_per_um for s in sinks])
-    put("quantum", [s.quantum for s in sinks])
-    put("rate", [s.rate_per_s for s in sinks])
-    put("lowest", [s.low for s in sinks])
-    put("highest", [s.high for s in sinks])
-    ranges = settings.model.valid_range
-    everything = (-np.inf, np.inf)
-    axes = [ranges.get(a.channel, everything) for a in machine.axes]
-    slow = [ranges.get(name, everything) for name in machine.slow_channels]
-    pairs_of = {"q": axes, "u": slow, "s": [s.range_degc for s in machine.sensors]}
-    for name, of in EXTRA_ARRAYS.items():
-        if f"{name}_low" in source.numbers.at:
-            read = [of(a) if of(a) in settings.model.channels else "" for a in machine.axes]
-            pairs_of[name] = [ranges.get(channel, everything) for channel in read]
-    for name, pairs in pairs_of.items():
-        put(f"{name}_low", [low for low, _ in pairs])
-        put(f"{name}_high", [high for _, high in pairs])
-    put("constants", [getattr(settings.inputs, name) for name in CONSTANT_CHANNELS])
-    put("motion_filter", settings.inputs.motion_filter_s)
-    return out
-
-
-def times_of(settings: "StepSettings", source: StepSource) -> NDArray[np.int64]:
-    """Ages and periods, ns, as `StepSource.times` lays them."""
-    guards, machine = settings.guard, settings.model.machine
-    sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]
-    out = np.zeros(source.times.size, dtype=np.int64)
-    out[source.times.at["max_age"]] = [
-        round(guards.counts_max_age_s * NS),
-        round(guards.temperature_max_age_s * NS),
-    ]
-    out[source.times.at["fade"]] = round((guards.fade_after_s or 0.0) * NS)
-    out[source.times.at["longest"]] = round(settings.longest_cycle_s * NS)
-    out[source.times.at["period"]] = [round(s.period_s * NS) for s in sinks]
-    return out
-
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -373,6 +242,130 @@ class Step:
     def warm_up(self) -> None:
         """Compile (or fetch from disk) before the first real cycle."""
         self.advance(self.fresh_state(), Samples.empty(self.layout, 1))
+
+
+def check_limits(machine: Machine, limits: Mapping[str, Limits]) -> None:
+    """Refuse a machine without a compensated axis, or one of these without limits.
+
+    Raises:
+        ConfigError: what is missing.
+    """
+    compensated = [a.name for a in machine.axes if a.compensate]
+    if not compensated:
+        raise ConfigError(f"machine {machine.name!r}: no axis has compensate = true; there is nothing to correct")
+    missing = [name for name in compensated if name not in limits]
+    if missing:
+        raise ConfigError(
+            "\n".join(
+                f"[limits.{name}] is missing: axis {name} is compensated and needs warning_um, stop_um, slew_um_s "
+                "and acceleration_um_s2; nothing runs without limits"
+                for name in missing
+            )
+        )
+
+
+def loop_faults(model: Model) -> list[str]:
+    """Why the loop cannot run a model, one message an effect; empty where it can."""
+    return [
+        f"model {model.name!r}: effect {i + 1}, {fitted.label}, reads time_s. Such an effect can be found and its "
+        "cause removed, but not corrected by the loop: time since the start of a measurement means nothing on another "
+        "day. Fit the model again without it, or delete its [[effect]] from the model file"
+        for i, fitted in enumerate(model.effects)
+        if "time_s" in fitted.effect.channels(model.machine)
+    ]
+
+
+def numbers_of(settings: StepSettings, source: StepSource, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Parameters, scales, limits and ranges, as `StepSource.numbers` lays them."""
+    machine = settings.model.machine
+    out = np.zeros(source.numbers.size)
+
+    def put(name: str, numbers: Any) -> None:
+        out[source.numbers.at[name]] = numbers
+
+    put("p", values)
+    put("counts_per_mm", [a.counts_per_mm for a in machine.axes])
+    put("dead_band", [settings.model.dead_bands_mm[a.name] for a in machine.axes])
+    limits = [settings.limits.get(a.name) for a in machine.axes]
+    put("warning", [x.warning_um if x else 0.0 for x in limits])
+    put("stop", [x.stop_um if x else 0.0 for x in limits])
+    put("slew", [x.slew_um_s if x else 0.0 for x in limits])
+    put("acceleration", [x.acceleration_um_s2 if x else 0.0 for x in limits])
+    sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]
+    put("per_um", [s.units_per_um for s in sinks])
+    put("quantum", [s.quantum for s in sinks])
+    put("rate", [s.rate_per_s for s in sinks])
+    put("lowest", [s.low for s in sinks])
+    put("highest", [s.high for s in sinks])
+    ranges = settings.model.valid_range
+    everything = (-np.inf, np.inf)
+    axes = [ranges.get(a.channel, everything) for a in machine.axes]
+    slow = [ranges.get(name, everything) for name in machine.slow_channels]
+    pairs_of = {"q": axes, "u": slow, "s": [s.range_degc for s in machine.sensors]}
+    for name, of in EXTRA_ARRAYS.items():
+        if f"{name}_low" in source.numbers.at:
+            read = [of(a) if of(a) in settings.model.channels else "" for a in machine.axes]
+            pairs_of[name] = [ranges.get(channel, everything) for channel in read]
+    for name, pairs in pairs_of.items():
+        put(f"{name}_low", [low for low, _ in pairs])
+        put(f"{name}_high", [high for _, high in pairs])
+    put("constants", [getattr(settings.inputs, name) for name in CONSTANT_CHANNELS])
+    put("motion_filter", settings.inputs.motion_filter_s)
+    return out
+
+
+def times_of(settings: StepSettings, source: StepSource) -> NDArray[np.int64]:
+    """Ages and periods, ns, as `StepSource.times` lays them."""
+    guards, machine = settings.guard, settings.model.machine
+    sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]
+    out = np.zeros(source.times.size, dtype=np.int64)
+    out[source.times.at["max_age"]] = [
+        round(guards.counts_max_age_s * NS),
+        round(guards.temperature_max_age_s * NS),
+    ]
+    out[source.times.at["fade"]] = round((guards.fade_after_s or 0.0) * NS)
+    out[source.times.at["longest"]] = round(settings.longest_cycle_s * NS)
+    out[source.times.at["period"]] = [round(s.period_s * NS) for s in sinks]
+    return out
+
+
+def lags_of(model: Model) -> list[Lag]:
+    """What each lag of a model lags, as text, and its time constant, s; in the order of the kernel's memory."""
+    plan = plan_model(model)
+    values = [float(v) for v in model.parameter_values()]
+    out = []
+    for n in plan.lags:
+        value, tau = plan.graph.nodes[n].args
+        node = plan.graph.nodes[tau]
+        at = values[int(node.key or 0)] if node.op == "param" else float(node.key or 0.0) if node.op == "const" else 0.0
+        out.append((_text(plan, value, values), at))
+    return out
+
+
+def slots_to_carry(old: Sequence[Lag], new: Sequence[Lag]) -> list[tuple[int, int]]:
+    """Pairs (from, to) of places in the kernels' memories: of each new lag the old one of the same, nearest in time."""
+    out = []
+    for k, (what, tau_s) in enumerate(new):
+        near = [(_apart(tau_s, other_s), i) for i, (other, other_s) in enumerate(old) if other == what]
+        if near and min(near)[0] <= MOST_APART:
+            source = LAG_SLOTS * min(near)[1]
+            out += [(source + j, LAG_SLOTS * k + j) for j in range(LAG_SLOTS)]
+    return out
+
+
+def _apart(a_s: float, b_s: float) -> float:
+    if a_s == b_s:
+        return 0.0
+    return abs(math.log(a_s / b_s)) if min(a_s, b_s) > 0.0 else math.inf
+
+
+def _text(plan: Plan, n: int, values: Sequence[float]) -> str:
+    node = plan.graph.nodes[n]
+    if node.op == "param":
+        return repr(values[int(node.key or 0)])
+    if node.op in ("input", "const"):
+        return str(node.key)
+    return f"{node.op}({', '.join(_text(plan, a, values) for a in node.args)})"
 
 
 def _arrays(samples: Samples, commands: Commands) -> list[Array]:

@@ -108,7 +108,7 @@ def test_one_percent_of_wrong_frames(run: Run) -> None:
 def test_a_box_that_starts_anew(run: Run) -> None:
     """Held with the reason at what the box has, which is nothing; never commanded until somebody orders it.
 
-    An order to the driver alone is not enough. Oracle: the plant's ledger, which goes on from the box's and never jumps.
+    An order to the driver alone is not enough. Oracle: the plant's ledger, which goes on from the box's, never jumps.
     """
     assert np.abs(run.commands.output[run.done - 1]).max() > 16
     run.bench.box.reset()

@@ -138,6 +138,23 @@ def test_without_its_supervisor_the_loop_holds_and_ends(tmp_path: Path, at_cycle
     assert rings_left() == []
 
 
+def test_a_slow_loop_without_its_supervisor_ends_in_its_next_cycle(tmp_path: Path) -> None:
+    """At one cycle a second. Oracle: the actuator's own list of commands, none but that of the cycle of the kill.
+
+    A start right after that finds the devices and the state free.
+    """
+    told = tmp_path / "told"
+    content = setups.tables(tmp_path, driver="faulty", happens="kill_supervisor", at_cycle=1, told=str(told))
+    content["run"]["rate_hz"] = 1.0
+    done = rtec("run", setups.write(tmp_path, content), "--json", env=faulty.install(tmp_path / "site"))
+    assert done.returncode == -9
+    lines = told.read_text().splitlines()
+    assert lines[-2:] == ["held", "closed"]
+    assert sum(line.startswith("apply") for line in lines) == faulty.REHEARSAL + 1
+    again = rtec("run", tmp_path / "run.toml", "--json", "--duration", "1", env=faulty.install(tmp_path / "again"))
+    assert again.returncode == -9, "it ran, to the cycle in which it is killed again"
+
+
 def test_a_correction_that_the_machine_has_already_is_taken_over(tmp_path: Path) -> None:
     """No jump at the start. Oracle: what the actuator held when it was opened, a count or so to either side."""
     done = faulty_run(tmp_path, "--duration", 0.05, has=[-30, 44])
