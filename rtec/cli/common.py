@@ -1,48 +1,47 @@
-"""One progress bar for all long work: on standard error, so that results can be piped, if that is a terminal.
+"""What the commands share: options, progress on standard error, and how a result is printed, written and piped."""
 
-Prints a report's sentences and tables in the terminal: the same page as the HTML, without its figures.
-
-What is said when somebody stops a command with Ctrl-C.
-
-How the guard's flags are shown to people.
-"""
-
-from collections.abc import Callable, Iterator, Mapping
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from textwrap import wrap
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.table import Table as Grid
 
-    from rtec.report.page import Page, Table
+    from rtec.cli.screen import Console
+    from rtec.report.page import Page, Section, Table
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Full = Annotated[bool, typer.Option("--full", help="Print all tables, not the verdict and one table.")]
+Report = Annotated[
+    Path | None,
+    typer.Option(
+        "--report", metavar="FOLDER", help="Write figures, report.html and result.json here.", show_default=False
+    ),
+]
+MachineFile = Annotated[Path, typer.Option("--machine", "-m", help="Machine file.", show_default=False)]
+
+PIPED_WIDTH = 120
+"""Columns where the output is piped and the environment does not set COLUMNS."""
+BETWEEN, EDGES = 3, 2
+"""Blanks between columns, and at both ends."""
 
 
 @contextmanager
 def bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Give a function that is told how much is done, of how much."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from rtec.cli.screen import Console
-
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:.0f} %"))
-    console = Console(stderr=True)
-    with Progress(
-        *columns, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
-    ) as progress:
-        task = progress.add_task(title, total=None)
-
-        def tell(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=max(total, 1))
-
-        yield tell
+    """Show one progress bar; gives a function that takes how much is done, of how much."""
+    with stages(title) as stage:
+        yield lambda done, total: stage(title, done, total)
 
 
 @contextmanager
-def stages() -> Iterator[Callable[[str, int, int], None]]:
-    """One bar, which names the stage that it is of; on standard error, so that results can be piped."""
+def stages(title: str = "starting") -> Iterator[Callable[[str, int, int], None]]:
+    """Show one progress bar that names its stage, on standard error and only if that is a terminal."""
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from rtec.cli.screen import Console
@@ -50,62 +49,161 @@ def stages() -> Iterator[Callable[[str, int, int], None]]:
     columns = (SpinnerColumn(), TextColumn("{task.description:<32}", markup=False), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("getting ready", total=None)
+        task = progress.add_task(title, total=None)
 
-        def tell(what: str, done: int, total: int) -> None:
-            progress.update(task, description=what, completed=done, total=total if done else None)
+        def update(what: str, done: int, total: int) -> None:
+            progress.update(task, description=what, completed=done, total=max(total, 1) if done else None)
 
-        yield tell
-
-
-PIPED_WIDTH = 120
-WHOLE = 30
-"""Letters of a word that is not broken where there is any room for it."""
-BETWEEN, EDGES = 3, 2
-"""Blanks between columns, and at both ends."""
+        yield update
 
 
-def show_page(page: "Page") -> None:
-    """Print a page; wide enough for its tables where the output is piped."""
+def print_json(facts: object, *, on_one_line: bool = False) -> None:
+    """Print a result as JSON: arrays as lists, what is not finite as null."""
+    from rtec.report.page import plain
+
+    typer.echo(json.dumps(plain(facts), indent=None if on_one_line else 2, ensure_ascii=False))
+
+
+def give(
+    page_of: "Callable[[bool], Page]",
+    facts: object,
+    *,
+    as_json: bool,
+    report: Path | None = None,
+    full: bool = True,
+    written: Mapping[str, Path | str] | None = None,
+) -> None:
+    """Write the report if a folder is named; then print the result as JSON, or its page and the paths.
+
+    Args:
+        page_of: makes the page, with figures or without.
+        facts: the result for JSON; the path of the report is added to it.
+        as_json: print JSON, and nothing else.
+        report: folder of the report.
+        full: print all of the page, not its brief form.
+        written: what else was written, by what it is.
+    """
+    from rtec.report.page import plain, write_page
+
+    page = page_of(report is not None)
+    path = write_page(page, facts, report) if report else None
+    if as_json:
+        print_json(plain(facts) | {"report": str(path) if path else None})
+        return
+    show_page(page, full=full)
+    paths: dict[str, Path | str | None] = {**(written or {})}
+    if report and (figure := page.first_figure):
+        paths["Figure"] = report / figure.name
+    paths["Report"] = path
+    for name, place in paths.items():
+        if place:
+            typer.echo(f"{name}: {place}")
+    for command in page.next:
+        typer.echo(f"Next: {command}")
+    if page.brief and not (full or report):
+        typer.echo("More: --full prints all tables, --report FOLDER writes figures too.")
+
+
+def print_console() -> "Console":
+    """A console for results; piped it is as wide as COLUMNS says, else `PIPED_WIDTH`."""
     from rtec.cli.screen import Console
 
     console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=PIPED_WIDTH)
-    console.print(page.lead + "\n")
-    for section in page.sections:
-        if section.table is None and not section.text:
-            continue
+    if console.is_terminal or os.environ.get("COLUMNS", "").isdigit():
+        return console
+    return Console(highlight=False, width=PIPED_WIDTH)
+
+
+def show_page(page: "Page", *, full: bool = True) -> None:
+    """Print a page, or its brief form: the verdict and one short table."""
+    console = print_console()
+    console.print(_folded(page.lead, console.width) + "\n", soft_wrap=True)
+    for section in page.sections if full or page.brief is None else [page.brief]:
+        _show_section(section, console)
+
+
+def _show_section(section: "Section", console: "Console") -> None:
+    if section.table is None and not section.text:
+        return
+    if section.heading:
         console.print(section.heading, style="bold")
-        for sentence in section.text:
-            # A command to be copied stays on one line, however long.
-            command = sentence.startswith("rtec ")
-            console.print(f"{'  ' if command else '- '}{sentence}", soft_wrap=command)
-        if section.table is not None:
-            console.print(grid(section.table, console.width))
-        console.print()
+    for sentence in section.text:
+        # A command to be copied stays on one line, however long.
+        command = sentence.startswith("rtec ")
+        text = f"  {sentence}" if command else _folded(sentence, console.width, "- ", "  ")
+        console.print(text, soft_wrap=True)
+    if section.table is not None:
+        print_table(section.table, console)
+        if section.table.caption:
+            console.print(_folded(section.table.caption, console.width), soft_wrap=True)
+    console.print()
+
+
+def _folded(text: str, width: int, mark: str = "", hang: str = "") -> str:
+    """A text in lines of so many columns, broken between words only; its own line ends stay.
+
+    Args:
+        text: what is folded.
+        width: columns.
+        mark: what its first line begins with.
+        hang: what its other lines begin with.
+    """
+    out: list[str] = []
+    for line in text.splitlines():
+        first = hang if out else mark
+        # An indented line is to be copied as it is.
+        out += [line] if line.startswith(" ") else _wrap(line, width, first, hang)
+    return "\n".join(out)
+
+
+def _wrap(line: str, width: int, first: str, hang: str) -> list[str]:
+    return wrap(
+        line, width, initial_indent=first, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def print_table(table: "Table", console: "Console") -> None:
+    """Print a table: cells are folded between words, never within one.
+
+    Where not even the longest words fit beside each other, each row becomes a short list.
+    """
+    if _widths(table, console.width) is None:
+        console.print(_records(table, console.width), soft_wrap=True)
+    else:
+        console.print(grid(table, console.width))
 
 
 def grid(table: "Table", width: int | None = None) -> "Grid":
-    """A table as a terminal of so many columns shows it: nothing is cut, what does not fit is folded."""
+    """A table for a terminal of so many columns; as wide as it is where those are too few or not given."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as Grid
     from rich.text import Text
 
+    widths = _widths(table, width) or [None] * len(table.head)
     out = Grid(box=SIMPLE_HEAD, pad_edge=False)
-    for k, (name, wide) in enumerate(zip(table.head, _widths(table, width), strict=True)):
+    for k, (name, wide) in enumerate(zip(table.head, widths, strict=True)):
         out.add_column(Text(name), justify="left" if k in table.words else "right", overflow="fold", width=wide)
     for row in table.rows:
         out.add_row(*(Text(cell) for cell in row))
     return out
 
 
-def _widths(table: "Table", width: int | None) -> "Sequence[int | None]":
-    """Widths at which words stay whole, and those columns are narrowed that lose least; None leaves it to chance."""
-    if width is None:
-        return [None] * len(table.head)
+def _records(table: "Table", width: int) -> str:
+    """One row below the other, a line for each cell."""
+    out = [""]
+    for first, *rest in table.rows:
+        out.append(_folded(first or "-", width))
+        lines = (f"{name}: {cell}" if name else cell for name, cell in zip(table.head[1:], rest, strict=True) if cell)
+        out += [_folded(line, width, "  ", "    ") for line in lines]
+    return "\n".join(out)
+
+
+def _widths(table: "Table", width: int | None) -> "Sequence[int | None] | None":
+    """Widths that break no word, narrowing the columns that lose least; all None: as wide as they are; None: none."""
     columns = [[table.head[k], *(row[k] for row in table.rows)] for k in range(len(table.head))]
     full = [max(map(len, column)) for column in columns]
+    if width is None:
+        return [None] * len(columns)
     room = width - EDGES - BETWEEN * (len(columns) - 1)
     if sum(full) <= room:
         return [None] * len(columns)
@@ -114,7 +212,7 @@ def _widths(table: "Table", width: int | None) -> "Sequence[int | None]":
         for k, (head, *cells) in enumerate(columns)
     ]
     if sum(wide) > room:
-        return [None] * len(columns)
+        return None
     while sum(wide) < room:
         tightest = max(range(len(wide)), key=lambda k: full[k] / max(wide[k], 1))
         wide[tightest] += 1
@@ -122,12 +220,12 @@ def _widths(table: "Table", width: int | None) -> "Sequence[int | None]":
 
 
 def _longest_word(cells: "Sequence[str]") -> int:
-    return min(max((len(word) for cell in cells for word in cell.split()), default=0), WHOLE)
+    return max((len(word) for cell in cells for word in cell.split()), default=0)
 
 
 @contextmanager
-def told_when_stopped(state: Callable[[], str] = lambda: "nothing was written") -> Iterator[None]:
-    """Say one line on standard error when the work inside is interrupted; the interruption goes on.
+def interruptible(state: Callable[[], str] = lambda: "nothing was written") -> Iterator[None]:
+    """Print one line on standard error when the work inside is interrupted; the interruption goes on.
 
     Args:
         state: gives what has been written by then, in words.
@@ -135,23 +233,25 @@ def told_when_stopped(state: Callable[[], str] = lambda: "nothing was written") 
     try:
         yield
     except KeyboardInterrupt:
-        import typer
-
         typer.echo(f"rtec: stopped; {state()}", err=True)
         raise
 
 
 def kept(target: Path, done: list[str]) -> str:
     """What a model file holds, in words; `done` has "refit" or "step" for each time it was written."""
+    from rtec.wording import counted
+
     steps = done.count("step")
-    parts = ["the refit"] * ("refit" in done) + [f"{steps} step{'s' if steps > 1 else ''}"] * (steps > 0)
+    parts = ["the refit"] * ("refit" in done) + [counted(steps, "step")] * (steps > 0)
     return f"{target} holds {' and '.join(parts)}" if parts else "nothing was written"
 
 
 def flag_lines(flags_seen: Mapping[str, float]) -> list[str]:
-    """One line a flag with its share of the cycles; LIMITED is left out, since every correction begins with it."""
+    """One line a flag with its share of the cycles; LIMITED is omitted, since every correction begins with it."""
+    from rtec.wording import percent
+
     return [
-        f"{name.lower().replace('_', ' ')}: {100.0 * share:.3g} % of cycles"
+        f"{name.lower().replace('_', ' ')}: {percent(share)} of cycles"
         for name, share in flags_seen.items()
         if name != "LIMITED"
     ]

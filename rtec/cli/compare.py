@@ -1,10 +1,7 @@
-"""`rtec compare`: how wrong a model is, against the noise floor, and where."""
+"""`rtec compare`: the residual of a model against the noise floor, and where it is largest."""
 
-import json
-
-import typer
-
-from rtec.cli.diagnose import AsJson, Files, MachineFile, ModelFile, Report, Seed
+from rtec.cli.common import Full, Json, Report
+from rtec.cli.diagnose import Files, MachineFile, ModelFile, Seed
 
 
 def compare(
@@ -12,31 +9,30 @@ def compare(
     files: Files,
     machine: MachineFile = None,
     seed: Seed = 1,
+    full: Full = False,
     report: Report = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
-    """Say how wrong a model is against measurements, how much of that is noise, and where it is worst.
+    """Compares a model with measurements: the residual, how much of it is noise, and where it is largest.
 
-    The model is taken as it stands; nothing is fitted anew. Readings outside the range of its fit are told.
+    The model is taken as it is; nothing is refitted. Readings outside the range of its fit are reported.
 
     Example: `rtec compare model.toml laser-x.csv drift.csv --report out/compare`
     """
-    from rtec.cli.common import show_page, stages
-    from rtec.diagnosis.compare.compare import compare as against
+    from rtec.cli.common import give, stages
+    from rtec.diagnosis.compare.compare import compare as compare_with
     from rtec.diagnosis.machine_file import load_with_machine
     from rtec.metrology.files.load import load_measurements
     from rtec.report.compare import compare_page
-    from rtec.report.page import plain, write_page
 
     known = load_with_machine(model, machine)
     measurements = load_measurements(files, known.machine)
     with stages() as stage:
-        found = against(known, measurements, seed=seed, stage=stage)
-        written = write_page(compare_page(found), found.facts(), report) if report else None
-    if as_json:
-        facts = plain(found.facts()) | {"report": str(written) if written else None}
-        typer.echo(json.dumps(facts, indent=2, ensure_ascii=False))
-        return
-    show_page(compare_page(found, figures=False))
-    if written:
-        typer.echo(f"Report: {written}")
+        comparison = compare_with(known, measurements, seed=seed, stage=stage)
+    give(
+        lambda figures: compare_page(comparison, figures, [model, *files]),
+        comparison.facts(),
+        as_json=as_json,
+        report=report,
+        full=full,
+    )

@@ -1,6 +1,5 @@
-"""`rtec status` shows how a running daemon does; `rtec ctl` gives it orders."""
+"""`rtec status` shows the state of a running daemon; `rtec ctl` controls it."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -11,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtec.cli.common import PIPED_WIDTH
+from rtec.cli.common import Json, print_console, print_json
 from rtec.cli.screen import Console
 from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 Config = Annotated[
     Path | None,
-    typer.Argument(metavar="[CONFIG]", help="Run file of the daemon; without it, the only one.", show_default=False),
+    typer.Argument(metavar="[CONFIG]", help="Run file of the daemon.  [default: the only one]", show_default=False),
 ]
 At = Annotated[
     str | None,
@@ -31,17 +30,14 @@ At = Annotated[
 KeyFile = Annotated[
     Path | None, typer.Option("--key", help="For --at: the key file that ssh shows there.", show_default=False)
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
-
-
-app = typer.Typer(no_args_is_help=True, help="Control a running daemon: enable, hold, fade, resume, reload, mark.")
+app = typer.Typer(no_args_is_help=True, help="Controls a running daemon: enable, hold, fade, resume, reload, mark.")
 
 
 @app.command()
 def enable(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
-    """Let the correction follow the model, from where it is, within its limits.
+    """Enables the correction: it follows the model from its present value, within its limits.
 
-    Exit status 1 where it stays where it is all the same, with the reason.
+    Exit status 1 if it does not, with the reason.
 
     Example: rtec ctl enable
     """
@@ -50,7 +46,7 @@ def enable(config: Config = None, at: At = None, key: KeyFile = None, as_json: J
 
 @app.command()
 def hold(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
-    """Let the correction stay where it is.
+    """Holds the correction at its present value.
 
     Example: rtec ctl hold configs/turning-centre-sim.toml
     """
@@ -59,7 +55,7 @@ def hold(config: Config = None, at: At = None, key: KeyFile = None, as_json: Jso
 
 @app.command()
 def fade(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
-    """Let the correction go to nothing at its slew limit.
+    """Fades the correction to zero at its slew limit.
 
     Example: rtec ctl fade
     """
@@ -68,9 +64,9 @@ def fade(config: Config = None, at: At = None, key: KeyFile = None, as_json: Jso
 
 @app.command()
 def resume(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
-    """Let devices that stopped by themselves go on: a box that restarted, a position that was lost.
+    """Resumes devices that stopped by themselves: a box that restarted, a position that was lost.
 
-    Exit status 1 where a device is still in trouble.
+    Exit status 1 if a device is still in trouble.
 
     Example: rtec ctl resume
     """
@@ -84,13 +80,13 @@ def reload(
     key: KeyFile = None,
     as_json: Json = False,
     yes: Annotated[
-        bool, typer.Option("--yes", help="Take also what turns the correction round, or moves it by much.")
+        bool, typer.Option("--yes", help="Accept a model that reverses the correction or moves it by much.")
     ] = False,
 ) -> None:
-    """Read run file and model again; limits and model change without a jump.
+    """Reloads run file and model; limits and model change without a jump.
 
-    Exit status 1 where the old ones stay, with the reason. A model against which the running one speaks (a turned sign,
-    a step of more than a fifth of warning_um) is taken with --yes only.
+    Exit status 1 if the old ones stay, with the reason. A model that differs much from the running one (a reversed
+    sign, a step of more than a fifth of warning_um) is taken with --yes only.
 
     Example: rtec ctl reload
     """
@@ -107,7 +103,7 @@ def mark(
     key: KeyFile = None,
     as_json: Json = False,
 ) -> None:
-    """Write a text beside the log, at this instant.
+    """Writes a text beside the log, with this instant.
 
     Example: rtec ctl mark "new tool, first part"
     """
@@ -120,7 +116,7 @@ def relay(
     role: Annotated[Literal["read", "operate"], typer.Option(help="read: status only; operate: orders, too.")] = "read",
     name: Annotated[str, typer.Option(help="Of the client, as the events show it.")] = "ssh",
 ) -> None:
-    """Connect standard input and output to a daemon: what sshd runs for a client on the network.
+    """Connects standard input and output to a daemon: what sshd runs for a client on the network.
 
     Example, in authorized_keys: restrict,command="rtec ctl relay /etc/rtec/mill.toml --role read --name office" ssh-…
     """
@@ -142,7 +138,7 @@ def _give(name: str, text: str, config: Path | None, at: str | None, key: Path |
         outcome = carry_out(client, order, text, RealClock())
     if as_json:
         found = {"done": outcome.done, "text": outcome.text, "status": outcome.status}
-        typer.echo(json.dumps(found, indent=2, ensure_ascii=False))
+        print_json(found)
     else:
         typer.echo(outcome.text)
     if not outcome.done:
@@ -155,10 +151,7 @@ PAGE_NS: Final = 1_000_000_000
 
 def show(found: dict[str, Any]) -> None:
     """Print a status."""
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, width=PIPED_WIDTH)
-    console.print(page(found))
+    print_console().print(page(found))
 
 
 def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
@@ -166,7 +159,7 @@ def watched(client: "Client", clock: "Clock", as_json: bool) -> None:
     console = Console(highlight=False)
     while as_json or not console.is_terminal:
         if as_json:
-            typer.echo(json.dumps(client.status(), ensure_ascii=False))
+            print_json(client.status(), on_one_line=True)
         else:
             show(client.status())
         clock.sleep_until_ns(clock.now_ns() + (PERIOD_NS if as_json else PAGE_NS))
@@ -206,9 +199,9 @@ def status(
     at: At = None,
     key: KeyFile = None,
 ) -> None:
-    """How a running daemon does: correction of each axis, inputs and their ages, what is wrong, missed deadlines.
+    """Shows the state of a running daemon: correction of each axis, inputs and their ages, faults, missed deadlines.
 
-    Exit status 1 where a device is in trouble, rows do not reach the log now, or the loop does not move on.
+    Exit status 1 if a device is in trouble, rows do not reach the log, or the loop does not advance.
 
     Example: rtec status configs/turning-centre-sim.toml --watch
     """
@@ -221,7 +214,7 @@ def status(
             return
         found = client.status()
     if as_json:
-        typer.echo(json.dumps(found, indent=2, ensure_ascii=False))
+        print_json(found)
     else:
         show(found)
     if not well(found):

@@ -1,10 +1,11 @@
 """`rtec demo`: the first thing to see."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from rtec.cli.common import Json, print_json
 
 if TYPE_CHECKING:
     from rtec.cli.screen import Console
@@ -14,27 +15,27 @@ if TYPE_CHECKING:
 
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report, figures and result.")] = Path("out/demo"),
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Another seed is another day.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the day.")] = 1,
     model_out: Annotated[
-        Path | None, typer.Option("--model-out", help="Write the fitted model here too, as `rtec run` reads it.")
+        Path | None, typer.Option("--model-out", help="Write the fitted model here, for `rtec run`.")
     ] = None,
     configs: Annotated[
-        Path | None, typer.Option("--configs", help="Folder with machines/ and sim/; by default that of the clone.")
+        Path | None, typer.Option("--configs", help="Folder with machines/ and sim/.  [default: that of the clone]")
     ] = None,
     hidden_seed: Annotated[
-        int | None, typer.Option("--hidden-seed", min=0, help="Draws the hidden effect.  [default: drawn and printed]")
+        int | None, typer.Option("--hidden-seed", min=0, help="Seed of the hidden effect.  [default: random, printed]")
     ] = None,
     hidden: Annotated[
-        str | None, typer.Option("--hidden", metavar="NAME", help="Hide this one: gear, worn-screw, hot-nut, …")
+        str | None, typer.Option("--hidden", metavar="NAME", help="Hide this effect: gear, worn-screw, hot-nut, …")
     ] = None,
-    no_hidden: Annotated[bool, typer.Option("--no-hidden", help="Leave out the hidden effect.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    no_hidden: Annotated[bool, typer.Option("--no-hidden", help="Hide no effect.")] = False,
+    as_json: Json = False,
 ) -> None:
-    """Show a machine tool being corrected, and its model learning; needs no hardware and takes under a minute.
+    """Corrects a simulated machine tool and improves its model; needs no hardware and takes under a minute.
 
-    A simulated turning centre works for 8 hours from cold and cools overnight, once uncorrected and once through the
-    same loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the machine: it is found in
-    what the model leaves, added, and the error falls. Writes an HTML report, PNGs and result.json.
+    A turning centre works for 8 hours from cold and cools overnight, once uncorrected and once corrected by the same
+    loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the machine. rtec finds it in
+    the residual and adds it, and the error falls. Writes report.html, figures and result.json.
 
     Example: `rtec demo --out out/demo --seed 1 --hidden-seed 7`
 
@@ -59,7 +60,7 @@ def demo(
     if model_out is not None:
         save_model(story.model, model_out)
     if as_json:
-        typer.echo(json.dumps(plain(story.facts()) | {"report": str(page)}, indent=2))
+        print_json(plain(story.facts()) | {"report": str(page)})
     else:
         _show(story, page, model_out)
 

@@ -1,58 +1,63 @@
-"""`rtec diagnose`, `rtec add`, `rtec improve`, `rtec history`: what is missing, and the error falling."""
+"""`rtec diagnose`, `rtec add`, `rtec improve`, `rtec history`: which effect is missing, and the error falling."""
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rtec.cli.common import Full, Json, Report
+
 if TYPE_CHECKING:
     from rtec.diagnosis.extend.add import Added
     from rtec.diagnosis.extend.improve import Choice
     from rtec.diagnosis.result import Finding
-    from rtec.report.page import Page
 
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.", show_default=False)]
 Files = Annotated[
     list[Path], typer.Argument(metavar="MEASUREMENT...", help="Measurements, any instruments.", show_default=False)
 ]
 MachineFile = Annotated[
-    Path | None, typer.Option("--machine", metavar="MACHINE", help="Machine file; looked for where not given.")
+    Path | None,
+    typer.Option("--machine", "-m", metavar="MACHINE", help="Machine file.  [default: the one beside the model]"),
 ]
-Report = Annotated[
-    Path | None, typer.Option("--report", metavar="DIR", help="Write figures, report.html and result.json here.")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of the draws of chance; same seed, same answer.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the random draws; same seed, same result.")]
 
 
 def diagnose(
     model: ModelFile,
     files: Files,
     machine: MachineFile = None,
-    only: Annotated[str | None, typer.Option(help="Look for these effects only: scale,backlash.")] = None,
-    alpha: Annotated[float, typer.Option(min=1e-4, max=0.5, help="Chance of a false name that is put up with.")] = 0.05,
+    only: Annotated[str | None, typer.Option(help="Test these effects only: scale,backlash.")] = None,
+    alpha: Annotated[float, typer.Option(min=1e-4, max=0.5, help="Accepted false-positive rate.")] = 0.05,
     seed: Seed = 1,
+    full: Full = False,
     report: Report = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
-    """Say which physical effect a model misses: with the evidence, the rivals, and what could not be tested.
+    """Names the physical effect that a model lacks, with the evidence, the rivals and what could not be tested.
 
-    Weighs every effect of the catalogue (`rtec effects`) in all measurements at once against noise that drifts. A
-    name is given only where chance is unlikely and runs that were left out get better.
+    Tests every effect of the catalogue (`rtec effects`) on all measurements at once, against noise that drifts. It
+    names an effect only if noise alone is an unlikely cause and the error on held-out runs falls.
 
     Example: `rtec diagnose model.toml laser-x.csv drift.csv --report out/diagnosis`
     """
-    from rtec.cli.common import stages
+    from rtec.cli.common import give, stages
+    from rtec.diagnosis.machine_file import machine_file
     from rtec.diagnosis.search.diagnose import diagnose as find
     from rtec.report.diagnosis import diagnosis_page
 
     known, measurements = _load(model, files, machine)
     names = _names(only)
     with stages() as stage:
-        found = find(known, measurements, seed=seed, alpha=alpha, only=names, explain=True, stage=stage)
-    _tell(lambda figures: diagnosis_page(found, figures, [model, *files]), found.facts(), report, as_json)
+        diagnosis = find(known, measurements, seed=seed, alpha=alpha, only=names, explain=True, stage=stage)
+    give(
+        lambda figures: diagnosis_page(diagnosis, figures, [model, *files], machine_file(model, machine)),
+        diagnosis.facts(),
+        as_json=as_json,
+        report=report,
+        full=full,
+    )
 
 
 def add(
@@ -71,25 +76,28 @@ def add(
     component: Annotated[str | None, typer.Option(help="Component error that it feeds, for example EXX.")] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="What else it needs: sensor=T_bed; repeatable."),
+        typer.Option("--set", metavar="KEY=VALUE", help="Another argument of it: sensor=T_bed; repeatable."),
     ] = None,
     expr: Annotated[
         str | None, typer.Option(metavar="TEXT", help="An effect of your own: `A*sin(2*pi*x/p + phi)`.")
     ] = None,
     param: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=START:LOW..HIGH", help="A parameter of it to search for.")
+        list[str] | None,
+        typer.Option(metavar="NAME=START:LOW..HIGH", help="A parameter of it, and its range."),
     ] = None,
     refit: Annotated[
-        bool, typer.Option("--refit", help="Add nothing; fit the model's own numbers anew to these measurements.")
+        bool, typer.Option("--refit", help="Add nothing; refit the model's own numbers to these measurements.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write even if the error on runs left out rises.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write even if the error on held-out runs rises.")] = False,
     machine: MachineFile = None,
+    full: Full = False,
     report: Report = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
-    """Add an effect, refit everything on the channels as the loop sees them, and show what it bought.
+    """Adds an effect to a model, refits all of it, and shows the error before and after.
 
-    Refuses, with status 1 and nothing written, where the error on runs left out of the fit does not fall by 0.1 %.
+    Refits on the channels as the loop sees them. Writes nothing and ends with status 1 if the error on held-out runs
+    does not fall by 0.1 %.
 
     Example: `rtec add model.toml axis_expansion --component EXX --set sensor=T_x_nut --data laser-x.csv -o better.toml`
 
@@ -97,7 +105,7 @@ def add(
 
     `rtec add model.toml --refit --data laser-x.csv -o newer.toml`
     """
-    from rtec.cli.common import stages, told_when_stopped
+    from rtec.cli.common import give, interruptible, stages
     from rtec.diagnosis.extend.add import add as add_effects
     from rtec.diagnosis.extend.add import check_one, refused
     from rtec.model import save_model
@@ -108,23 +116,28 @@ def add(
     rest = [*([Path(effect)] if effect and (expr or refit) else []), *(more or [])]
     files = [*(data or []), *rest]
     if not files:
-        raise typer.BadParameter("say on which measurements it is to be refitted: --data laser-x.csv")
+        raise typer.BadParameter("name the measurements for the refit: --data laser-x.csv")
     if out is None:
-        raise typer.BadParameter("say where the new model is to be written: -o MODEL2")
+        raise typer.BadParameter("name a file for the new model: -o MODEL2")
     known, measurements = _load(model, files, machine)
     new = [] if refit else [_asked(known, None if expr else effect, expr, param or [], component, settings or [])]
-    with told_when_stopped(), stages() as stage:
+    with interruptible(), stages() as stage:
         added = add_effects(known, new, measurements, stage=stage)
     good = added.better or force
     if good:
         save_model(added.model, out)
     facts = added.facts() | {"model_file": str(out) if good else None}
-    _tell(lambda figures: added_page(added, figures), facts, report, as_json)
+    give(
+        lambda figures: added_page(added, figures, [out, *files] if good else []),
+        facts,
+        as_json=as_json,
+        report=report,
+        full=full,
+        written={"Model": out} if good else None,
+    )
     if not good:
         typer.echo(f"Not written: {refused(added)}. --force writes it nonetheless.", err=True)
         raise typer.Exit(1)
-    if not as_json:
-        typer.echo(f"Model: {out}")
 
 
 def improve(
@@ -134,28 +147,28 @@ def improve(
         Path | None,
         typer.Option("--out", "-o", metavar="MODEL2", help="Write here.  [default: MODEL-improved.toml]"),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Add what is found without asking.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Add each effect without asking.")] = False,
     seed: Seed = 1,
     machine: MachineFile = None,
+    full: Full = False,
     report: Report = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
-    """Diagnose and add, again and again, until nothing significant is left or the error is at the noise floor.
+    """Diagnoses and adds, one effect after the other, until no significant effect is missing.
 
-    First it fits the model's own numbers anew, where that lowers the error on runs left out by 2 % or more.
-
-    Asks before each effect, unless --yes. What was added is written after every step, so that nothing is lost.
+    First it refits the model's own numbers if that lowers the error on held-out runs by 2 % or more. It asks before
+    each effect, unless --yes is given, and writes the model after each step.
 
     Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
     """
-    from rtec.cli.common import kept, stages, told_when_stopped
+    from rtec.cli.common import give, interruptible, kept, stages
     from rtec.diagnosis.extend.improve import improve as go_on
     from rtec.model import save_model
     from rtec.report.additions import improved_page
 
     if not yes and not sys.stdin.isatty():
         raise typer.BadParameter(
-            "asks before each effect, and nobody is there to answer; say --yes to add what is found"
+            "asks before each effect, but the input is no terminal; --yes adds them without asking"
         )
     target = out or model.with_name(f"{model.stem}-improved.toml")
     known, measurements = _load(model, files, machine)
@@ -165,7 +178,7 @@ def improve(
         save_model(added.model, target)
         done.append("refit" if not added.labels else "step")
 
-    with told_when_stopped(lambda: kept(target, done)), stages() as stage:
+    with interruptible(lambda: kept(target, done)), stages() as stage:
         result = go_on(
             known,
             measurements,
@@ -177,27 +190,33 @@ def improve(
         )
     written = str(target) if done else None
     facts = result.facts() | {"model_file": written}
-    _tell(lambda figures: improved_page(result, figures), facts, report, as_json)
-    if not as_json:
-        typer.echo(f"Model: {written}" if written else "Model: nothing to write")
+    give(
+        lambda figures: improved_page(result, figures, target if done else None),
+        facts,
+        as_json=as_json,
+        report=report,
+        full=full,
+        written={"Model": written or "nothing to write"},
+    )
 
 
 def history(
     model: ModelFile,
     machine: MachineFile = None,
     report: Report = None,
-    as_json: AsJson = False,
+    as_json: Json = False,
 ) -> None:
-    """Every change of a model and what it bought: the staircase of the error falling to the noise floor.
+    """Shows every change of a model with the error before and after it, down to the noise floor.
 
     Example: `rtec history better.toml --report out/history`
     """
+    from rtec.cli.common import give
     from rtec.diagnosis.machine_file import load_with_machine
     from rtec.report.history import history_page, steps_of
 
     known = load_with_machine(model, machine)
     facts: dict[str, Any] = {"model": known.name, "history": [dict(h) for h in known.history], "steps": steps_of(known)}
-    _tell(lambda figures: history_page(known, figures), facts, report, as_json)
+    give(lambda figures: history_page(known, figures), facts, as_json=as_json, report=report)
 
 
 def _load(model: Path, files: list[Path], machine: Path | None) -> tuple[Any, Any]:
@@ -230,7 +249,7 @@ def _asked(
         from rtec.effects.expression import expression_from_text
 
         if component is None:
-            raise typer.BadParameter("say which component error the expression feeds: --component EXX")
+            raise typer.BadParameter("name the component error that the expression feeds: --component EXX")
         return new_effect(expression_from_text(expr, param, component, known.machine), known)
     if effect is None:
         raise typer.BadParameter("name an effect (`rtec effects` lists them), or write one with --expr")
@@ -238,12 +257,11 @@ def _asked(
 
 
 def _ask(choice: "Choice") -> "Finding | None":
-    """Show what was found and ask; the number of another candidate may be given instead."""
+    """Show the candidates and ask; the number of another candidate may be given instead."""
     from rtec.cli.common import show_page
     from rtec.report.diagnosis import diagnosis_page
 
-    page = diagnosis_page(choice.diagnosis, figures=False)
-    show_page(type(page)(page.title, page.lead, page.numbers, page.sections[:2]))
+    show_page(diagnosis_page(choice.diagnosis, figures=False), full=False)
     allowed = {str(f.rank): f for f in choice.diagnosis.findings}
     while True:
         answer = typer.prompt(
@@ -259,26 +277,9 @@ def _ask(choice: "Choice") -> "Finding | None":
 
 
 def _ask_refit(made: "Added") -> bool:
-    """Show what fitting the model's own numbers anew buys, and ask."""
+    """Show the error before and after a refit of the model's own numbers, and ask."""
     from rtec.cli.common import show_page
     from rtec.report.additions import added_page
 
-    page = added_page(made, False)
-    show_page(type(page)(page.title, page.lead, page.numbers, page.sections[:1]))
-    return typer.confirm("Fit the model's own numbers anew?", default=True)
-
-
-def _tell(page: Any, facts: Any, report: Path | None, as_json: bool) -> None:
-    from rtec.cli.common import show_page
-    from rtec.report.page import plain, write_page
-
-    written = write_page(page(True), facts, report) if report else None
-    if as_json:
-        typer.echo(
-            json.dumps(plain(facts) | {"report": str(written) if written else None}, indent=2, ensure_ascii=False)
-        )
-        return
-    shown: Page = page(False)
-    show_page(shown)
-    if written:
-        typer.echo(f"Report: {written}")
+    show_page(added_page(made, figures=False), full=False)
+    return typer.confirm("Refit the model's own numbers?", default=True)

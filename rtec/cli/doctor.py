@@ -1,9 +1,5 @@
-"""`rtec doctor`: are the devices well, and is this computer fit for real time?
+"""`rtec doctor`: the state of devices and computer, with a live table on standard error if that is a terminal."""
 
-The live table of `rtec doctor`: on standard error, if that is a terminal.
-"""
-
-import json
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Self
@@ -11,13 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Self
 import typer
 from rich.live import Live
 
-from rtec.cli.common import grid
+from rtec.cli.common import Json, grid, print_json
 from rtec.cli.screen import Console
-from rtec.doctor.found import DeviceFound
-from rtec.report.doctor import doctor_table
 
 if TYPE_CHECKING:
-    from rtec.doctor.found import Examination, PcFound
+    from rtec.doctor.found import DeviceFound, Examination, PcFound
 
 
 class Screen:
@@ -39,8 +33,10 @@ class Screen:
         if self._on:
             self._live.stop()
 
-    def update(self, devices: list[DeviceFound]) -> None:
+    def update(self, devices: "list[DeviceFound]") -> None:
         """Show them."""
+        from rtec.report.doctor import doctor_table
+
         if self._on:
             self._live.update(grid(doctor_table(devices)))
 
@@ -48,30 +44,30 @@ class Screen:
 def doctor(
     config: Annotated[
         Path | None,
-        typer.Argument(metavar="[CONFIG]", help="Run file whose devices are looked at.", show_default=False),
+        typer.Argument(metavar="[CONFIG]", help="Run file whose devices are checked.", show_default=False),
     ] = None,
     seconds: Annotated[
-        float, typer.Option("--seconds", "-s", min=0.1, max=3600, help="How long to read, and to measure wake-ups.")
+        float, typer.Option("--seconds", "-s", min=0.1, max=3600, help="Seconds to read, and to measure wake-ups.")
     ] = 3.0,
-    pc: Annotated[bool, typer.Option("--pc/--no-pc", help="Look at this computer too.")] = True,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
+    pc: Annotated[bool, typer.Option("--pc/--no-pc", help="Check this computer too.")] = True,
+    as_json: Json = False,
 ) -> None:
-    """Look at this computer, and with a run file at its devices: what each reads, what is wrong, how to mend it.
+    """Checks this computer and the devices of a run file: what each reads, what is wrong, how to mend it.
 
-    All devices are opened at once. None is told to apply anything. Exit status 1 where something is wrong.
+    All devices are opened at once; no correction is applied. Exit status 1 if something is wrong.
 
     Example: rtec doctor configs/turning-centre-sim.toml
     """
     from rtec.errors import ConfigError
 
     if config is None and not pc:
-        raise ConfigError("rtec doctor: nothing to look at; name a run file, or leave --no-pc out")
+        raise ConfigError("rtec doctor: nothing to check; name a run file, or omit --no-pc")
     devices = _devices(config, seconds, as_json) if config is not None else None
     computer = _computer(config, seconds, as_json) if pc else None
     well = all(part.well for part in (devices, computer) if part is not None)
     if as_json:
         parts = {"devices": devices and devices.plain(), "pc": computer and computer.plain()}
-        typer.echo(json.dumps({"well": well, **parts}, indent=2, ensure_ascii=False))
+        print_json({"well": well, **parts})
     if not well:
         raise typer.Exit(1)
 

@@ -1,20 +1,21 @@
-"""`rtec drivers`: what the drivers are."""
+"""`rtec drivers`: the installed drivers."""
 
-import json
 from typing import Annotated
 
 import typer
+
+from rtec.cli.common import Json, print_json
 
 
 def drivers(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="One driver, in full.", show_default=False)
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
+    as_json: Json = False,
 ) -> None:
-    """List the drivers that are installed and what each can do; with a name: its options, and an example to copy.
+    """Lists the installed drivers and what each can do; with a NAME, its options and an example to copy.
 
-    Drivers of other packages are listed too, and those that lack something, with what to install.
+    Drivers of other packages are listed too, and drivers that lack a package, with what to install.
 
     Example: rtec drivers serial_box
     """
@@ -25,7 +26,7 @@ def drivers(
     found = all_drivers() if name is None else [driver_facts(name)]
     if as_json:
         plain = [driver.plain() for driver in found]
-        typer.echo(json.dumps(plain if name is None else plain[0], indent=2, ensure_ascii=False))
+        print_json(plain if name is None else plain[0])
         return
     if name is None:
         show_page(drivers_page(found))

@@ -1,10 +1,11 @@
 """`rtec hil`: the daemon against a simulated machine behind real buses."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from rtec.cli.common import Json, print_json
 
 if TYPE_CHECKING:
     from rtec.hil import Bench, HilOrder, SoakOrder
@@ -20,38 +21,42 @@ def hil(
         typer.Option(
             "--fault",
             metavar="NAME@30s[+10s]",
-            help="Make this happen, seconds after the correction goes on; repeatable. `list` tells them all.",
+            help="A fault, seconds after the correction is on; repeatable. `list` lists them.",
             show_default=False,
         ),
     ] = None,
     off_s: Annotated[
-        float | None, typer.Option("--off", min=1.0, max=1e6, help="Seconds uncorrected; else as the run file says.")
+        float | None, typer.Option("--off", min=1.0, max=1e6, help="Seconds uncorrected.  [default: of the run file]")
     ] = None,
     on_s: Annotated[
-        float | None, typer.Option("--on", min=1.0, max=1e6, help="Seconds corrected; longer where faults need it.")
+        float | None, typer.Option("--on", min=1.0, max=1e6, help="Seconds corrected; extended as faults need.")
     ] = None,
     soak: Annotated[
         float | None,
         typer.Option(
-            "--soak", metavar="MINUTES", min=0.5, max=1e6, help="Instead: run corrected for so long, faults by chance."
+            "--soak",
+            metavar="MINUTES",
+            min=0.5,
+            max=1e6,
+            help="Instead: one long corrected run with random faults.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults of --soak.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the faults of --soak.")] = 1,
     shared: Annotated[
         bool,
-        typer.Option("--shared", help="Others use this PC, too: what depends on its clock is told, not judged."),
+        typer.Option("--shared", help="Others use this PC too: what depends on its clock is reported, not judged."),
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option("--report", metavar="DIR", help="Write figure, report.html, result.json and the log here."),
+        typer.Option("--report", metavar="FOLDER", help="Write figure, report.html, result.json and the log here."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: Json = False,
 ) -> None:
-    """Run the daemon against simulated hardware: a machine behind real serial, Modbus and CAN lines, on the real clock.
+    """Runs the daemon against simulated hardware behind real serial, Modbus and CAN lines, on the real clock.
 
-    The devices of the run file stay as they are, but for their ports: behind those stand an encoder box, Modbus slaves
-    and a CAN adapter in processes of their own. The machine runs uncorrected, then corrected, beside the all-simulated
-    run of the same machine and programme; some 80 seconds. With --soak: for long, faults by chance. Needs no hardware.
+    The devices of the run file stay as they are except for their ports, behind which an encoder box, Modbus slaves and
+    a CAN adapter run in processes of their own. The machine runs uncorrected, then corrected, beside the all-simulated
+    run of the same machine and programme; some 80 seconds. With --soak: one long run with random faults.
 
     Exit status 1: a check failed (ledger, log, no jump, recovery, improvement within 10 % of the all-simulated run;
     with --soak also memory, files, threads, deadlines).
@@ -98,29 +103,22 @@ def _soak(bench: "Bench", order: "SoakOrder", as_json: bool) -> None:
 
 
 def _show(page: "Page", facts: Any, folder: Path | None, as_json: bool, passed: bool) -> None:
-    from rtec.cli.common import show_page
-    from rtec.report.page import write_page
+    from rtec.cli.common import give
 
-    path = write_page(page, facts, folder) if folder else None
-    if as_json:
-        typer.echo(json.dumps(facts | {"report": str(path) if path else None}, indent=2, ensure_ascii=False))
-    else:
-        show_page(page)
-        if path:
-            typer.echo(f"Report: {path}")
+    give(lambda _: page, facts, as_json=as_json, report=folder)
     if not passed:
         raise typer.Exit(1)
 
 
 def _list(bench: "Bench", as_json: bool) -> None:
-    """Tell all faults."""
+    """List all faults."""
     from rtec.cli.common import show_page
     from rtec.report.page import Page, Section, Table
 
     known = bench.faults()
     if as_json:
-        typer.echo(json.dumps(dict(known), indent=2, ensure_ascii=False))
+        print_json(dict(known))
         return
-    text = ("NAME@30s lasts 5 s, NAME@30s+10s ten; seconds count from when the correction goes on.",)
+    text = ("NAME@30s lasts 5 s, NAME@30s+10s ten; seconds count from the start of the correction.",)
     table = Table(("fault", "what happens"), list(known.items()), words=(0, 1))
     show_page(Page("Faults", "What `rtec hil --fault` can make happen.", (), [Section("Faults", text, table)]))

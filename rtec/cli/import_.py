@@ -1,10 +1,11 @@
 """`rtec import`: files of other programs become measurements."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from rtec.cli.common import Json, print_json
 
 if TYPE_CHECKING:
     from rtec.metrology.importing import Imported
@@ -14,30 +15,24 @@ if TYPE_CHECKING:
 
 def import_(
     file: Annotated[Path | None, typer.Argument(metavar="FILE", help="File of another program.")] = None,
-    map_: Annotated[Path | None, typer.Option("--map", help="Map (TOML): which column is what.")] = None,
+    map_: Annotated[Path | None, typer.Option("--map", help="Map (TOML): the meaning of each column.")] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="NAME, NAME.csv or NAME.parquet; NAME.toml goes beside it.")
     ] = None,
-    reader: Annotated[
-        str | None, typer.Option("--as", metavar="READER", help="Reader; found out where not given.")
-    ] = None,
-    machine: Annotated[
-        Path | None, typer.Option("--machine", help="Machine file: the result is checked against it.")
-    ] = None,
-    list_: Annotated[bool, typer.Option("--list", help="Name the readers.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over files that are there.")] = False,
-    drop_bad_rows: Annotated[
-        bool, typer.Option("--drop-bad-rows", help="The result leaves out rows with a cell that cannot be used.")
-    ] = False,
+    reader: Annotated[str | None, typer.Option("--as", metavar="READER", help="Reader.  [default: by content]")] = None,
+    machine: Annotated[Path | None, typer.Option("--machine", help="Machine file to check the result against.")] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the readers.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
+    drop_bad_rows: Annotated[bool, typer.Option("--drop-bad-rows", help="Drop rows with an unusable cell.")] = False,
     missing_code: Annotated[
-        list[str] | None, typer.Option("--missing-code", help='Number or word for "no value"; may stand several times.')
+        list[str] | None, typer.Option("--missing-code", help='Number or word for "no value"; repeatable.')
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
+    as_json: Json = False,
 ) -> None:
-    """Turn a table of another program into a measurement: NAME.csv and NAME.toml.
+    """Imports a table of another program as a measurement: NAME.csv and NAME.toml.
 
-    Without -o it shows what is in FILE and a map to begin with; where FILE needs telling how to be read (encoding,
-    delimiter, decimal commas, lines to skip), a MAP that holds [source] alone will do. What was done is printed, and
+    Without -o it prints what FILE holds, and a map to begin with. If FILE cannot be read without help (encoding,
+    delimiter, decimal commas, lines to skip), give a MAP with [source] alone. The notes on the import are printed and
     kept in NAME.toml.
 
     Example: `rtec import scope.csv --map configs/maps/laser-decimal-comma.toml -o laser-x`
@@ -80,6 +75,8 @@ def _import(
 
 
 def _show(done: "Imported", measurement: "Measurement | None", table: Path, *, as_json: bool) -> None:
+    from rtec.wording import counted
+
     facts = {
         "table": str(table),
         "reader": done.reader,
@@ -91,13 +88,13 @@ def _show(done: "Imported", measurement: "Measurement | None", table: Path, *, a
         "sha256": measurement.sha256 if measurement else "",
     }
     if as_json:
-        typer.echo(json.dumps(facts))
+        print_json(facts)
         return
     for note in facts["notes"]:  # type: ignore[attr-defined]
         typer.echo(f"  {note}")
-    typer.echo(f"{done.rows_in} rows in, {done.rows_out} rows out: {table} and {table.stem}.toml")
+    typer.echo(f"{counted(done.rows_in, 'row')} in, {counted(done.rows_out, 'row')} out: {table} and {table.stem}.toml")
     if measurement is None:
-        typer.echo("not checked against a machine; --machine MACHINE.toml does that")
+        typer.echo("not checked against a machine; --machine MACHINE.toml checks it")
 
 
 def _look(file: Path, map_: Path | None, reader: str | None, *, as_json: bool) -> None:
@@ -111,7 +108,7 @@ def _look(file: Path, map_: Path | None, reader: str | None, *, as_json: bool) -
     how = validated(Told, {**told, "reader": reader} if reader else told, f"{map_}: [source]", MeasurementError)
     name, tables = read_tables(file, how)
     if as_json:
-        typer.echo(json.dumps({"reader": name, "tables": [_facts(t) for t in tables]}))
+        print_json({"reader": name, "tables": [_facts(t) for t in tables]})
         return
     typer.echo(f"# {file} read as {name}: " + ", ".join(f"{t.name} ({len(t)} rows)" for t in tables))
     for note in dict.fromkeys(n for t in tables for n in t.notes):
@@ -141,7 +138,7 @@ def _list(*, as_json: bool) -> None:
     from rtec.metrology.readers.registry import READERS
 
     if as_json:
-        typer.echo(json.dumps([{"name": n, "reads": r.title, "columns": r.gives} for n, r in READERS.items()]))
+        print_json([{"name": n, "reads": r.title, "columns": r.gives} for n, r in READERS.items()])
         return
     for name, reader in READERS.items():
         typer.echo(f"{name:<14} {reader.title}\n{'':<14} columns: {reader.gives}")

@@ -1,9 +1,5 @@
-"""`rtec log`: find logs by time, look into one, follow it, turn them into a table.
+"""`rtec log`: finds logs by time, shows one, follows it, exports a stretch as a table."""
 
-What `rtec log` shows on a terminal.
-"""
-
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,20 +8,17 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from rtec.cli.common import Json, print_json
 from rtec.cli.screen import Console
-from rtec.correction.guard import MODE_HOLD, MODE_OFF, MODE_ON, MODE_TAKEN_OVER, ORDER_MASK, Flag
-from rtec.log.folder import Segment
-from rtec.log.format import Log
-from rtec.log.stretch import utc_text
 from rtec.loop.clock import Clock, RealClock
-from rtec.loop.records import Commands, Layout, Samples
+from rtec.wording import counted
 
 if TYPE_CHECKING:
     from rtec.log.folder import Segment
     from rtec.log.format import Log
+    from rtec.loop.records import Commands, Layout, Samples
 
 
-MODES = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold", MODE_TAKEN_OVER: "taken over"}
 DAY_S = 86_400.0
 LONGEST = 160
 
@@ -42,8 +35,10 @@ def print_facts(facts: Mapping[str, Any]) -> None:
     _console().print(table)
 
 
-def print_segments(segments: list[Segment]) -> None:
+def print_segments(segments: "list[Segment]") -> None:
     """Print a line a file, then their sum, then what is wrong."""
+    from rtec.log.stretch import utc_text
+
     table = _table(["from (UTC)", "to (UTC)", "rows", "MB", "state", "log"], header=True)
     for s in segments:
         dates = ["" if t is None else utc_text(t).removesuffix("Z") for t in (s.from_ns, s.to_ns)]
@@ -51,13 +46,13 @@ def print_segments(segments: list[Segment]) -> None:
     console = _console()
     console.print(table)
     rows, size = sum(s.rows for s in segments), sum(s.bytes for s in segments)
-    console.print(f"{len(segments)} logs, {rows} rows, {size * 1e-9:.2f} GB{_per_day(segments)}")
+    console.print(f"{counted(len(segments), 'log')}, {counted(rows, 'row')}, {size * 1e-9:.2f} GB{_per_day(segments)}")
     for s in segments:
         if s.why:
             console.print(s.why)
 
 
-def _per_day(segments: list[Segment]) -> str:
+def _per_day(segments: "list[Segment]") -> str:
     """What a day of packed logs takes."""
     packed = [s for s in segments if s.state == "packed" and s.from_ns is not None and s.to_ns is not None]
     seconds = sum((s.to_ns - s.from_ns) * 1e-9 for s in packed if s.from_ns is not None and s.to_ns is not None)
@@ -75,7 +70,7 @@ def _shown(value: object) -> str:
     return text if len(text) <= LONGEST else f"{text[:LONGEST]}… ({len(text)} characters; all of it with --json)"
 
 
-def print_rows(reader: Log, first: int, *, degc: bool, header: bool) -> None:
+def print_rows(reader: "Log", first: int, *, degc: bool, header: bool) -> None:
     """Print all rows from `first` on; without new rows only the heading, if wanted."""
     table = _table(_headings(reader.layout, degc=degc), header=header)
     for block in reader.blocks(start=first):
@@ -85,16 +80,19 @@ def print_rows(reader: Log, first: int, *, degc: bool, header: bool) -> None:
         _console().print(table)
 
 
-def _headings(layout: Layout, *, degc: bool) -> list[str]:
+def _headings(layout: "Layout", *, degc: bool) -> list[str]:
     titles = ("counts {}", "requested {} µm", "applied {} µm", "output {}")
     per_axis = [title.format(axis) for axis in layout.axes for title in titles]
     temperatures = [f"{sensor} °C" for sensor in layout.sensors] if degc else []
     return ["time s", "mode", *per_axis, *temperatures, "flags"]
 
 
-def _cells(samples: Samples, commands: Commands, *, degc: bool) -> Iterator[list[str]]:
+def _cells(samples: "Samples", commands: "Commands", *, degc: bool) -> Iterator[list[str]]:
+    from rtec.correction.guard import MODE_HOLD, MODE_OFF, MODE_ON, MODE_TAKEN_OVER, ORDER_MASK
+
+    modes = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold", MODE_TAKEN_OVER: "taken over"}
     for i in range(len(samples)):
-        cells = [f"{samples.time_ns[i] * 1e-9:.6f}", MODES[int(samples.mode[i]) & ORDER_MASK]]
+        cells = [f"{samples.time_ns[i] * 1e-9:.6f}", modes[int(samples.mode[i]) & ORDER_MASK]]
         per_axis = zip(
             samples.counts[i], commands.requested_um[i], commands.applied_um[i], commands.output[i], strict=True
         )
@@ -105,6 +103,8 @@ def _cells(samples: Samples, commands: Commands, *, degc: bool) -> Iterator[list
 
 
 def _flags(bits: int) -> str:
+    from rtec.correction.guard import Flag
+
     return ",".join(f.name.lower() for f in Flag if bits & f and f.name) or "-"
 
 
@@ -127,14 +127,13 @@ def _console() -> Console:
 
 
 app = typer.Typer(
-    no_args_is_help=True, help="Find logs by time, look into one, follow it while it grows, turn them into a table."
+    no_args_is_help=True, help="Finds logs by time, shows one, follows it while it grows, exports it as a table."
 )
 
 _FOLLOW_NS = 250_000_000
 _clock: Clock = RealClock()
 _Log = Annotated[Path, typer.Argument(metavar="LOG", help="A log written by `rtec run`.", show_default=False)]
 _Logs = Annotated[Path, typer.Argument(metavar="LOG", help="A log, or the folder of all of them.", show_default=False)]
-_Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 _From = Annotated[
     str | None,
     typer.Option("--from", metavar="TIME", help="From this date and time on, as 2026-03-09T14:30; add Z for UTC."),
@@ -143,17 +142,17 @@ _To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Before th
 
 
 @app.command("list")
-def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: _Json = False) -> None:
-    """Which files hold a stretch of time: of each its dates, rows and size, and whether it is whole.
+def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: Json = False) -> None:
+    """Lists the logs of a stretch of time, each with its dates, rows and size, and whether it is whole.
 
-    Files are in the order in which they were written, whatever the clock on the wall did meanwhile. A damaged file is
-    shown, costs its own rows alone, and gives status 1; a folder that is not there or has no logs gives status 2.
+    Logs are in the order of writing, even if the wall clock was set meanwhile. A damaged log is listed, loses its own
+    rows only, and gives status 1; a folder that does not exist or has no logs gives status 2.
 
     Example: rtec log list logs --from 2026-03-09T06:00 --to 2026-03-09T14:00
     """
     segments = _segments(logs, from_, to)
     if as_json:
-        typer.echo(json.dumps([_segment_facts(s) for s in segments]))
+        print_json([_segment_facts(s) for s in segments])
     else:
         print_segments(segments)
     if any(s.state == "damaged" for s in segments):
@@ -161,8 +160,8 @@ def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: _Json = Fal
 
 
 @app.command()
-def info(log: _Log, as_json: _Json = False) -> None:
-    """What is in a log: versions and hashes, axes and sensors, rows, duration, and whether its end is whole.
+def info(log: _Log, as_json: Json = False) -> None:
+    """Shows what a log holds: versions and hashes, axes and sensors, rows, duration, and whether its end is whole.
 
     Example: rtec log info run.arrows --json
     """
@@ -171,7 +170,7 @@ def info(log: _Log, as_json: _Json = False) -> None:
     with open_log(log) as reader:
         facts = _facts(reader)
     if as_json:
-        typer.echo(json.dumps(facts))
+        print_json(facts)
         return
     print_facts(facts)
 
@@ -186,9 +185,9 @@ def export(
         bool, typer.Option("--utc", help="A first column `utc` with the date and time of each row.")
     ] = False,
 ) -> None:
-    """Turn a log, or a stretch of time of a folder, into a table: counts_X, degc_T_spindle, applied_um_X, ...
+    """Exports a log, or a stretch of time of a folder, as a table: counts_X, degc_T_spindle, applied_um_X, ...
 
-    The table appears whole or not at all. Parquet (zstd) keeps the header of the log; CSV has columns only.
+    The table is written whole or not at all. Parquet (zstd) keeps the header of the log; CSV has columns only.
 
     Example: rtec log export run.arrows run.parquet
 
@@ -200,7 +199,7 @@ def export(
     with _opened(log, from_, to, utc) as reader, bar(out.name) as progress:
         total = reader.rows
         rows = export_log(reader, out, lambda done: progress(done, total), utc=utc)
-    typer.echo(f"{rows} rows written to {out}")
+    typer.echo(f"{counted(rows, 'row')} written to {out}")
     for text in getattr(reader, "troubles", []):
         typer.echo(f"not in it: {text}", err=True)
     if getattr(reader, "troubles", []):
@@ -211,12 +210,12 @@ def export(
 def tail(
     log: _Logs,
     n: Annotated[int, typer.Option("-n", "--lines", min=0, help="Rows from the end.")] = 20,
-    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on as the log grows, until Ctrl-C.")] = False,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Follow the log as it grows, until Ctrl-C.")] = False,
     degc: Annotated[bool, typer.Option("--degc", help="Show the temperatures too.")] = False,
 ) -> None:
-    """Show the last rows of a log: per axis the counts, the requested and applied correction, and the output.
+    """Shows the last rows of a log: for each axis counts, requested and applied correction, and output.
 
-    Of a folder, those of its newest file; with `--follow` those of the files after it, too.
+    Of a folder it shows the newest log; with `--follow` also the logs after it.
 
     Example: rtec log tail run.arrows -n 5 --follow
     """

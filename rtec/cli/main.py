@@ -41,11 +41,11 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="""Makes machine tools more accurate than they were built.
+    help="""rtec makes machine tools more accurate than they were built.
 
-Reads axis counts and temperatures, works out the tool-tip error from a geometric-thermal model, and corrects each axis.
+It reads axis counts and temperatures, computes the tool-tip error from a geometric-thermal model, corrects each axis.
 
-Begin with `rtec demo`: a machine that needs no hardware, uncorrected and corrected.
+Start with `rtec demo`: a simulated machine, uncorrected and corrected.
 """,
 )
 app.command()(demo.demo)

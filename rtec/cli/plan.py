@@ -1,43 +1,42 @@
-"""`rtec plan`: what planned tests can tell apart, and what to add."""
+"""`rtec plan`: which parameters planned tests separate, and which test to add."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+
+from rtec.cli.common import Json, Report, print_json
 
 
 def plan(
     machine: Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)],
     tests: Annotated[
         list[Path],
-        typer.Argument(metavar="TEST...", help="Measurements, or TOML files of planned ones.", show_default=False),
+        typer.Argument(metavar="TEST...", help="Measurements, or TOML files of planned tests.", show_default=False),
     ],
     effects: Annotated[
         str | None,
-        typer.Option(help="What is to be found: scale:EXX,backlash:EXX,axis_expansion:EXX:sensor=T_bed."),
+        typer.Option(help="Effects to separate: scale:EXX,backlash:EXX,axis_expansion:EXX:sensor=T_bed."),
     ] = None,
-    model: Annotated[Path | None, typer.Option(metavar="MODEL", help="The effects of this model instead.")] = None,
-    rivals: Annotated[
-        str | None, typer.Option(help="Rank tests by how well they tell these effects from each other.")
-    ] = None,
+    model: Annotated[Path | None, typer.Option(metavar="MODEL", help="Take the effects of this model instead.")] = None,
+    rivals: Annotated[str | None, typer.Option(help="Rank tests by how well they separate these effects.")] = None,
     ball_bar: Annotated[
         Literal["linear", "non-linear"] | None,
         typer.Option("--ball-bar", help="The parameters of `rtec ballbar`: straight guides, or bent ones."),
     ] = None,
     centre: Annotated[
         Literal["shared", "each"],
-        typer.Option(help="Ball bar: the table-side ball stays from test to test, or each test has its own."),
+        typer.Option(help="Ball bar: one centre of the table-side ball for all tests, or one for each."),
     ] = "shared",
     noise: Annotated[float, typer.Option(min=1e-4, help="White noise of a reading, µm or µrad.")] = 0.5,
-    suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Look for tests to add.")] = True,
-    report: Annotated[Path | None, typer.Option(metavar="DIR", help="Write report.html and result.json here.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Search for tests to add.")] = True,
+    report: Report = None,
+    as_json: Json = False,
 ) -> None:
-    """Say which parameters a set of tests separates, which stay confounded, and what test to add.
+    """Plans tests: which parameters a set of tests separates, which stay confounded, and which test to add.
 
-    Nothing needs to have been measured: a planned test is a TOML file with [measurement] and [setup] as beside a
-    measurement, and [targets], [path] and [[phase]] as `rtec simulate --settings` takes them.
+    Nothing needs to be measured yet. A planned test is a TOML file with [measurement] and [setup] as beside a
+    measurement, and [targets], [path] and [[phase]] as in `rtec simulate --settings`.
 
     Example: `rtec plan configs/machines/turning-centre.toml laser-x.toml --effects scale:EXX,guide_curvature:EBX`
 
@@ -49,7 +48,7 @@ def plan(
     from rtec.diagnosis.plan.answer import Question, answer
     from rtec.diagnosis.plan.tests import load_test, thinned
     from rtec.machine import load_machine
-    from rtec.report.page import plain, write_page
+    from rtec.report.page import write_page
     from rtec.report.plan import plan_page
 
     known = load_machine(machine)
@@ -61,7 +60,7 @@ def plan(
     page, facts = plan_page(found), found.facts()
     written = write_page(page, facts, report) if report else None
     if as_json:
-        typer.echo(json.dumps(plain(facts), indent=2, ensure_ascii=False))
+        print_json(facts)
         return
     show_page(page)
     if written:

@@ -1,10 +1,11 @@
 """`rtec iso230`, `straightness`, `parallelism`, `drift`: from readings to the figures of a report."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from rtec.cli.common import Json, Report
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -13,10 +14,6 @@ if TYPE_CHECKING:
     from rtec.metrology.procedures.iso230_2 import Visits
     from rtec.report.page import Page
 
-_Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-_Report = Annotated[
-    Path | None, typer.Option("--report", metavar="DIR", help="Write figures, report.html and result.json here.")
-]
 _Machine = Annotated[
     Path | None, typer.Option("--machine", "-m", help="Machine file; needed for measurements with a TOML beside.")
 ]
@@ -34,16 +31,16 @@ def iso230(
     ],
     machine: _Machine = None,
     pitch_mm: Annotated[
-        float | None, typer.Option("--pitch", min=1e-6, help="Pitch, mm, where the machine file does not tell it.")
+        float | None, typer.Option("--pitch", min=1e-6, help="Pitch, mm.  [default: of the machine file]")
     ] = None,
     swap: Annotated[bool, typer.Option("--swap", help="In a .dat take FWD as backward.")] = False,
-    report: _Report = None,
-    as_json: _Json = False,
+    report: Report = None,
+    as_json: Json = False,
 ) -> None:
-    """Positioning of an axis after ISO 230-2: A, R, E, M, B by direction and together, coverage factor 2.
+    """Evaluates positioning after ISO 230-2: A, R, E, M and B in each direction and together, coverage factor 2.
 
-    Drift between the cycles is told apart from repeatability. Warns where targets are multiples of the pitch, because
-    the error that repeats with the pitch is hidden then.
+    Drift between the cycles is separated from repeatability. Warns if the targets are multiples of the pitch, which
+    hide an error that repeats with the pitch.
 
     Example: `rtec iso230 x-axis_ISO230.dat --pitch 5 --report out/x`
 
@@ -63,15 +60,15 @@ def straightness(
     table: _Table,
     machine: _Machine = None,
     method: Annotated[
-        str | None, typer.Option("--method", help="reversal, pair or face; by default what the columns allow.")
+        str | None, typer.Option("--method", help="reversal, pair or face.  [default: by the columns]")
     ] = None,
-    report: _Report = None,
-    as_json: _Json = False,
+    report: Report = None,
+    as_json: Json = False,
 ) -> None:
-    """Straightness with an arbor and its reversal, by a pair of probes, or on a turned face with orthogonality.
+    """Evaluates straightness: with an arbor and its reversal, a pair of probes, or a turned face with orthogonality.
 
     Columns: x_mm (or z_mm, ...), spindle_deg (0 or 180), probe1_um, probe2_um; run numbers repeated sets. Probes read
-    positive as the gap closes; probe 1 stands on the positive side. Or a measurement of instrument straightness with
+    positive as the gap closes; probe 1 is on the positive side. Or a measurement of instrument straightness with
     reversed_runs.
 
     Example: `rtec straightness z-arbor.csv --report out/z`
@@ -89,8 +86,8 @@ def straightness(
     _give(lambda figures: straightness_page(table.name, axis, result, figures), result, report, as_json, notes)
 
 
-def parallelism(table: _Table, report: _Report = None, as_json: _Json = False) -> None:
-    """Parallelism of a motion to the spindle's axis, from best-fit circles of two probes on a turning arbor.
+def parallelism(table: _Table, report: Report = None, as_json: Json = False) -> None:
+    """Evaluates parallelism of a motion to the spindle axis, from best-fit circles of two probes on a turning arbor.
 
     Columns: z_mm (place along the motion, two or more), angle_deg, probe1_um, probe2_um.
 
@@ -113,12 +110,12 @@ def drift(
     radial2: Annotated[str | None, typer.Option("--radial2", help="Column of the second one.")] = None,
     axial: Annotated[str | None, typer.Option("--axial", help="Column of the axial probe.")] = None,
     distance_mm: Annotated[
-        float | None, typer.Option("--distance", min=1e-6, help="Between the radial probes, mm; gives the tilt.")
+        float | None, typer.Option("--distance", min=1e-6, help="Distance between the radial probes, mm, for the tilt.")
     ] = None,
-    report: _Report = None,
-    as_json: _Json = False,
+    report: Report = None,
+    as_json: Json = False,
 ) -> None:
-    """Spindle thermal drift: radial, axial and tilt, with a time constant for every phase of constant speed.
+    """Evaluates thermal drift of the spindle: radial, axial and tilt, with a time constant for each constant speed.
 
     Columns: time_s, spindle_rpm, probes in um, temperatures (..._degc). Run 8 h, off overnight, at several speeds.
 
@@ -152,7 +149,7 @@ def _visits(file: Path, machine: Path | None, swap: bool, notes: _Notes) -> "tup
 
 
 def _measurement(file: Path, machine: Path | None, notes: _Notes) -> "Measurement":
-    """Read one; what is said of it goes into the notes."""
+    """Read one, and add its notes."""
     from rtec.errors import ConfigError
     from rtec.machine import load_machine
     from rtec.metrology.files.load import load_measurement
@@ -171,16 +168,14 @@ def _is_measurement(file: Path) -> bool:
 def _give(
     page_of: "Callable[[bool], Page]", facts: object, report: Path | None, as_json: bool, notes: _Notes | None = None
 ) -> None:
-    """Write the report where wanted, then print tables or JSON; with them what was said of the measurements."""
-    from rtec.cli.common import show_page
-    from rtec.report.page import plain, with_notes, write_page
+    """Write and print a result with the notes of its measurements."""
+    from rtec.cli.common import give
+    from rtec.report.page import plain, with_notes
 
-    said = notes or {}
-    everything = plain(facts) | {"notes": said}
-    path = write_page(with_notes(page_of(True), said), everything, report) if report else None
-    if as_json:
-        typer.echo(json.dumps(everything | {"report": str(path) if path else None}, indent=2, ensure_ascii=False))
-        return
-    show_page(with_notes(page_of(False), said))
-    if path:
-        typer.echo(f"Report: {path}")
+    kept = notes or {}
+    give(
+        lambda figures: with_notes(page_of(figures), kept),
+        plain(facts) | {"notes": kept},
+        as_json=as_json,
+        report=report,
+    )

@@ -1,16 +1,17 @@
 """`rtec replay`: a log or a capture through the same step."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rtec.cli.common import Json, print_json
+
 if TYPE_CHECKING:
     from rtec.loop.run_file import Setup
 
-MORE = "and {} rows more"
+MORE = "and {} more rows"
 
 
 def replay(
@@ -27,14 +28,13 @@ def replay(
         Path | None,
         typer.Option("--out", "-o", help="Write here; by default beside the log, with 'replay' in its name."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: Json = False,
 ) -> None:
-    """Run a log, or a logic-analyser capture, through the same step as the daemon, as fast as it goes.
+    """Replays a log, or a logic-analyser capture, through the same step as the daemon, as fast as it can.
 
-    A log gives its commands anew, into a new log; with `--check` they are compared with those that were sent. Of a
-    folder every log is checked, each from its own beginning; a log that is packed (.parquet) is as good. A
-    capture (sigrok `.sr`) gives a capture with corrected A/B lines that sigrok opens, and a table of counts; the run
-    file's `[capture]` section names the channels.
+    A log gives a new log with recomputed commands; `--check` compares them with the logged ones. In a folder every log
+    is checked, each from its own beginning, packed ones (.parquet) too. A capture (sigrok `.sr`) gives a capture with
+    corrected A/B lines that sigrok opens, and a table of counts; `[capture]` in the run file names the channels.
 
     Examples: `rtec replay configs/turning-centre-sim.toml logs/run.arrows --check`
 
@@ -55,18 +55,19 @@ def replay(
 def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool) -> None:
     from rtec.cli.common import bar
     from rtec.replay.replay import replay_logs
+    from rtec.wording import counted
 
     target = out or (None if check or log.is_dir() else log.with_name(f"{log.stem}.replay.arrows"))
     with bar(log.name) as progress:
         report = replay_logs(setup, log, target, check, progress)
     if as_json:
         facts = dataclasses.asdict(report) | {"out": str(report.out) if report.out else None, "checked": check}
-        typer.echo(json.dumps(facts, indent=2))
+        print_json(facts)
     else:
         for note in report.notes:
             typer.echo(f"note: {note}")
         if report.torn_bytes:
-            typer.echo(f"note: the log ends torn; {report.torn_bytes} bytes after its last whole batch are left out")
+            typer.echo(f"note: the log ends torn; {report.torn_bytes} bytes after its last whole batch are skipped")
         for d in report.differences:
             typer.echo(f"row {d.row}: {d.field} was {d.logged}, is now {d.replayed}")
         if report.different > len(report.differences):
@@ -74,11 +75,11 @@ def _log(setup: "Setup", log: Path, out: Path | None, check: bool, as_json: bool
         if check:
             verdict = "all bit-identical" if not report.different else f"{report.different} differ"
             if report.rows > report.unchecked or not report.rows:
-                typer.echo(f"{report.rows - report.unchecked} commands checked: {verdict}")
+                typer.echo(f"{counted(report.rows - report.unchecked, 'command')} checked: {verdict}")
             if report.unchecked:
-                typer.echo(f"{report.unchecked} commands cannot be checked: rows before them were lost")
+                typer.echo(f"{counted(report.unchecked, 'command')} not checkable: rows before were lost")
         if report.out:
-            typer.echo(f"{report.rows} commands written to {report.out}")
+            typer.echo(f"{counted(report.rows, 'command')} written to {report.out}")
         for text in report.unread:
             typer.echo(f"not checked: {text}")
     if report.different or report.unread:
@@ -97,7 +98,7 @@ def _capture(setup: "Setup", capture: Path, out: Path | None, as_json: bool) -> 
             "capture_out": str(report.capture_out),
             "table_out": str(report.table_out),
         }
-        typer.echo(json.dumps(facts, indent=2))
+        print_json(facts)
         return
     typer.echo(f"{report.samples} samples, {report.duration_s:g} s, {report.cycles} cycles")
     for line in flag_lines(report.flags_seen):

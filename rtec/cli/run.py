@@ -1,10 +1,6 @@
-"""`rtec run`: the daemon.
-
-What `rtec run` shows: a live table while it runs, a summary at the end.
-"""
+"""`rtec run`: the daemon, with a live table while it runs and a summary at the end."""
 
 import dataclasses
-import json
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -15,15 +11,12 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtec.cli.common import flag_lines
+from rtec.cli.common import Json, flag_lines, print_json
 from rtec.cli.screen import Console
-from rtec.daemon.process import Aloud
-from rtec.daemon.supervisor import Report, Status
-from rtec.log.events import Event
-from rtec.loop.run_file import Setup
 
 if TYPE_CHECKING:
-    from rtec.daemon.supervisor import Report
+    from rtec.daemon.supervisor import Report, Status
+    from rtec.log.events import Event
     from rtec.loop.run_file import Setup
 
 
@@ -33,7 +26,9 @@ REFRESH_S = 0.2
 class Screen:
     """A live table on a terminal; where there is none, a line when the loop begins. And a line for every event."""
 
-    def __init__(self, setup: Setup, duration_s: float | None, log: Path | None, quiet: bool) -> None:
+    def __init__(self, setup: "Setup", duration_s: float | None, log: Path | None, quiet: bool) -> None:
+        from rtec.daemon.process import Aloud
+
         self._setup, self._duration_s, self._log = setup, duration_s, log
         console = Console(stderr=True)
         self._live = Live(console=console, refresh_per_second=5, transient=True)
@@ -56,7 +51,7 @@ class Screen:
             self._live.stop()
 
     def started(self) -> None:
-        """Say that the loop runs."""
+        """Report that the loop runs."""
         if not self._on:
             where = f", log {self._log}" if self._log else ""
             typer.echo(
@@ -64,7 +59,7 @@ class Screen:
                 err=True,
             )
 
-    def event(self, event: Event) -> None:
+    def event(self, event: "Event") -> None:
         """Say what happened; from any thread, and nobody waits for it."""
         by = "" if event.who == "rtec" else f", by {event.who}"
         text = event.text.removeprefix(f"{event.what}: ")
@@ -76,13 +71,13 @@ class Screen:
         else:
             typer.echo(line, err=True)
 
-    def update(self, status: Status) -> None:
+    def update(self, status: "Status") -> None:
         """Show a status, not more often than eyes can follow."""
         if self._on and status.cycles and abs(status.time_s - self._shown_s) >= REFRESH_S:
             self._shown_s = status.time_s
             self._live.update(Group(_axes(status), self._foot(status)))
 
-    def _foot(self, status: Status) -> Text:
+    def _foot(self, status: "Status") -> Text:
         of = f" of {self._duration_s:g}" if self._duration_s else ""
         text = f"{status.time_s:.0f}{of} s   {status.cycles} cycles, {status.misses} deadlines missed   Ctrl-C ends"
         why = "   ".join(status.reasons)
@@ -92,7 +87,7 @@ class Screen:
         return Text.assemble(text, ("\n" + why if why else "", "bold yellow"), (lines, "bold red"))
 
 
-def show_report(setup: Setup, report: Report) -> None:
+def show_report(setup: "Setup", report: "Report") -> None:
     """Print the summary of a run."""
     console = Console()
     summary = report.summary
@@ -131,7 +126,7 @@ def device_lines(devices: dict[str, dict[str, Any]]) -> list[str]:
     return lines
 
 
-def show_dry_run(setup: Setup, found: dict[str, Any]) -> None:
+def show_dry_run(setup: "Setup", found: dict[str, Any]) -> None:
     """Print what a dry run read."""
     console = Console()
     console.print(f"{setup.machine.name}: dry run, nothing was commanded", highlight=False)
@@ -148,7 +143,7 @@ def show_dry_run(setup: Setup, found: dict[str, Any]) -> None:
     console.print("ready to run" if not found["reasons"] else "not ready: see above")
 
 
-def _axes(status: Status, largest_um: dict[str, float] | None = None) -> Table:
+def _axes(status: "Status", largest_um: dict[str, float] | None = None) -> Table:
     table = Table()
     table.add_column("axis")
     for name in ("requested, µm", "applied, µm", "output, units"):
@@ -169,7 +164,7 @@ def _axes(status: Status, largest_um: dict[str, float] | None = None) -> Table:
 def run(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="Run file: machine, model, devices, limits.")],
     duration: Annotated[
-        float | None, typer.Option("--duration", "-d", min=0.001, max=1e9, help="Seconds; without it, until Ctrl-C.")
+        float | None, typer.Option("--duration", "-d", min=0.001, max=1e9, help="Seconds.  [default: until Ctrl-C]")
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Check every file and device, read each once, command nothing.")
@@ -177,20 +172,20 @@ def run(
     log: Annotated[
         Path | None, typer.Option("--log", help="Write the log here, not into the run file's log_folder.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    as_json: Json = False,
     step: Annotated[
         str | None,
         typer.Option(
             "--step",
             metavar="AXIS=um",
-            help="Sign check: in place of the model, a step of one axis, as X=20um, within its limits; the end takes "
-            "it back. No log but with --log.",
+            help="Sign check: a step of one axis, as X=20um, instead of the model, within its limits. The end takes it "
+            "back. No log without --log.",
         ),
     ] = None,
 ) -> None:
-    """Correct a machine: read, evaluate the model, apply, at a fixed rate on the real clock.
+    """Corrects a machine: reads counts and temperatures, evaluates the model, applies the correction, at a fixed rate.
 
-    Ctrl-C holds the correction, flushes the log, closes the devices, and says so.
+    Ctrl-C holds the correction, flushes the log and closes the devices.
 
     Example, on the simulated turning centre: `rtec run configs/turning-centre-sim.toml --duration 10`
 
@@ -216,7 +211,7 @@ def run(
         with Control(setup, supervisor, RealClock()):
             report = supervisor.run(duration)
     if as_json:
-        typer.echo(json.dumps(_facts(report), indent=2))
+        print_json(_facts(report))
     else:
         show_report(setup, report)
     if report.interrupted:
@@ -228,7 +223,7 @@ def _dry_run(setup: "Setup", as_json: bool) -> None:
 
     found = dry_run(setup)
     if as_json:
-        typer.echo(json.dumps(found, indent=2))
+        print_json(found)
         return
 
     show_dry_run(setup, found)

@@ -1,10 +1,11 @@
 """`rtec simulate`: measurements from a machine whose true effects are chosen."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from rtec.cli.common import Json, print_json
 
 if TYPE_CHECKING:
     from rtec.metrology.instruments.base import Instrument
@@ -14,44 +15,43 @@ if TYPE_CHECKING:
 
 
 _Machine = Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)]
-_Instrument = Annotated[str, typer.Option("--instrument", "-i", help="For example laser_linear.")]
+_Instrument = Annotated[str, typer.Option("--instrument", "-i", help="Instrument, for example laser_linear.")]
 _Out = Annotated[Path, typer.Option("--out", "-o", metavar="NAME", help="Writes NAME.csv (or .parquet) and NAME.toml.")]
 _Axis = Annotated[str | None, typer.Option(help="Axis that the instrument follows.")]
 _Component = Annotated[
     str | None,
-    typer.Option(help="Component error that it reads directly, as if reduced already; no lever arm enters then."),
+    typer.Option(help="Component error that it reads directly, without lever arm."),
 ]
 _Setup = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A key of its set-up; repeatable.")
 ]
-_Truth = Annotated[Path | None, typer.Option(metavar="MODEL", help="Model file whose effects are true.")]
+_Truth = Annotated[Path | None, typer.Option(metavar="MODEL", help="Model file with the true effects.")]
 _Effect = Annotated[
     list[str] | None, typer.Option(metavar="EFFECT", help="One more true effect: NAME,key=value,...; repeatable.")
 ]
-_TruthOut = Annotated[Path | None, typer.Option(metavar="MODEL", help="Write what is true as a model file.")]
+_TruthOut = Annotated[Path | None, typer.Option(metavar="MODEL", help="Write the true effects as a model file.")]
 _Seed = Annotated[int, typer.Option(min=0, help="Same seed, same files.")]
 _Settings = Annotated[
-    Path | None, typer.Option(metavar="TOML", help="Targets, phases, temperatures, noise; options win over it.")
+    Path | None, typer.Option(metavar="TOML", help="Targets, phases, temperatures, noise; options override it.")
 ]
-_Protocol = Annotated[str | None, typer.Option(help="warm_up, cold, drift or parts; by instrument.")]
+_Protocol = Annotated[str | None, typer.Option(help="warm_up, cold, drift or parts.  [default: by instrument]")]
 _Cycles = Annotated[int | None, typer.Option(min=1, help="Measuring cycles in a phase.  [default: 5]")]
 _Span = Annotated[
     tuple[float, float] | None, typer.Option("--range", metavar="LOW HIGH", help="First and last target, mm.")
 ]
-_Step = Annotated[float | None, typer.Option(help="Between targets, mm.")]
+_Step = Annotated[float | None, typer.Option(help="Distance between targets, mm.")]
 _KeepStep = Annotated[
-    bool, typer.Option("--keep-step", help="Even where it is a multiple of the pitch and hides the cyclic error.")
+    bool, typer.Option("--keep-step", help="Keep a step that is a multiple of the pitch and hides the cyclic error.")
 ]
-_Dwell = Annotated[float | None, typer.Option(help="At each target, s.  [default: 3]")]
+_Dwell = Annotated[float | None, typer.Option(help="Dwell at each target, s.  [default: 3]")]
 _OneWay = Annotated[bool, typer.Option("--one-way", help="Read in the positive direction only.")]
 _Noise = Annotated[float | None, typer.Option(help="White noise, µm or µrad.  [default: 0.3]")]
-_Drift = Annotated[float | None, typer.Option(help="Noise that goes on from reading to reading, µm or µrad.")]
-_DriftTau = Annotated[float | None, typer.Option(help="Its correlation time, s.  [default: 1800]")]
-_RunOffset = Annotated[float | None, typer.Option(help="What each run is off as a whole, µm or µrad.")]
-_Resolution = Annotated[float | None, typer.Option(help="Steps of the display, µm or µrad.")]
+_Drift = Annotated[float | None, typer.Option(help="Drift from reading to reading, µm or µrad.")]
+_DriftTau = Annotated[float | None, typer.Option(help="Correlation time of the drift, s.  [default: 1800]")]
+_RunOffset = Annotated[float | None, typer.Option(help="Offset from run to run, µm or µrad.")]
+_Resolution = Annotated[float | None, typer.Option(help="Resolution of the display, µm or µrad.")]
 _Outliers = Annotated[float | None, typer.Option(help="Share of wrong readings, 0 to 1.")]
 _Lost = Annotated[float | None, typer.Option(help="Share of missing readings, 0 to 1.")]
-_Json = Annotated[bool, typer.Option("--json", help="Print what was made as JSON.")]
 
 
 def simulate(
@@ -80,9 +80,9 @@ def simulate(
     resolution: _Resolution = None,
     outliers: _Outliers = None,
     lost: _Lost = None,
-    as_json: _Json = False,
+    as_json: Json = False,
 ) -> None:
-    """Make a measurement on a machine whose true effects are chosen; the same seed gives the same files.
+    """Simulates a measurement on a machine whose true effects you choose; the same seed gives the same files.
 
     Temperatures follow the warm-up of NIST's guidelines: cycles cold, then after each step of warming up. Targets
     avoid multiples of the pitch. Noise is in the unit of the reading, µm or µrad.
@@ -125,17 +125,18 @@ def _make(
 def _show(result: "Simulated", path: Path, as_json: bool) -> None:
     facts = result.facts() | {"table": str(path), "toml": str(path.with_suffix(".toml"))}
     if as_json:
-        typer.echo(json.dumps(facts, indent=2))
+        print_json(facts)
         return
     from rtec.characterise.warnings import unused_offset
+    from rtec.wording import counted
 
     typer.echo(
-        f"{facts['rows']} rows in {facts['runs']} runs over {facts['hours']:.1f} h: "
+        f"{counted(facts['rows'], 'row')} in {counted(facts['runs'], 'run')} over {facts['hours']:.1f} h: "
         f"{path} and {path.with_suffix('.toml').name}"
     )
     for phase in facts["phases"]:
-        typer.echo(f"  {phase['name']}: {phase['rows']} rows")
+        typer.echo(f"  {phase['name']}: {counted(phase['rows'], 'row')}")
     for note in facts["notes"]:
         typer.echo(f"- {note}")
     if unused := unused_offset(result.measurement.instrument):
-        typer.echo(f"- {unused}; leave --component out if it should enter")
+        typer.echo(f"- {unused}; omit --component to use it")

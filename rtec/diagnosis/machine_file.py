@@ -1,9 +1,10 @@
 """Finds the machine file that a model was made for, where nobody names it."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from rtec.errors import ModelError, RtecError
-from rtec.machine import Machine, load_machine
+from rtec.machine import load_machine
 from rtec.model import Model, load_model
 from rtec.tomlfile import read_toml
 
@@ -16,7 +17,20 @@ def load_with_machine(model: Path, machine: Path | None = None) -> Model:
 
     Args:
         model: file.
-        machine: its machine's file; where None it is looked for by its content beside the model, in `machines` beside
+        machine: its machine's file; where None, `machine_file` finds it.
+
+    Raises:
+        ModelError: the model cannot be read, or no machine file belongs to it.
+    """
+    return load_model(model, load_machine(machine_file(model, machine)))
+
+
+def machine_file(model: Path, machine: Path | None = None) -> Path:
+    """Give the machine file of a model.
+
+    Args:
+        model: file.
+        machine: taken where given; where None it is looked for by its content beside the model, in `machines` beside
             it or one folder up, and in `configs/machines` of the working directory.
 
     Raises:
@@ -25,14 +39,17 @@ def load_with_machine(model: Path, machine: Path | None = None) -> Model:
     if model.suffix.lower() == ".csv":
         raise ModelError(f"{model}: is a table of readings; a model file is expected first, then the measurements")
     if machine is not None:
-        return load_model(model, load_machine(machine))
+        return machine
     head = read_toml(model, ModelError).get("model")
     wanted = head.get("machine_hash") if isinstance(head, dict) else None
     if not isinstance(wanted, str):
         raise ModelError(f"{model}: [model] machine_hash is missing; is this a model file?")
-    for found in _machines(model):
-        if found.hash == wanted:
-            return load_model(model, found)
+    for file in _candidates(model):
+        try:
+            if load_machine(file).hash == wanted:
+                return file
+        except RtecError:
+            continue  # some other file, or one that is no machine's
     name = head.get("machine", "") if isinstance(head, dict) else ""
     raise ModelError(
         f"{model}: no file of machine {name!r} as it was at the fit was found beside it or in configs/machines; "
@@ -40,14 +57,13 @@ def load_with_machine(model: Path, machine: Path | None = None) -> Model:
     )
 
 
-def _machines(model: Path) -> list[Machine]:
+def _candidates(model: Path) -> Iterator[Path]:
+    """Files that look like a machine's, nearest first."""
     places = [model.resolve().parent / f for f in FOLDERS[:4]] + [Path(FOLDERS[4])]
-    out = []
     for folder in dict.fromkeys(p.resolve() for p in places):
         for file in sorted(folder.glob("*.toml")) if folder.is_dir() else []:
             try:
-                if file.stat().st_size < MOST_BYTES and "machine" in read_toml(file) and "axis" in read_toml(file):
-                    out.append(load_machine(file))
-            except RtecError:
-                continue  # some other file, or one that is no machine's
-    return out
+                if file.stat().st_size < MOST_BYTES and {"machine", "axis"} <= set(read_toml(file)):
+                    yield file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+            except (OSError, RtecError):
+                continue

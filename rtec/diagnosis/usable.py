@@ -1,4 +1,4 @@
-"""What can be fitted at all, and whether what was fitted is worth its place: checks with plain words."""
+"""Checks of what can be fitted at all, and of whether an added effect is significant."""
 
 from collections.abc import Sequence
 
@@ -9,6 +9,7 @@ from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.readings import Readings
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect
+from rtec.wording import with_error
 
 Floats = NDArray[np.float64]
 
@@ -16,7 +17,6 @@ FEWEST = 10
 """Readings below which a refit would follow the noise."""
 SURE = 2.0
 """Standard errors that a number must be away from zero to be more than chance."""
-MOST_DIGITS = 8
 
 
 def check_enough(measurements: Sequence[Measurement], fewest: int = FEWEST) -> None:
@@ -50,26 +50,11 @@ def check_finite(fitted: FittedEffect, readings: Readings) -> Floats:
 
 
 def unsure(added: Sequence[FittedEffect]) -> tuple[str, ...]:
-    """Words for each effect of which no coefficient is clearly more than zero."""
+    """A sentence for each effect of which no coefficient is clearly other than zero."""
     out = []
     for f in added:
         known = {n: f.errors[n] for n in f.values if f.errors.get(n, 0.0) > 0.0}
         if len(known) == len(f.values) and all(abs(f.values[n]) < SURE * e for n, e in known.items()):
-            told = ", ".join(f"{n} = {f.values[n]:.3g} ± {e:.2g}" for n, e in known.items())
-            out.append(f"{f.label}: {told} is less than two standard errors from zero and may be chance")
+            numbers = ", ".join(f"{n} = {' ± '.join(with_error(f.values[n], e))}" for n, e in known.items())
+            out.append(f"{f.label}: {numbers} is less than two standard errors from zero and may be noise")
     return tuple(out)
-
-
-def apart(one: float, two: float, least: int = 3) -> tuple[str, str]:
-    """Two numbers with so many digits that their difference shows; at most eight."""
-    for digits in range(least, MOST_DIGITS + 1):
-        a, b = f"{one:.{digits}g}", f"{two:.{digits}g}"
-        if a != b:
-            break
-    return a, b
-
-
-def share(part: float) -> str:
-    """A share in per cent without its sign; with a digit more where it would be rounded to nothing."""
-    percent = abs(100.0 * part)
-    return f"{percent:.0f}%" if percent >= 0.95 or percent == 0.0 else f"{percent:.1g}%"

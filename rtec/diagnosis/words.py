@@ -1,6 +1,6 @@
-"""The answer as a good colleague would say it.
+"""The verdict of a diagnosis in one sentence, and units and channels as people write them.
 
-Units and channels as people write them; files and JSON keep the codes.
+Files and JSON keep the codes.
 """
 
 import math
@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.wording import number, percent, significant
 
 WORDS = {
     "um": "µm", "urad": "µrad", "degc": "K", "degC": "°C", "deg": "°", "krpm": "(1000/min)", "kn": "kN",
@@ -65,7 +66,7 @@ def named(channel: str) -> str:
     return titled(channel).rpartition(", ")[0] or titled(channel)
 
 
-TOGETHER = "found, to be added together with rank 1"
+TOGETHER = "to be added together with rank 1"
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 
 
@@ -77,8 +78,8 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = ()) -> Dia
         smallest: size from which on half of the effects that were looked for would have been seen.
         odd: readings of the wrong sign or unit, in words.
     """
-    said = _sentence(d, smallest)
-    return replace(d, sentence=f"{odd[0]} Put that right first; as they stand: {said}" if odd else said)
+    verdict = _sentence(d, smallest)
+    return replace(d, sentence=f"{odd[0]} Correct that first; as they are: {verdict}" if odd else verdict)
 
 
 def _sentence(d: Diagnosis, smallest: float) -> str:
@@ -87,64 +88,64 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         f = d.findings[0]
         if f.partner is not None:
             return (
-                f"{f.label} and {f.partner.label} are missing together, neither makes left-out runs better alone: "
-                f"{f.heldout_drop:.0%} of the mean square there goes with both"
+                f"{f.label} and {f.partner.label} are missing together, neither lowers the error on held-out runs "
+                f"alone: adding both removes {percent(f.heldout_drop)} of the held-out mean square error"
             )
         return (
-            f"{f.label} is missing: it makes {_of_what_is_left(f.size_um, d.rms_residual, unit)}, "
-            f"and on runs that were not used {f.heldout_drop:.0%} of the mean square goes with it"
+            f"{f.label} is missing: it explains {_of_the_residual(f.size_um, d.rms_residual, unit)}, "
+            f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
         )
     if d.verdict == "ambiguous":
         return _one_of(d)
     if d.verdict == "unknown_effect" and d.unknown is not None:
         where = " and ".join(map(named, d.unknown.channels))
-        how = (
-            f"with a period of {d.unknown.period.value:.4g} {spoken(d.unknown.period.unit)}"
-            if d.unknown.period
-            else "smoothly"
-        )
+        period = d.unknown.period
+        how = f"with a period of {significant(period.value, 4)} {spoken(period.unit)}" if period else "smoothly"
         at = f", {d.unknown.where}" if d.unknown.where else ""
         near = ""
         if d.findings and d.adequacy is not None:
-            share = max(d.adequacy, 0.0)
-            near = f"; the closest, {d.findings[0].label}, explains only {share:.0%} of what can be explained"
-        return f"something is missing that no effect of the catalogue describes: it depends {how} on {where}{at}{near}"
+            share = percent(max(d.adequacy, 0.0))
+            near = f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
+        return f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
+    levels = f"the residual is {number(d.rms_residual)} {unit}, the noise floor {number(d.noise_floor)} {unit}"
     if d.out_of_date:
-        fitted = f"fitted anew to these readings they would leave {d.refit:.2g}; noise is {d.noise_floor:.2g}"
-        now = f"{d.rms_residual:.2g} {unit} are left"
-        return f"no effect is missing, but the model's numbers no longer fit: {now}, {fitted}; `rtec improve` fits them"
-    limit = f" (half of the catalogue from {smallest:.2g} {unit} on)" if math.isfinite(smallest) else ""
-    left = f"{d.rms_residual:.2g} {unit} are left, noise is {d.noise_floor:.2g}"
-    return f"nothing missing that these readings could show{limit}: {left}"
+        return (
+            f"no effect is missing, but the model's numbers are out of date: {levels}; refitted to these readings the "
+            f"residual is {number(d.refit)} {unit} (`rtec improve` refits them)"
+        )
+    limit = f" (half of the catalogue from {significant(smallest, 2)} {unit} on)" if math.isfinite(smallest) else ""
+    return f"no effect is missing that these readings could show{limit}: {levels}"
 
 
-def _of_what_is_left(size: float, left: float, unit: str) -> str:
-    made, there = f"{size:.2g} {unit}", f"{left:.2g} {unit}"
-    if float(f"{size:.2g}") <= float(f"{left:.2g}"):
-        return f"{made} of the {there} that are left"
-    return f"{made}, {there} are left because the model's numbers have taken up a part of it"
+def _of_the_residual(size: float, residual: float, unit: str) -> str:
+    part, whole = number(size), number(residual)
+    if float(part) <= float(whole):
+        return f"{part} {unit} of the {whole} {unit} residual"
+    return f"{part} {unit}; the residual is {whole} {unit} because the model's numbers compensate a part of it"
 
 
 def _one_of(d: Diagnosis) -> str:
-    """Rivals that do the same, and what may be missing beside them because it does something else."""
+    """Rivals with the same effect on the readings, and what may be missing besides."""
     first = d.findings[0]
     apart = {(a.effect, a.component) for a in first.confused_with if a.apart}
     beside = _beside(d, apart)
     group = [first, *(f for f in d.group if f.rank > 1 and (f.effect.effect, f.effect.component) not in apart)]
     rivals = [a for a in first.confused_with if not a.apart]
     names = list(dict.fromkeys([*(f.label for f in group), *map(_label, rivals)]))
-    more = f"; for another part of the readings {beside} may be missing as well" if beside else ""
+    more = f"; {beside}, which explains another part of the readings, may be missing too" if beside else ""
     if len(names) == 1:
-        forms = "; which form of it, these readings cannot say" if len(group) > 1 else ""
+        forms = "; its form cannot be determined from these data" if len(group) > 1 else ""
         return f"{first.label} is missing{forms}{more}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
-    way = f"; to tell them apart: {test}" if test else ""
-    named_so = ", ".join(names[:4])
-    return f"one of {named_so} is missing, or more than one, and these readings cannot say which{way}{more}"
+    way = f"; to separate them: {test}" if test else ""
+    return (
+        f"one of {', '.join(names[:4])} is missing, or more than one; they cannot be distinguished from these data "
+        f"(confounded){way}{more}"
+    )
 
 
 def _beside(d: Diagnosis, apart: Collection[tuple[str, str]]) -> str:
-    """What may be missing beside the first: the one that helps runs left out most, and how many are like it."""
+    """What may be missing besides: the one that lowers the error on held-out runs most, and how many are like it."""
     others = [f for f in d.findings if (f.effect.effect, f.effect.component) in apart]
     names = list(dict.fromkeys(f.label for f in sorted(others, key=lambda f: -f.heldout_drop)))
     more = f" (or one of {len(names) - 1} like it)" if len(names) > 1 else ""
@@ -155,12 +156,17 @@ def _label(alike: Alike) -> str:
     return alike.label or f"{alike.effect}({alike.component})"
 
 
-def beside(speaks: Sequence[str]) -> tuple[str, ...]:
-    """That more is missing beside what was named: labels of what the readings speak for, best first."""
-    if not speaks:
+def beside(significant_too: Sequence[str]) -> tuple[str, ...]:
+    """That another effect is significant besides the first.
+
+    Args:
+        significant_too: labels of such effects, best first.
+    """
+    if not significant_too:
         return ()
-    more = f" (or one of {len(speaks) - 1} like it)" if len(speaks) > 1 else ""
-    return (f"more is missing: beside what is named, {speaks[0]}{more} speaks up; add the first, then diagnose again",)
+    n = len(significant_too) - 1
+    more = f" (or one of {n} like it)" if n else ""
+    return (f"more is missing: {significant_too[0]}{more} is also significant; add the first, then diagnose again",)
 
 
 def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
@@ -171,23 +177,25 @@ def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
         smallest: root mean squares from which on it would be seen.
         unit: of both, as in a diagnosis.
     """
-    low, high, named_so = f"{min(usual):.1g}", f"{max(usual):.1g}", UNITS[unit]
+    low, high, name = significant(min(usual), 1), significant(max(usual), 1), UNITS[unit]
     makes = low if low == high else f"{low} to {high}"
-    here = f"of a usual size it makes {makes} {named_so} here, and would be seen from {min(smallest):.2g} {named_so} on"
-    return f"what drives it hardly changed: {here}"
+    return (
+        f"its driver hardly changed: at its usual size it adds {makes} {name} here; detectable from "
+        f"{significant(min(smallest), 2)} {name}"
+    )
 
 
 def why_not(mine: float, best: float, gain: float, same: bool) -> str:
     """Why a candidate is not preferred."""
     if same and best - mine > 2.0 * math.log(20.0):
-        return "less likely than rank 1, but runs left out are predicted better by it"
+        return "less likely than rank 1, but it predicts held-out runs better"
     if same:
-        return "about as likely as rank 1 to these readings"
+        return "as likely as rank 1 from these data"
     if gain <= 0.0:
-        return "does not lower the error on runs left out"
+        return "does not lower the error on held-out runs"
     behind = best - mine
     # 1.4 times is nothing that anybody would act upon.
-    return "about as likely as rank 1" if behind < math.log(1.5) else f"{times_less(behind)} than rank 1"
+    return "as likely as rank 1" if behind < math.log(1.5) else f"{times_less(behind)} than rank 1"
 
 
 def times_less(behind: float) -> str:
@@ -195,7 +203,7 @@ def times_less(behind: float) -> str:
     if behind >= math.log(1e6):
         return "over a million times less likely"
     times = math.exp(behind)
-    return f"{times:,.0f} times less likely" if times >= 10.0 else f"{times:.2g} times less likely"
+    return f"{times:,.0f} times less likely" if times >= 10.0 else f"{significant(times, 2)} times less likely"
 
 
 def sentence(text: str) -> str:
@@ -215,19 +223,18 @@ def unit_of_channel(name: str) -> str:
 
 def notes(names: Sequence[str]) -> tuple[str, ...]:
     """What was done to the data."""
-    out = []
-    out.append("temperatures are smoothed for the search where they creep; a model gets them as they are read")
+    out = ["slow temperatures are smoothed for the search; a model gets them as they are read"]
     if len(names) > 1:
-        out.append(f"one answer for {len(names)} measurements: {', '.join(names)}")
+        out.append(f"one result for {len(names)} measurements: {', '.join(names)}")
     return tuple(out)
 
 
 def labels(findings: Sequence[Finding]) -> list[str]:
-    """Short names that all differ: what two of one name differ in is told with both."""
-    return [_told_apart(f, [g for g in findings if g.label == f.label]) for f in findings]
+    """Short names that all differ: two of one name are given with what they differ in."""
+    return [_distinct(f, [g for g in findings if g.label == f.label]) for f in findings]
 
 
-def _told_apart(f: Finding, same: Sequence[Finding]) -> str:
+def _distinct(f: Finding, same: Sequence[Finding]) -> str:
     """The name, with the arguments that others of its name differ in, or else the non-linear parameters."""
     if len(same) < 2:
         return f.label
@@ -237,7 +244,7 @@ def _told_apart(f: Finding, same: Sequence[Finding]) -> str:
     said = [_argument(k, mine.get(k)) for k in keys]
     if not said:
         ends = [n for n in f.theta if any(g.theta.get(n) != f.theta[n] for g in same)]
-        said = [f"{n} {f.theta[n]:.3g}" for n in ends]
+        said = [f"{n} {significant(f.theta[n])}" for n in ends]
     return f"{f.label}, {', '.join(said)}" if said else f"{f.label} #{1 + same.index(f)}"
 
 

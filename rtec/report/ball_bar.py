@@ -1,6 +1,7 @@
 """Report of ball-bar tests: causes, how much of the circle each one is, how sure that is, and which test to add."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,8 @@ from rtec.metrology.ball_bar.diagnosis import LEFT, BallBarDiagnosis
 from rtec.metrology.ball_bar.fit import FittedValue
 from rtec.metrology.ball_bar.iso230_4 import CircleHarmonic
 from rtec.report import ball_bar_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, number
+from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.wording import NONE, number, percent, significant
 
 UNITS = {
     "um": "µm",
@@ -27,6 +29,8 @@ UNITS = {
     "mm": "mm",
 }
 RAREST = 1e-6
+BRIEF, LEAST_BRIEF = 5, 0.01
+"""Causes in the short table, and the share from which on one is in it."""
 SERVO = ("delay", "gain_")
 
 
@@ -61,23 +65,23 @@ def beyond_facts(d: BallBarDiagnosis) -> dict[str, object]:
 
 
 def _servo(d: BallBarDiagnosis) -> list[str]:
-    """That one feed does not tell a servo's part from scale and squareness, in words."""
+    """What one feed cannot separate: the servo's part from scale and squareness."""
     open_ = [n for n in d.found.left_out if n.candidate.name.startswith(SERVO) and n.twins]
     feeds = feeds_of(d.circles)
     one = f"All tests were run at one feed, {feeds[0]:g} mm/min, which"
     why = "These tests" if len(feeds) > 1 else one
-    told = "; ".join(f"{n.candidate.title} from {_titles(d, n)}" for n in open_)
-    return [f"{why} cannot tell {told}. What they do together stands above."] if open_ else []
+    pairs = "; ".join(f"{n.candidate.title} from {_titles(d, n)}" for n in open_)
+    return [f"{why} cannot separate {pairs}. Their sum is in the table above."] if open_ else []
 
 
 def _left_out(d: BallBarDiagnosis) -> list[str]:
-    """What these tests cannot show, other than the servo's."""
+    """What these tests cannot show, other than the servo's part."""
     out: dict[str, list[str]] = {}
     for n in d.found.left_out:
         if not (n.candidate.name.startswith(SERVO) and n.twins):
             why = f"not separated from {_titles(d, n)}" if n.twins else n.why
             out.setdefault(why, []).append(n.candidate.title)
-    return [f"Not looked for: {', '.join(titles)}: {why}." for why, titles in out.items()]
+    return [f"Not tested: {', '.join(titles)}: {why}." for why, titles in out.items()]
 
 
 def _titles(d: BallBarDiagnosis, left: NotLookedFor) -> str:
@@ -87,23 +91,23 @@ def _titles(d: BallBarDiagnosis, left: NotLookedFor) -> str:
 
 def _wanted(d: BallBarDiagnosis) -> list[str]:
     title = {n.candidate.name: n.candidate.title for n in d.found.left_out}
-    return [f"To tell them apart: {w.test}; it shows {', '.join(title[n] for n in w.names)}." for w in d.wanted]
+    return [f"To separate them: {w.test}; it shows {', '.join(title[n] for n in w.names)}." for w in d.wanted]
 
 
 def _table(d: BallBarDiagnosis) -> Table | None:
-    """What was looked for."""
-    rows = [[p.candidate.title, "yes", _chance(p.chance), "–", ""] for p in d.found.beyond.picks]
-    rows += [[n.candidate.title, "no", "–", f"{n.limit:.3g}", UNITS[n.unit]] for n in d.found.not_found]
-    head = ["looked for", "found", "as much by chance", "would be found from", "unit"]
+    """What was tested."""
+    rows = [[p.candidate.title, "yes", _chance(p.chance), NONE, ""] for p in d.found.beyond.picks]
+    rows += [[n.candidate.title, "no", NONE, significant(n.limit), UNITS[n.unit]] for n in d.found.not_found]
+    head = ["tested", "found", "probability under noise alone", "would be found from", "unit"]
     return Table(head, rows, words=(0, 1, 4)) if rows else None
 
 
 def _chance(share: float) -> str:
-    return f"< {RAREST:.0e}" if share < RAREST else f"{share:.1g}"
+    return f"< {significant(RAREST, 1)}" if share < RAREST else significant(share, 1)
 
 
 def phase_lines(d: BallBarDiagnosis) -> list[str]:
-    """Lines over the table of parameters; none where the question does not arise or nothing hangs on it."""
+    """Lines over the table of parameters; none where the question does not arise or does not matter."""
     a, b, _ = d.circles[0].setup.letters
     if d.phase.decided and d.phase.reason:
         return [f"Servo phase {a}-{b}: taken as one {d.phase.taken} in all tests, because: {d.phase.reason}."]
@@ -111,9 +115,9 @@ def phase_lines(d: BallBarDiagnosis) -> list[str]:
         return []
     then = "; ".join(f"{s.taken.title} {number(s.if_time)} {UNITS[s.taken.unit]}" for s in d.if_time)
     return [
-        f"Servo phase {a}-{b}: taken as one angle in all tests [BB]. Feed over radius differs between them, and they "
-        f"do not tell whether it is one time, as a lag of an axis is. If it is (--phase time), then: {then}. Tests "
-        f"with feeds in proportion to their radii ({_feeds(d)}) leave nothing open."
+        f"Servo phase {a}-{b}: taken as one angle in all tests [BB]. Feed over radius differs between them, so "
+        f"these tests do not determine whether it is one time, as the lag of an axis is. If so (--phase time): {then}. "
+        f"Tests with feeds in proportion to their radii ({_feeds(d)}) avoid the question."
     ]
 
 
@@ -131,7 +135,7 @@ def _feeds(d: BallBarDiagnosis) -> str:
     """The first test's feed, for every radius in proportion."""
     first = d.circles[0].setup
     radii = dict.fromkeys(c.setup.radius_mm for c in d.circles)
-    return ", ".join(f"radius {r:g} mm at {first.feed_mm_min * r / first.radius_mm:.4g} mm/min" for r in radii)
+    return ", ".join(f"radius {r:g} mm at {first.feed_mm_min * r / first.radius_mm:.0f} mm/min" for r in radii)
 
 
 Floats = NDArray[np.float64]
@@ -140,8 +144,8 @@ FORMULAS = (
     "largest difference of the two at one angle; D least-squares radius of both minus nominal; F radial deviation.",
     "Causes after [BB Table 1], columns from the machine's own chain, fitted to the exact length of the bar. Intervals "
     "are 95 %, widened by how long readings in a row err together.",
-    "Scale: positive where the axis goes too far. Servo phase: positive where the first axis leads. Squareness and "
-    "perpendicularity are turns after the right hand; the note says which way the axis leans.",
+    "Scale: positive where the axis moves too far. Servo phase: positive where the first axis leads. Squareness and "
+    "perpendicularity are right-handed rotations; the note says which way the axis leans.",
     "Clearance: the axis lags half of it behind on either flank; it is minus the reversal value B of ISO 230-2.",
     "Reversal spike: positive where the axis comes late, drawn outwards. Lateral play: place of the slide moving to "
     "plus minus that moving to minus.",
@@ -150,8 +154,14 @@ SMALLEST_UM = 0.01
 """A cause that makes less of a circle than this has no panel."""
 
 
-def ball_bar_page(d: BallBarDiagnosis, figures: bool = True) -> Page:
-    """The page; without figures it is what the terminal shows."""
+def ball_bar_page(d: BallBarDiagnosis, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+    """The page.
+
+    Args:
+        d: the diagnosis.
+        figures: whether to draw.
+        files: the machine and the tests, for the command to type next.
+    """
     plane = d.circles[0].setup.plane
     sections = [
         Section("Circle", _notes(d), _rounds(d), _polar(d) if figures else None),
@@ -166,16 +176,34 @@ def ball_bar_page(d: BallBarDiagnosis, figures: bool = True) -> Page:
     if any(s.measured for s in d.spectra):
         sections.append(Section("Harmonics", [], _spectra(d), _spectrum_figure(d) if figures else None))
     top = [s for s in d.shares if s.group != LEFT][:1]
-    lead = f"Plane {plane}: " + "; ".join(f"{r.name} G = {r.g_um:.2f} µm" for r in d.rounds) + "."
+    lead = f"Plane {plane}: " + "; ".join(f"{r.name} G = {number(r.g_um)} µm" for r in d.rounds) + "."
     if top:
-        lead += f" Largest cause: {top[0].group}, {top[0].g_um:.2f} µm by itself."
+        lead += f" The largest cause is {top[0].group}: {number(top[0].g_um)} µm by itself."
     return Page(
         title=f"Ball bar, plane {plane}",
         lead=lead,
-        numbers=[(f"{r.g_um:.2f}\u00a0µm", f"G, {r.name}") for r in d.rounds][:4],
+        numbers=[(f"{number(r.g_um)}\u00a0µm", f"G, {r.name}") for r in d.rounds][:4],
         sections=sections,
         foot=[*FORMULAS, f"rtec {__version__}, rtec ballbar."],
+        brief=Section("", [], _brief(d)),
+        next=_next(d, files),
     )
+
+
+def _brief(d: BallBarDiagnosis) -> Table:
+    """The largest causes."""
+    shown = [s for s in d.shares if s.share >= LEAST_BRIEF][:BRIEF] or d.shares[:BRIEF]
+    rows = [[s.group, number(s.g_um), number(100.0 * s.share, 1), _sizes(d, s.group)] for s in shown]
+    return Table(["cause", "G by itself, µm", "share, %", "size, and its 95 % interval"], rows, words=(0, 3))
+
+
+def _next(d: BallBarDiagnosis, files: Sequence[Path]) -> list[str]:
+    """The tests that separate what these confound; else a fit."""
+    if not files:
+        return []
+    if d.wanted or d.fitted.rank.confounded:
+        return [typed("rtec", "plan", *files, "--ball-bar", "non-linear")]
+    return [typed("rtec", "fit", *files, "-o", "model.toml")]
 
 
 def ball_bar_facts(d: BallBarDiagnosis) -> dict[str, object]:
@@ -248,17 +276,17 @@ def _pairs(d: BallBarDiagnosis) -> Table:
 
 
 def _explained(d: BallBarDiagnosis) -> list[str]:
-    near = f"readings within {d.window_deg:g}° of the quadrants ({100.0 * d.near_quadrants:.0f} % of all)"
-    out = f"The fit explains {100.0 * d.explained:.1f} % of the variance; {near} "
+    near = f"readings within {d.window_deg:g}° of the quadrants ({percent(d.near_quadrants)} of all)"
+    out = f"The fit explains {percent(d.explained)} of the variance; {near} "
     if not d.found.beyond.picks:
-        return [out + "were not used in it and count here."]
-    weight = "were used in it, but where an axis still crosses its clearance"
-    bb = f"Without dynamic effects and the drive, as in [BB], it would be {100.0 * d.explained_bb:.1f} %."
+        return [out + "are not fitted but are counted here."]
+    weight = "are fitted, except where an axis still crosses its clearance"
+    bb = f"Without dynamic effects and the drive, as in [BB], it would be {percent(d.explained_bb)}."
     return [f"{out}{weight}.", bb]
 
 
 def _shares(d: BallBarDiagnosis) -> Table:
-    rows = [[s.group, number(s.g_um), f"{100.0 * s.share:.1f}", _sizes(d, s.group)] for s in d.shares]
+    rows = [[s.group, number(s.g_um), number(100.0 * s.share, 1), _sizes(d, s.group)] for s in d.shares]
     return Table(["cause", "G by itself, µm", "share, %", "size, and its 95 % interval"], rows, words=(0, 3))
 
 
@@ -280,7 +308,7 @@ def _digits(v: FittedValue) -> int:
 
 def _apart(d: BallBarDiagnosis) -> list[str]:
     rank = d.fitted.rank
-    out = [f"These tests never see: {', '.join(rank.never)}."] if rank.never else []
+    out = [f"These tests do not determine: {', '.join(rank.never)}."] if rank.never else []
     out += [f"These tests do not separate {' and '.join(s)}." for s in rank.confounded]
     return out
 
@@ -295,9 +323,9 @@ def _row(v: FittedValue) -> list[str]:
     digits = _digits(v)
     notes = [f"together with {', '.join(v.with_)}"] if v.with_ else []
     if not np.isfinite(v.value):
-        notes = [f"in that of {v.with_[0]}" if v.with_ else "never seen"]
+        notes = [f"part of {v.with_[0]}" if v.with_ else "not determined by these tests"]
     elif v.unit == "per_km" and v.value != 0.0:
-        notes = [f"radius {1.0 / v.value:.4g} km", *notes]
+        notes = [f"radius {significant(1.0 / v.value, 3)} km", *notes]
     note = "; ".join([*([v.note] if v.note else []), *notes])
     return [v.title, number(v.value, digits), number(v.low, digits), number(v.high, digits), UNITS[v.unit], note]
 
@@ -335,7 +363,7 @@ def _polar(d: BallBarDiagnosis) -> Figure:
 
 def _linear(d: BallBarDiagnosis) -> Figure:
     png = draw.linear(_traces(d), d.window_deg, used=bool(d.found.beyond.picks))
-    return Figure("linear.png", png, "deviation against angle: measured, fitted, and left over, by test")
+    return Figure("linear.png", png, "deviation against angle: measured, fitted and residual, by test")
 
 
 def _one_by_one(d: BallBarDiagnosis) -> list[Section]:
@@ -343,7 +371,7 @@ def _one_by_one(d: BallBarDiagnosis) -> list[Section]:
     shown = [s for s in d.shares if s.group != LEFT and s.g_um > SMALLEST_UM]
     if not shown:
         return []
-    curves = [(f"{s.group} ({100.0 * s.share:.0f} %)", d.fitted.parts_um[s.group]) for s in shown]
+    curves = [(f"{s.group} ({percent(s.share)})", d.fitted.parts_um[s.group]) for s in shown]
     png = draw.causes(_traces(d), curves, d.window_deg)
     figure = Figure("causes.png", png, "each cause by itself against angle, largest first; all panels have one scale")
     return [Section("Causes one by one", ["What each adds to the length of the bar."], None, figure)]

@@ -1,8 +1,9 @@
-"""Report of a comparison: one sentence, a table, where it is worst, what it is made of."""
+"""Report of a comparison: the residual against the noise floor, where it is largest, what the model predicts."""
 
 import re
 from collections.abc import Sequence
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,22 +11,30 @@ from numpy.typing import NDArray
 from rtec import __version__
 from rtec.diagnosis.compare.bins import MOVES, REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
-from rtec.diagnosis.words import UNITS, named, spoken
+from rtec.diagnosis.words import UNITS, named, sentence, spoken
 from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, number
+from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.wording import counted, number, percent, significant
 
 Floats = NDArray[np.float64]
-MOST_PARTS, MOST_SAME, MOST_SEEN, MOST_LEAD = 8, 3, 5, 4
+MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
 AT_FLOOR = 1.1
+WORSE = "with the model the error is larger than without one"
 SLOW = 0.5
-"""Drift below this share of the noise is not worth a word."""
+"""Drift below this share of the noise is not reported."""
 
 
-def compare_page(c: Comparison, figures: bool = True) -> Page:
-    """The page; without figures it is what the terminal shows."""
+def compare_page(c: Comparison, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+    """The page.
+
+    Args:
+        c: the comparison.
+        figures: whether to draw.
+        files: the model and the measurements, for the command to type next.
+    """
     return Page(
-        title=f"How wrong the model {c.model} is, and where",
+        title=f"Residual of the model {c.model}",
         lead=_lead(c),
         numbers=_numbers(c),
         sections=[
@@ -37,40 +46,62 @@ def compare_page(c: Comparison, figures: bool = True) -> Page:
             *(_pictures(c) if figures else []),
         ],
         foot=[
-            "What the instruments cannot know (zero of a run, misalignment) is taken out of all numbers.",
-            f"rtec {__version__}, rtec compare, seed {c.seed} of the draws of chance.",
+            "What the instruments cannot know (zero of a run, misalignment) is removed from all numbers.",
+            f"rtec {__version__}, rtec compare, seed {c.seed} of the random draws.",
         ],
+        brief=Section("", [], _brief(c)),
+        next=_next(c, files),
     )
 
 
+def _brief(c: Comparison) -> Table:
+    rows = [
+        [_name(i, c), number(i.measured.rms), number(i.left.rms), number(i.floor), _share(i), UNITS[i.unit]]
+        for i in c.items
+    ]
+    head = ("measurement", "measured", "residual", "noise floor", "explained", "unit")
+    return Table(head, rows, "Root mean squares; explained: share of the mean square above the noise floor.", (0, 5))
+
+
+def _next(c: Comparison, files: Sequence[Path]) -> list[str]:
+    """A diagnosis, unless the model is at the noise floor."""
+    if not files or all(i.left.rms <= AT_FLOOR * i.floor for i in c.items):
+        return []
+    return [typed("rtec", "diagnose", *files)]
+
+
 def _lead(c: Comparison) -> str:
-    """A sentence for each reading column, the worst news first."""
-    order = sorted(c.items, key=_badness)
-    more = [f"{len(order) - MOST_LEAD} more: see the table."] if len(order) > MOST_LEAD else []
-    return "\n".join([*(_said(i, c) for i in order[:MOST_LEAD]), *more])
+    """The worst news: of one reading column, and how many more there are."""
+    first = min(c.items, key=_badness)
+    more = f" {_counted_more(len(c.items) - 1)} in the table." if len(c.items) > 1 else ""
+    return _said(first, c) + more
+
+
+def _counted_more(n: int) -> str:
+    return f"{counted(n, 'more reading column')} {'is' if n == 1 else 'are'}"
 
 
 def _badness(i: Compared) -> tuple[bool, float]:
-    """Key for sorting: worse than no model first, then what is left over the noise."""
+    """Key for sorting: worse than no model first, then residual over noise."""
     return (i.explained or 0.0) >= 0.0, -i.left.rms / max(i.floor, 1e-9)
 
 
 def _said(first: Compared, c: Comparison) -> str:
     unit = UNITS[first.unit]
-    of = f"{_name(first, c)}: " if len(c.items) > 1 else ""
-    worse = "the model makes it worse than no model; " if (first.explained or 0.0) < 0.0 else ""
+    of = f"{_name(first, c)}: the" if len(c.items) > 1 else "The"
+    worse = f" {sentence(WORSE)}" if (first.explained or 0.0) < 0.0 else ""
     said = (
-        f"{of}{worse}{first.left.rms:.3g} {unit} of {first.measured.rms:.3g} {unit} are left (root mean square), "
-        f"noise is {first.floor:.2g} {unit}"
+        f"{of} residual is {number(first.left.rms)} {unit} of {number(first.measured.rms)} {unit} measured "
+        f"(root mean square); the noise floor is {number(first.floor)} {unit}.{worse}"
     )
     if first.worst and first.worst[0].apart is not None:
-        return f"{said}; {first.worst[0].words}."
+        return f"{said} {sentence(first.worst[0].words)}"
     if first.worst:
         w = first.worst[0]
-        return f"{said}; worst at {w.words}, {w.rms:.2g} {unit} against {w.elsewhere:.2g} {unit} elsewhere."
+        return f"{said} It is largest at {w.words}: {number(w.rms)} {unit}, elsewhere {number(w.elsewhere)} {unit}."
     if first.left.rms <= AT_FLOOR * first.floor:
-        return f"{said}: the model is at the noise floor."
-    return f"{said}; no place stands out beyond chance. `rtec diagnose` looks for what is missing."
+        return f"{said} The model is at the noise floor."
+    return f"{said} No place stands out from noise."
 
 
 def _name(item: Compared, c: Comparison) -> str:
@@ -82,11 +113,11 @@ def _numbers(c: Comparison) -> list[tuple[str, str]]:
     first = min(c.items, key=_badness)
     unit = UNITS[first.unit]
     out = [
-        (f"{first.measured.rms:.3g}\u00a0{unit}", "measured"),
-        (f"{first.left.rms:.3g}\u00a0{unit}", "left by the model"),
-        (f"{first.floor:.2g}\u00a0{unit}", "noise"),
+        (f"{number(first.measured.rms)}\u00a0{unit}", "measured"),
+        (f"{number(first.left.rms)}\u00a0{unit}", "residual"),
+        (f"{number(first.floor)}\u00a0{unit}", "noise floor"),
     ]
-    return out if first.explained is None else [*out, (_share(first), "of the explainable explained")]
+    return out if first.explained is None else [*out, (_share(first), "of what is above the noise explained")]
 
 
 def _share(item: Compared) -> str:
@@ -94,8 +125,7 @@ def _share(item: Compared) -> str:
         return "–"
     if item.explained <= -1.0:
         return "worse"
-    # 99.97 % is not all of it.
-    return "100 %" if item.explained >= 1.0 else f"{min(100.0 * item.explained, 99.9):.3g} %"
+    return percent(min(item.explained, 1.0))
 
 
 def _table(c: Comparison) -> Section:
@@ -107,15 +137,16 @@ def _table(c: Comparison) -> Section:
         ]
         for i in c.items
     ]  # fmt: skip
-    head = ("measurement", "readings", "measured", "predicted", "left", "noise floor", "explained", "unit")
+    head = ("measurement", "readings", "measured", "predicted", "residual", "noise floor", "explained", "unit")
     caption = "Root mean square / largest. Explained: share of the mean square above the noise floor."
-    bad = [f"{_name(i, c)}: the model makes it worse than no model." for i in c.items if (i.explained or 0.0) < 0.0]
+    bad = [f"{_name(i, c)}: {WORSE}." for i in c.items if (i.explained or 0.0) < 0.0]
     none = [
-        f"{_name(i, c)}: nothing to explain, what is measured is hardly more than noise."
+        f"{_name(i, c)}: nothing to explain; the readings are hardly more than noise."
         for i in c.items
         if i.explained is None
     ]
-    return Section("How wrong", [*bad, *none, *(_sentence(n) for n in c.notes)], Table(head, rows, caption, (0, 7)))
+    words = [*bad, *none, *(_sentence(n) for n in c.notes)]
+    return Section("Residual and noise floor", words, Table(head, rows, caption, (0, 7)))
 
 
 def _sentence(text: str) -> str:
@@ -129,7 +160,7 @@ def _worst(c: Comparison) -> Section:
             r.words,
             number(r.rms),
             number(r.elsewhere),
-            _signed(r.mean).replace("-0.00", "+0.00"),
+            number(r.mean, sign=True),
             f"{r.n}",
             UNITS[i.unit],
         ]
@@ -138,16 +169,16 @@ def _worst(c: Comparison) -> Section:
         if r.apart is None
     ]
     apart = [
-        f"{_name(i, c)}: {r.words}; with that taken out, {r.elsewhere:.2g} {UNITS[i.unit]} are left."
+        f"{_name(i, c)}: {r.words}; without that the residual is {number(r.elsewhere)} {UNITS[i.unit]}."
         for i in c.items
         for r in i.worst
         if r.apart is not None
     ]
     if not rows and apart:
-        return Section("Where it is worst", apart)
+        return Section("Where the residual is largest", apart)
     if not rows:
-        return Section("Where it is worst", ["No place stands out: chance alone looks as uneven as what is left."])
-    head = ("measurement", "where", "left there", "elsewhere", "mean there", "readings", "unit")
+        return Section("Where the residual is largest", ["No place stands out from noise."])
+    head = ("measurement", "where", "residual there", "elsewhere", "mean there", "readings", "unit")
     words = [
         f"{_name(i, c)}, {r.words}: nearly the same readings as {'; '.join(r.same[:MOST_SAME])}."
         for i in c.items
@@ -155,32 +186,39 @@ def _worst(c: Comparison) -> Section:
         if r.same
     ]
     if words:
-        words.append("Where channels name the same readings, these data cannot say which of them it is.")
-    caption = "Best evidence first; root mean squares, the mean with its sign. Elsewhere: in none of these places."
-    return Section("Where it is worst", [*apart, *words], Table(head, rows, caption, (0, 1, 6)))
-
-
-def _signed(value: float) -> str:
-    text = f"{value:+.2f}".replace("-", "−")
-    return "0.00" if text[1:] == "0.00" else text
+        words.append("Places with the same readings cannot be distinguished from these data.")
+    caption = "Strongest evidence first; root mean squares, mean with its sign. Elsewhere: in none of these places."
+    return Section("Where the residual is largest", [*apart, *words], Table(head, rows, caption, (0, 1, 6)))
 
 
 def _outside(c: Comparison) -> list[Section]:
     rows = [
-        [_name(i, c), named(o.channel), f"{o.low:.5g} to {o.high:.5g}", _beyond(o), f"{o.n} of {i.n}", spoken(o.unit)]
+        [
+            _name(i, c),
+            named(o.channel),
+            f"{_place(o.low)} to {_place(o.high)}",
+            _beyond(o),
+            f"{o.n} of {i.n}",
+            spoken(o.unit),
+        ]
         for i in c.items
         for o in i.outside
     ]
     if not rows:
         return []
-    words = ["There the model guesses, and in the loop the correction is held."]
+    words = ["There the model extrapolates, and the loop holds the correction."]
     head = ("measurement", "channel", "range of the fit", "readings go to", "readings outside", "unit")
-    return [Section("Outside the range that the model was fitted in", words, Table(head, rows, "", (0, 1, 5)))]
+    return [Section("Outside the fitted range of the model", words, Table(head, rows, "", (0, 1, 5)))]
+
+
+def _place(value: float) -> str:
+    """A position, a temperature or a speed."""
+    return significant(value, 5)
 
 
 def _beyond(o: Outside) -> str:
-    ends = [f"{o.lowest:.5g}"] if o.lowest < o.low else []
-    return " and ".join([*ends, *([f"{o.highest:.5g}"] if o.highest > o.high else [])])
+    ends = [_place(o.lowest)] if o.lowest < o.low else []
+    return " and ".join([*ends, *([_place(o.highest)] if o.highest > o.high else [])])
 
 
 def _parts(c: Comparison) -> Section:
@@ -188,11 +226,11 @@ def _parts(c: Comparison) -> Section:
     for i in c.items:
         parts = i.parts[:MOST_PARTS]
         rows += [[_name(i, c), p.label, number(p.rms), number(p.most, 1), UNITS[i.unit]] for p in parts]
-    words = [f"{_name(i, c)} sees {_seen(i.sees)}." for i in c.items]
+    words = [f"{_name(i, c)} reads {_seen(i.sees)}." for i in c.items]
     if not rows:
-        return Section("What the model says", [*words, "The model has no effect that these readings see."])
+        return Section("What the model predicts", [*words, "No effect of the model enters these readings."])
     head = ("measurement", "effect", "root mean square", "largest", "unit")
-    return Section("What the model says", words, Table(head, rows, "", (0, 1, 4)))
+    return Section("What the model predicts", words, Table(head, rows, "", (0, 1, 4)))
 
 
 def _noise(c: Comparison) -> Section:
@@ -200,9 +238,9 @@ def _noise(c: Comparison) -> Section:
     for i in c.items:
         unit = UNITS[i.unit]
         source = "repeats" if i.noise.repeats is not None else "neighbouring readings"
-        text = f"{_name(i, c)}: {i.floor:.2g} {unit} between {source}"
+        text = f"{_name(i, c)}: {number(i.floor)} {unit} between {source}"
         if i.noise.drift > SLOW * i.floor:
-            text += f"; {i.noise.drift:.2g} {unit} of slow drift that no recorded channel explains"
+            text += f"; {number(i.noise.drift)} {unit} of slow drift that no recorded channel explains"
         words.append(f"{text}.")
     return Section("Where the noise floor comes from", words)
 
@@ -235,25 +273,25 @@ def _figures(c: Comparison, item: Compared, s: Series, title: str) -> list[tuple
     out = []
     polar = draw.circle_picture(readings, s, title, measured, predicted)
     if polar is not None:
-        shows = "Measured and predicted drawn outwards from the circle; beside it what is left."
+        shows = "Measured and predicted drawn outwards from the circle; beside it the residual."
         out.append(("measured and predicted on the circle", Figure("polar.png", polar, shows)))
     main = draw.angle_of(readings, s) or _main_axis(readings, s)
     if main is not None:
         name, place, direction = main
         png = draw.over_position(title, unit, name, place, direction, measured, predicted, item.floor)
         where = "position, each direction by itself" if polar is None else "the angle on the circle"
-        shows = f"Measured and predicted over {where}; below what is left."
+        shows = f"Measured and predicted over {where}; below it the residual."
         out.append(("measured and predicted", Figure("position.png", png, shows)))
     cells = None if polar else _map(readings, s, left, main, {b.channel for r in item.worst[:1] for b in r.bounds})
     if cells is not None:
         png = draw.residual_map(title, unit, *cells, item.floor)
-        out.append(("where it is left", Figure("map.png", png, "Mean of what is left, channel by channel.")))
+        out.append(("residual by place", Figure("map.png", png, "Mean residual, channel by channel.")))
     scale, time_name = time_unit(float(s.time_s[-1] - s.time_s[0]))
     hours = (s.time_s - s.time_s[0]) / scale
     png = draw.over_time(
         title, unit, time_name, hours, left, measured if main is None else None, item.floor, _sensors(readings, s)
     )
-    out.append(("what is left over time", Figure("time.png", png, "What is left over time, and the temperatures.")))
+    out.append(("residual over time", Figure("time.png", png, "Residual over time, and the temperatures.")))
     if item.parts:
         rows = [(p.label, p.rms, p.most) for p in item.parts]
         stack = _stack(c, item, s, main)

@@ -1,5 +1,6 @@
 """Report of a diagnosis."""
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,30 +9,33 @@ from shlex import quote
 from rtec import __version__
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable
 from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken
+from rtec.effects import Effect
 from rtec.report.evidence import evidence
-from rtec.report.page import Figure, Page, Section, Table, number
+from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.wording import NONE, counted, number, percent, probability, with_error
 
-SHOWN, WHERE, MOST_NUMBERS = 8, 5, 4
+SHOWN, WHERE, MOST_NUMBERS, BRIEF = 8, 5, 4, 3
 BETTER = 0.005
 """Share of the mean square; falls of less are none."""
 
 
-def diagnosis_page(d: Diagnosis, figures: bool = True, files: Sequence[Path] = ()) -> Page:
-    """The page; without figures it is what the terminal shows.
+def diagnosis_page(d: Diagnosis, figures: bool = True, files: Sequence[Path] = (), machine: Path | None = None) -> Page:
+    """The page.
 
     Args:
         d: the diagnosis.
         figures: whether to draw.
-        files: the model and the measurements, for commands that can be typed as they stand.
+        files: the model and the measurements, for commands that can be typed as they are.
+        machine: the machine file, for the same.
     """
     unit = UNITS[d.unit]
     return Page(
-        title="What the model misses",
+        title="Which effect is missing",
         lead=sentence(d.sentence),
         numbers=[
-            (f"{d.rms_residual:.3g}\u00a0{unit}", "left by the model"),
-            (f"{d.noise_floor:.3g}\u00a0{unit}", "noise of the measurement"),
-            *([(f"{d.findings[0].confidence:.0%}", "sure of rank 1")] if d.group else []),
+            (f"{number(d.rms_residual)}\u00a0{unit}", "residual of the model"),
+            (f"{number(d.noise_floor)}\u00a0{unit}", "noise floor"),
+            *([(probability(d.findings[0].confidence), "probability of rank 1")] if d.group else []),
         ],
         sections=[
             *_to_type(d, files),
@@ -42,10 +46,55 @@ def diagnosis_page(d: Diagnosis, figures: bool = True, files: Sequence[Path] = (
             Section("How the readings were treated", [*map(sentence, d.notes), *(f"{n}." for n in d.noise)]),
         ],
         foot=[
-            "Left out: each part of the runs predicted by the fit to all others.",
-            f"rtec {__version__}, rtec diagnose, seed {d.seed} of the draws of chance.",
+            "Held-out runs: each part of the runs is predicted by the fit to all others.",
+            f"rtec {__version__}, rtec diagnose, seed {d.seed} of the random draws.",
         ],
+        brief=Section("", [], _brief(d)),
+        next=_next(d, files, machine),
     )
+
+
+def _brief(d: Diagnosis) -> Table | None:
+    """The first candidates; none where there is none."""
+    if not d.findings:
+        return None
+    shown = d.findings[:BRIEF]
+    rows = [
+        [label, number(f.size_um), percent(max(f.heldout_drop, 0.0)), probability(f.confidence)]
+        for f, label in zip(shown, labels(shown), strict=True)
+    ]
+    head = ("candidate", f"explains, {UNITS[d.unit]}", "held-out error falls by", "probability")
+    more = f" {counted(len(d.findings) - BRIEF, 'more candidate')} with --full." if len(d.findings) > BRIEF else ""
+    return Table(head, rows, f"Falls by: share of the mean square.{more}")
+
+
+def _next(d: Diagnosis, files: Sequence[Path], machine: Path | None) -> list[str]:
+    """What adds the effect, separates the rivals, or refits the model."""
+    if not files:
+        return []
+    model, *data = files
+    better = f"{model.with_suffix('')}-more.toml"
+    if d.verdict == "missing_effect" and d.findings[0].partner is None:
+        return [typed("rtec", "add", model, *_as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
+    if d.verdict == "ambiguous" and d.findings[0].confused_with:
+        first = d.findings[0]
+        rivals = [f"{first.effect.effect}:{first.effect.component}"]
+        rivals += [f"{a.effect}:{a.component}" for a in first.confused_with if not a.apart][: BRIEF - 1]
+        return [typed("rtec", "plan", machine or "MACHINE", *data, "--rivals", ",".join(rivals))]
+    if d.verdict == "unknown_effect":
+        return [line for section in _to_type(d, files) for line in section.text if line.startswith("rtec ")]
+    if d.verdict == "nothing_missing" and not d.out_of_date:
+        return []
+    return [typed("rtec", "improve", *files, "-o", better)]
+
+
+def _as_typed(effect: Effect) -> list[str]:
+    """An effect as `rtec add` takes it."""
+    given = effect.model_dump(mode="json", exclude={"effect", "component"}, exclude_none=True, exclude_defaults=True)
+    if given.get("axis") == effect.component[2:].removeprefix("0"):
+        del given["axis"]
+    settings = [f"{k}={v if isinstance(v, str) else json.dumps(v)}" for k, v in given.items()]
+    return [effect.effect, "--component", effect.component, *(word for text in settings for word in ("--set", text))]
 
 
 def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
@@ -55,22 +104,22 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
         from rtec.report import diagnosis_figures
 
         png = diagnosis_figures.evidence_figure([evidence(q) for q in (p, *p.others) if q.drivers])
-        shows = "The residual against what drives it, and what the finding explains of it."
-        out.append(Section("The residual, and what the finding explains", [], None, Figure("evidence.png", png, shows)))
+        shows = "The residual against its driver, with the fitted effect."
+        out.append(Section("Residual and fitted effect", [], None, Figure("evidence.png", png, shows)))
     if not d.findings:
-        return [*out, Section("Candidates", ["Chance alone would look as good as the best of them."])]
+        return [*out, Section("Candidates", ["Noise alone would give as good a fit as the best of them."])]
     figure = None
     if figures:
         from rtec.report import diagnosis_figures
 
         shown = d.findings[:SHOWN]
         rows = [(n, f.heldout_drop, f.group, _short(d, f)) for f, n in zip(shown, labels(shown), strict=True)]
-        figure = Figure("rivals.png", diagnosis_figures.rivals(rows), "Fall of the error with each candidate.")
+        figure = Figure("rivals.png", diagnosis_figures.rivals(rows), "Fall of the held-out error with each candidate.")
     return [*out, Section("Candidates, best first", _candidate_words(d), _candidates(d), figure)]
 
 
 def _to_type(d: Diagnosis, files: Sequence[Path]) -> list[Section]:
-    """The command that adds what has no name as an expression."""
+    """The command that adds an effect without a name as an expression."""
     if d.unknown is None or not d.unknown.expression:
         return []
     u = d.unknown
@@ -79,26 +128,24 @@ def _to_type(d: Diagnosis, files: Sequence[Path]) -> list[Section]:
     given += [word for p in u.parameters for word in ("--param", p)]
     given += ["--component", u.feeds, "--data", *map(str, data), "-o", f"{model.with_suffix('')}-more.toml"]
     words = [
-        "The nearest simple expression; it is refused where it does not make runs left out better:",
+        "The nearest simple expression; `rtec add` refuses it if the error on held-out runs does not fall:",
         " ".join(map(quote, given)),
-        "It says what the error looks like, not what makes it: look for the cause there.",
+        "It describes the shape of the error, not its cause.",
     ]
     return [Section("To add it without a name", words)]
 
 
 def _candidate_words(d: Diagnosis) -> list[str]:
     first, out = d.findings[0], []
-    chance = f"Chance alone looks as good in {first.p:.1%} of draws, over the whole catalogue."
+    chance = f"Of random draws under noise alone, {percent(first.p)} give as good a fit of any effect of the catalogue."
     if first.accepted:
         out.append(chance)
         if d.adequacy is not None and d.adequacy < 1.0:
-            out.append(
-                f"It explains {d.adequacy:.0%} of what the best smooth or periodic shape without a name would explain."
-            )
+            out.append(f"It explains {percent(d.adequacy)} of what the best smooth or periodic shape would explain.")
     else:
         out.append(f"None of them passed: rank 1 {_doubt(d, first)}.")
     if any(n.se is None for f in d.findings for n in list(f.parameters.values())[:MOST_NUMBERS]):
-        out.append("A number that is open makes no difference here, or numbers of the model could take its place.")
+        out.append(f"A number shown as {NONE} is not determined by these data.")
     return out
 
 
@@ -110,51 +157,44 @@ def _candidates(d: Diagnosis) -> Table:
             label,
             _numbers(f),
             number(f.size_um),
-            f"{f.heldout_drop:.0%}" if f.heldout_drop >= BETTER else "no better",
-            _probability(f.confidence),
-            "found" if f.accepted else f.why_not or f"not sure enough: {_doubt(d, f)}",
+            percent(f.heldout_drop) if f.heldout_drop >= BETTER else "does not fall",
+            probability(f.confidence),
+            "accepted" if f.accepted else f.why_not or f"not accepted: {_doubt(d, f)}",
         ]
         for f, label in zip(d.findings, labels(d.findings), strict=True)
     ]
-    head = ("", "effect", "numbers", f"makes, {unit}", "error falls by", "probability", "")
+    head = ("", "effect", "numbers", f"explains, {unit}", "held-out error falls by", "probability", "")
     caption = (
-        "Error falls by: share of the mean square on runs that were not used. Probability: among these candidates and "
-        "'nothing is missing'; what none of them describes is not in it."
+        "Held-out error: mean square on held-out runs. Probability: among these candidates and 'nothing is missing'; "
+        "an effect that none of them describes is not in it."
     )
     return Table(head, rows, caption, words=(1, 2, 6))
-
-
-def _probability(share: float) -> str:
-    """A share as a percentage; neither never nor certain where it is neither."""
-    if share > 0.9995:
-        return ">99.9%"
-    return "<0.1%" if share < 0.0005 else f"{share:.1%}"
 
 
 def _doubt(d: Diagnosis, f: Finding) -> str:
     """Why the first candidate was not accepted."""
     if f.heldout_drop <= 0.0:
-        return "does not lower the error on runs left out"
+        return "does not lower the error on held-out runs"
     if d.unknown is not None and d.adequacy is not None:
-        return f"explains only {max(d.adequacy, 0.0):.0%} of what a shape without a name does"
-    return f"chance alone looks as good in {f.p:.1%} of draws"
+        return f"explains only {percent(max(d.adequacy, 0.0))} of what a shape without a name does"
+    return f"is as good in {percent(f.p)} of random draws under noise alone"
 
 
 def _short(d: Diagnosis, f: Finding) -> str:
     """Why a candidate is preferred or not, for its bar."""
     if f.rank == 1 and f.accepted:
-        return f"{_probability(f.confidence)} probable"
-    return (f.why_not or _doubt(d, f)).removesuffix(" than rank 1").removesuffix(" to these readings")
+        return f"probability {probability(f.confidence)}"
+    return (f.why_not or _doubt(d, f)).removesuffix(" than rank 1").removesuffix(" from these data")
 
 
 def _numbers(f: Finding) -> str:
     parts = []
     for name, n in f.parameters.items():
-        if n.se is None:  # it makes no difference to these readings, or numbers of the model could take its place
-            parts.append(f"{name} open")
+        if n.se is None:  # not determined by these data
+            parts.append(f"{name} {NONE}")
             continue
-        se = f" ± {n.se:.2g}" if math.isfinite(n.se) else ""
-        parts.append(f"{name} {n.value:.4g}{se} {spoken(n.unit)}".strip())
+        value, se = with_error(n.value, n.se)
+        parts.append(f"{name} {value}{'' if se == NONE else f' ± {se}'} {spoken(n.unit)}".strip())
     return "; ".join(parts[:MOST_NUMBERS]) + (" …" if len(parts) > MOST_NUMBERS else "")
 
 
@@ -164,11 +204,11 @@ def _confused(d: Diagnosis) -> list[Section]:
     alikes, head = d.findings[0].confused_with, ("effect", "why", "test")
     rivals = [[a.label, a.why, a.separating_test] for a in alikes if not a.apart]
     beside = [[a.label, a.why, a.separating_test] for a in alikes if a.apart]
-    words = ["These would explain the readings as well. The test on the right tells them apart."]
-    out = [Section("What it may be instead", words, Table(head, rivals, words=(0, 1, 2)))] if rivals else []
+    words = ["These effects cannot be distinguished from rank 1 by these data; the test on the right separates them."]
+    out = [Section("Confounded with rank 1", words, Table(head, rivals, words=(0, 1, 2)))] if rivals else []
     if beside:
         table = Table(("effect", "why", "what to do"), beside, words=(0, 1, 2))
-        out.append(Section("What may be missing beside it", [], table))
+        out.append(Section("What may be missing besides", [], table))
     return out
 
 
@@ -184,11 +224,9 @@ def _absent(d: Diagnosis) -> list[Section]:
         for name, (low, high, where) in sorted(smallest.items())
     ]
     unit = UNITS[d.unit]
-    head = ("effect", f"seen from, {unit}", f"to, {unit}", "looked for in")
-    words = [
-        "Looked for and not found. The numbers say how large it must be in the readings (root mean square) to be found."
-    ]
-    return [Section("Checked and absent", words, Table(head, rows, words=(0, 3)))]
+    head = ("effect", f"found from, {unit}", f"to, {unit}", "tested in")
+    words = ["Tested and not found, with the size in the readings (root mean square) from which it would be found."]
+    return [Section("Tested and absent", words, Table(head, rows, words=(0, 3)))]
 
 
 def _untestable(d: Diagnosis) -> list[Section]:
@@ -203,9 +241,9 @@ def _untestable(d: Diagnosis) -> list[Section]:
             faint.setdefault(n.effect, []).append(n)
     rows = [[", ".join(dict.fromkeys(names)), why, test] for (why, test), names in seen.items()]
     rows += [_hardly(name, of, d.unit) for name, of in faint.items()]
-    words = ["These readings could not have shown them, or only if they were far larger than usual."]
+    words = ["These readings could not show them, or only at far more than their usual size."]
     head = ("effect", "why not", "what would show it")
-    return [Section("Could not be checked", words, Table(head, rows, words=(0, 1, 2)))]
+    return [Section("Not testable with these readings", words, Table(head, rows, words=(0, 1, 2)))]
 
 
 def _hardly(name: str, of: Sequence[NotTestable], unit: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from rtec.metrology.grid.paths import TRIM_MM, Edge
 from rtec.metrology.grid.setup import GridSetup, Item, analyse, same_feed, slowest
 from rtec.metrology.measurement import Measurement
 from rtec.report import grid_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, number
+from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.wording import counted, number
 
 FEET = (
     "Signs are those of e = ε × p: e_x = +EB z, e_z = -EB x. Squareness is the difference of the two edges' best-fit "
@@ -20,7 +22,7 @@ FEET = (
     "U: expanded uncertainty, coverage factor 2, from the readings, widened by how long they err together, and the "
     "plate's accuracy where it does not fall out of the difference. Between set-ups it does if [setup] plate names the "
     "same plate in both and the same part of it is run over.",
-    "“yes”: all the questions of this report asked together, noise alone would say so about once in fifty reports.",
+    "“yes”: under noise alone, about one report in fifty would have any “yes”.",
 )
 
 
@@ -75,8 +77,14 @@ def grid_report(
     return GridReport(setups, kept, found, magnification)
 
 
-def grid_page(r: GridReport, figures: bool = True) -> Page:
-    """The page; without figures it is what the terminal shows."""
+def grid_page(r: GridReport, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+    """The page.
+
+    Args:
+        r: the set-ups.
+        figures: whether to draw.
+        files: the machine and the measurements, for the command to type next.
+    """
     sections = [
         Section(s.name, [_where(s)], _table(s.items), _contour(s, i, r.magnification) if figures else None)
         for i, s in enumerate(r.setups)
@@ -87,13 +95,33 @@ def grid_page(r: GridReport, figures: bool = True) -> Page:
     left_out = not_compared(r.setups)
     if left_out:
         sections.append(Section("Not compared", [f"{line}." for line in left_out]))
-    plural = "s" if len(r.setups) > 1 else ""
-    lead = f"{len(r.setups)} set-up{plural}. "
-    names = dict.fromkeys(f"{i.name} = {i.value:.2f} {i.unit}" for i in r.found)
-    lead += f"Beyond a rigid, slow, one-way machine: {', '.join(names)}." if names else (
-        "No difference between directions, feeds or places beyond noise." if r.comparisons else ""
+    lead = f"{counted(len(r.setups), 'set-up')}. "
+    names = dict.fromkeys(f"{i.name} = {number(i.value)} {i.unit}" for i in r.found)
+    lead += f"More than noise between directions, feeds or places: {', '.join(names)}." if names else (
+        "No difference between directions, feeds or places is more than noise." if r.comparisons else ""
     )  # fmt: skip
-    return Page("Grid encoder", lead.strip(), [], sections, [*FEET, f"rtec {__version__}, rtec grid."])
+    return Page(
+        "Grid encoder",
+        lead.strip(),
+        [],
+        sections,
+        [*FEET, f"rtec {__version__}, rtec grid."],
+        brief=Section("", [], _brief(r)),
+        next=[typed("rtec", "fit", *files, "-o", "model.toml")] if files else [],
+    )
+
+
+def _brief(r: GridReport) -> Table:
+    """Differences that are more than noise; then each error of the set-ups, with its range over them."""
+    found = dict.fromkeys((i.name, i.means, number(i.value), "", number(i.u), i.unit, "yes") for i in r.found)
+    rows = [[*row] for row in found]
+    for first in r.setups[0].items:
+        items = [i for s in r.setups for i in s.items if i.name == first.name]
+        values = [i.value for i in items]
+        ends = [number(min(values)), number(max(values)) if len(values) > 1 else ""]
+        rows.append([first.name, first.means, *ends, number(max(i.u for i in items)), first.unit, ""])
+    head = ["error", "what it is", "value", "to", "± U", "unit", "beyond noise"]
+    return Table(head, rows, "Errors of several set-ups: from the smallest to the largest.", words=(0, 1, 5, 6))
 
 
 def grid_facts(r: GridReport) -> dict[str, object]:
@@ -114,7 +142,7 @@ def grid_facts(r: GridReport) -> dict[str, object]:
 
 def _where(s: GridSetup) -> str:
     origin = ", ".join(f"{d.lower()} {x:g}" for d, x in zip("XYZ", s.setup.origin_mm, strict=True))
-    return f"plane {s.setup.plane}, plate's middle at {origin}; {len(s.edges)} straight pieces"
+    return f"plane {s.setup.plane}, centre of the plate at {origin}; {counted(len(s.edges), 'straight piece')}"
 
 
 def _table(items: Sequence[Item]) -> Table:

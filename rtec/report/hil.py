@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
 from rtec.report.figures import GREY, KINDS, as_png, stacked
-from rtec.report.page import Figure, Page, Section, Table, number, plain
+from rtec.report.page import Figure, Page, Section, Table, plain
+from rtec.wording import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure

@@ -1,31 +1,32 @@
-"""The history of a model: every change, what it bought, and the staircase of the error falling."""
+"""The history of a model: every change, the error before and after it, and the staircase of the error falling."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rtec.diagnosis.usable import apart
 from rtec.diagnosis.words import UNITS
 from rtec.model import Model
-from rtec.report.page import Figure, Page, Section, Table, number
+from rtec.report.page import Figure, Page, Section, Table
+from rtec.wording import NONE, counted, number, percent, two_numbers
 
 
 def history_page(model: Model, figures: bool = True) -> Page:
-    """Every change of a model and what it bought."""
+    """Every change of a model with the error before and after it."""
     steps = steps_of(model)
     if not steps:
-        lead = "This model has no history: it was written by hand, or fitted before histories were kept."
+        lead = "This model has no history: it was written by hand, or fitted by an old version."
         return Page(f"History of {model.name}", lead, [], [])
     last, errors = steps[-1], rescaled(steps)
-    # A refit alone begins with what the model left as it stood.
+    # A refit alone begins with the residual of the model as it was.
     begun = errors[0] if len(steps) > 1 or steps[0]["before"] is None else steps[0]["before"]
     unit = UNITS.get(last["unit"], last["unit"])
-    fell = f"{errors[-1]:.3g} {unit}" if begun == errors[-1] else f"from {begun:.3g} to {errors[-1]:.3g} {unit}"
-    lead = f"{len(steps)} {'entry' if len(steps) == 1 else 'entries'}: {fell} on runs left out of the fit."
+    fell = number(errors[-1]) if begun == errors[-1] else " to ".join(two_numbers(begun, errors[-1]))
+    went = "is" if begun == errors[-1] else "fell from"
+    lead = f"{counted(len(steps), 'change')}: the residual on held-out runs {went} {fell} {unit}."
     return Page(f"History of {model.name}", lead, [], history_sections(model, figures))
 
 
 def steps_of(model: Model) -> list[dict[str, Any]]:
-    """Entries of a model's history that know their error on runs left out."""
+    """Entries of a model's history that know their error on held-out runs."""
     out: list[dict[str, Any]] = []
     for entry in model.history:
         after = entry.get("rms_after", entry.get("rms_held_out"))
@@ -65,8 +66,8 @@ def _same_data(entry: Mapping[str, Any], model: Model, before: Sequence[Mapping[
 def rescaled(steps: Sequence[Mapping[str, Any]]) -> list[float]:
     """Errors after each step, all in the yardstick of the last.
 
-    In multiples of the noise the yardstick is found anew at every step: a model that misses much takes a part of it
-    for noise. What the step before left is then what this one began with.
+    In multiples of the noise the yardstick is re-estimated at every step: a model that lacks much takes a part of it
+    for noise. The error after the step before is then that before this one.
     """
     out = [float(s["error"]) for s in steps]
     for i in range(len(steps) - 1, 0, -1):
@@ -83,48 +84,51 @@ def history_sections(model: Model, figures: bool) -> list[Section]:
     if not steps:
         return []
     rows = [_step_row(s) for s in steps]
-    head = ("change", "before", "after", "mean square falls by", "noise floor", "unit")
-    table = Table(head, rows, "Root mean squares on runs left out of the fit.", words=(0, 5))
-    words = [_bought(s) for s in steps if s["before"] is not None]
-    said = "'before' is not the 'after' of the row above:"
-    words += [f"{s['name']}: {said} it was judged on other measurements." for s in steps if s["other_data"]]
-    words += [f"{s['name']}: {said} {_anew(steps, i)}" for i, s in enumerate(steps) if s["noise_anew"]]
+    head = ("change", "before", "after", "falls by", "noise floor", "unit")
+    table = Table(head, rows, "Root mean squares on held-out runs; falls by: of the mean square.", words=(0, 5))
+    words = [_changed(s) for s in steps if s["before"] is not None]
+    words += [f"{s['name']}: {OTHER_START} other measurements were used." for s in steps if s["other_data"]]
+    words += [f"{s['name']}: {OTHER_START} {_moved(steps, i)}" for i, s in enumerate(steps) if s["noise_anew"]]
     words += [_passed_over(s) for s in steps if s["passed_over"]]
     return [Section("The error falling", words, table, _staircase(steps) if figures else None)]
 
 
-def _anew(steps: Sequence[Mapping[str, Any]], i: int) -> str:
+OTHER_START = "'before' differs from 'after' in the row above:"
+
+
+def _moved(steps: Sequence[Mapping[str, Any]], i: int) -> str:
     """Why the same measurements give another error before this step than after the last."""
     now, last = steps[i], steps[i - 1]
     if now["unit"] == "noise":
         return (
-            "the noise that errors are counted in was found anew, without what the model missed; "
-            f"{last['error']:.3g} times the noise as known then are {now['before']:.3g} times the noise as known now."
+            "the noise was re-estimated without the effect that the model lacked; "
+            f"{number(last['error'])} × the noise of then is {number(now['before'])} × the noise of now."
         )
     if last["name"] == "fit":
-        return "the same measurements, but a fit leaves out other parts of them and weighs them otherwise."
-    return "the same measurements, but their noise, and so their weights, were found anew."
+        return "a fit holds out other parts of the same measurements and weighs them otherwise."
+    return "the noise of the same measurements, and so their weights, were re-estimated."
 
 
 def _passed_over(s: Mapping[str, Any]) -> str:
     names = ", ".join(str(r.get("effect", "?")) for r in s["passed_over"])
     tests = dict.fromkeys(str(r["separating_test"]) for r in s["passed_over"] if r.get("separating_test"))
-    tell = f" What tells them apart: {'; '.join(list(tests)[:2])}." if tests else ""
-    return f"{s['name']}: these readings cannot tell it from {names}, passed over.{tell}"
+    way = f" To separate them: {'; '.join(list(tests)[:2])}." if tests else ""
+    return f"{s['name']}: cannot be distinguished from {names} by these data.{way}"
 
 
 def _step_row(s: Mapping[str, Any]) -> list[str]:
     before = s["before"]
-    fall = "–" if not before else f"{1.0 - (s['error'] / before) ** 2:.0%}"
-    floor = "–" if s["floor"] is None else number(float(s["floor"]), 3)
+    fall = NONE if not before else percent(1.0 - (s["error"] / before) ** 2)
+    floor = NONE if s["floor"] is None else number(float(s["floor"]))
     unit = UNITS.get(s["unit"], s["unit"])
-    return [s["name"], "–" if before is None else number(before, 3), number(s["error"], 3), fall, floor, unit]
+    start, end = (NONE, number(s["error"])) if before is None else two_numbers(before, s["error"])
+    return [s["name"], start, end, fall, floor, unit]
 
 
-def _bought(s: Mapping[str, Any]) -> str:
+def _changed(s: Mapping[str, Any]) -> str:
     unit = UNITS.get(s["unit"], s["unit"])
-    before, after = apart(s["before"], s["error"])
-    return f"{s['name']}: {before} {unit} became {after}."
+    before, after = two_numbers(s["before"], s["error"])
+    return f"{s['name']}: {before} {unit} before, {after} {unit} after."
 
 
 def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from importlib import resources
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -53,13 +54,35 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A report: title, the one sentence that matters, big numbers, sections, small print."""
+    """A report.
+
+    Attributes:
+        title: of the page.
+        lead: the verdict, in one or two sentences.
+        numbers: big numbers, each with its meaning.
+        sections: everything else.
+        foot: small print.
+        brief: one short table, which a terminal shows below the verdict instead of the sections.
+        next: commands to type next, best first.
+    """
 
     title: str
     lead: str
     numbers: Sequence[tuple[str, str]]
     sections: Sequence[Section]
     foot: Sequence[str] = field(default_factory=tuple)
+    brief: Section | None = None
+    next: Sequence[str] = field(default_factory=tuple)
+
+    @property
+    def first_figure(self) -> Figure | None:
+        """The figure that shows most; None on a page without figures."""
+        return next((s.figure for s in self.sections if s.figure), None)
+
+
+def typed(*words: object) -> str:
+    """A command as it is typed into a shell."""
+    return " ".join(quote(str(word)) for word in words)
 
 
 def render(page: Page) -> str:
@@ -92,20 +115,14 @@ def plain(value: Any) -> Any:
     return value
 
 
-def number(value: float, digits: int = 2) -> str:
-    """A number for a table; a dash for none."""
-    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
-
-
 def note_words(notes: Mapping[str, Sequence[str]]) -> list[str]:
-    """What was said of measurements as they were read, a sentence each: nothing missing or accepted stays unsaid."""
+    """The notes of each measurement in one sentence: what is missing in it, and what was accepted."""
     return [f"{name}: {'; '.join(said)}." for name, said in notes.items() if said]
 
 
 def with_notes(page: Page, notes: Mapping[str, Sequence[str]]) -> Page:
-    """The page with what was said of its measurements at the end; the same page where nothing was."""
-    words = note_words(notes)
-    return replace(page, sections=[*page.sections, Section("Said of the measurements", words)]) if words else page
+    """The page with the notes of its measurements in the small print, which a terminal does not show."""
+    return replace(page, foot=[*note_words(notes), *page.foot])
 
 
 def write_page(page: Page, facts: object, folder: Path) -> Path:

@@ -8,7 +8,8 @@ from rtec.metrology.procedures.drift import Approach, Drift, Phase, PhaseFit, Tr
 from rtec.metrology.procedures.iso230_2 import Positioning
 from rtec.metrology.procedures.straightness import Parallelism, Straightness
 from rtec.report import procedures_figures as draw
-from rtec.report.page import Figure, Page, Section, Table, number
+from rtec.report.page import Figure, Page, Section, Table
+from rtec.wording import number
 
 Floats = NDArray[np.float64]
 ISO230_FORMULAS = (

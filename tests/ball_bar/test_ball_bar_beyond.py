@@ -93,11 +93,11 @@ def test_one_feed_does_not_tell_the_servo_from_geometry_and_says_so() -> None:
     page = ball_bar_page(d, figures=False)
     said = " ".join(" ".join(s.text) for s in page.sections)
     assert (
-        "All tests were run at one feed, 1000 mm/min, which cannot tell servo delay mismatch X-Y from servo phase"
+        "All tests were run at one feed, 1000 mm/min, which cannot separate servo delay mismatch X-Y from servo phase"
         in said
     )
     assert "servo gain error of X from position scale X" in said
-    assert "To tell them apart: test1 again at 3000 mm/min; it shows servo delay mismatch X-Y, servo gain error" in said
+    assert "To separate them: test1 again at 3000 mm/min; it shows servo delay mismatch X-Y, servo gain error" in said
 
 
 def test_two_feeds_tell_the_servo_from_geometry() -> None:

@@ -258,8 +258,8 @@ def test_command_for_ball_bars(tmp_path: Path, capsys: pytest.CaptureFixture[str
     words = write(tmp_path, one=ONE, two=(30.0, 146.969, "cw"))
     assert status(["plan", *words]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "These tests tell all 10 parameters apart." in shown
-    assert f"No circle in this plane tells these apart: {PHI_X}, {PSI_Y}" in shown
+    assert "These tests separate all 10 parameters." in shown
+    assert f"No circle in this plane separates these: {PHI_X}, {PSI_Y}" in shown
 
 
 def test_command_ranks_what_tells_the_confounded_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

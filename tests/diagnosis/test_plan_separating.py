@@ -215,7 +215,7 @@ def test_command_ranks_tests_for_rivals(tmp_path: Path, capsys: pytest.CaptureFi
     assert hours == sorted(hours)
     assert status(words) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "What tells the rivals apart, best first" in shown
+    assert "Tests that separate the rivals, best first" in shown
     assert found[0]["test"] in shown
 
 
@@ -224,7 +224,7 @@ def test_where_no_test_tells_the_rivals_apart_that_is_said(gain: float, rows: in
     """Oracle: odds of 1 and of 5 to 1, both below the 20 that tell apart; even odds name no test."""
     test = Extra("laser along X", laser([SCALE], 1), 1.0)
     (section,) = separator_sections([Separator(test, (Pair("a", "b", gain, 0.0),))])
-    assert "No single test of this machine tells any two of them apart" in section.text[1]
+    assert "No single test on this machine separates any two of them" in section.text[1]
     assert (len(section.table.rows) if section.table else 0) == rows
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
-from rtec.diagnosis.usable import apart, check_enough, check_finite, unsure
+from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
 from rtec.diagnosis.wrong_scale import check_scales
 from rtec.effects import Effect, all_effects, effect_class
@@ -35,6 +35,7 @@ from rtec.model.fit import Margin
 from rtec.model.model import names_of
 from rtec.parallel import one_blas_thread
 from rtec.tomlfile import nearest, validated
+from rtec.wording import two_numbers
 
 TOLD = 4
 
@@ -317,7 +318,7 @@ def _judged(
 
 def refused(added: Added) -> str:
     """Why an addition is not worth its place, in words."""
-    before, after = apart(added.before.held_out, added.after.held_out)
+    before, after = two_numbers(added.before.held_out, added.after.held_out)
     if added.after.held_out < added.before.held_out:
         return f"the error on runs left out falls from {before} to {after}, which is next to nothing"
     return f"the error on runs left out rises from {before} to {after}"

@@ -189,7 +189,7 @@ def _better(straight: Fitted, bent: Fitted) -> float:
 
 Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0
-LEFT = "left over"
+LEFT = "residual"
 """Name among the shares of what no cause explains."""
 
 

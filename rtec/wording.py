@@ -1,0 +1,80 @@
+"""Numbers and counts as people read them: plain decimals, the same digits for the same kind, no -0.00, no 2e+01.
+
+Every text for people takes its numbers from here; files and JSON keep all digits.
+"""
+
+import math
+
+NONE = "–"
+LEAST_SHARE = 0.0005
+"""A share nearer to none or all than this is neither."""
+
+
+def number(value: float, digits: int = 2, *, sign: bool = False) -> str:
+    """A number with so many decimals, for a column or for errors in µm and µrad; a dash for none.
+
+    Args:
+        value: what is shown.
+        digits: decimals.
+        sign: whether a plus is shown.
+    """
+    if not math.isfinite(value):
+        return NONE
+    rounded = round(value, digits) + 0.0  # no negative zero
+    return f"{rounded:+.{digits}f}" if sign else f"{rounded:.{digits}f}"
+
+
+def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
+    """A number with so many significant digits and no exponent: 20, 0.0124; a dash for none."""
+    if not math.isfinite(value):
+        return NONE
+    if value == 0.0:
+        return "0"
+    decimals = digits - 1 - math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    return number(round(value, decimals), max(decimals, 0), sign=sign)
+
+
+def with_error(value: float, error: float | None) -> tuple[str, str]:
+    """A fitted value and its standard error: the error with two significant digits, the value with the same decimals.
+
+    Where the error is not known, or none, the value has four significant digits and the error is a dash.
+    """
+    if error is None or not math.isfinite(error) or error <= 0.0:
+        return significant(value, 4), NONE
+    text = significant(error, 2)
+    return number(value, len(text.partition(".")[2])), text
+
+
+def two_numbers(one: float, two: float) -> tuple[str, str]:
+    """Two errors in µm or µrad with two decimals, or with so many that their difference shows; at most eight."""
+    pairs = ((number(one, digits), number(two, digits)) for digits in range(2, 9))
+    return next((pair for pair in pairs if pair[0] != pair[1]), (number(one), number(two)))
+
+
+def percent(share: float) -> str:
+    """A share as a percentage: "97 %", "5.2 %"; neither 0 nor 100 where it is neither."""
+    if not math.isfinite(share):
+        return NONE
+    if 0.0 < share < LEAST_SHARE:
+        return "< 0.1 %"
+    if 1.0 - LEAST_SHARE < share < 1.0:
+        return "> 99.9 %"
+    value = 100.0 * share
+    whole = abs(value) >= 9.95 and not 99.5 <= value < 100.0
+    return f"{number(value, 0 if whole or value == 0.0 else 1)} %"
+
+
+def probability(p: float) -> str:
+    """A probability as a percentage; never none, never certain."""
+    return percent(min(max(p, 1e-9), 1.0 - 1e-9))
+
+
+def counted(n: int, what: str, several: str = "") -> str:
+    """So many things: "1 log", "3 logs", "2 entries".
+
+    Args:
+        n: how many.
+        what: one of them.
+        several: its plural, where that is not with an s.
+    """
+    return f"{n} {what if n == 1 else several or what + 's'}"
