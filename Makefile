@@ -13,7 +13,7 @@ override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: install check-paths install-venv install-files uninstall help demo test lint check bench soak fuzz discovery proof figures lock format clean
+.PHONY: install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -45,6 +45,9 @@ bench: $(STAMP)  ## speed, each figure beside what it is measured against
 
 soak: $(STAMP)  ## half an hour against simulated hardware with faults by chance; MINUTES=, SEED=, SHARED=--shared
 	$(BIN)/rtec hil configs/hil.toml --soak $(MINUTES) --seed $(SEED) $(SHARED) --report out/soak
+
+attack: $(STAMP)  ## ten minutes of kills, faults, hostile clients and spoilt files; fails on any loss; MINUTES=
+	$(BIN)/python -m tests.attack $(if $(filter file,$(origin MINUTES)),10,$(MINUTES))
 
 fuzz: $(STAMP)  ## a million spoilt inputs for every reader of text from outside; INPUTS=, SEED=
 	$(BIN)/python -m tests.fuzz $(INPUTS) $(SEED)

@@ -20,4 +20,4 @@ def clean_lines(text: str) -> str:
 def _shown(character: str) -> str:
     if character.isprintable() or unicodedata.category(character) == "Zs":
         return character
-    return character.encode("unicode_escape").decode()
+    return ascii(character)[1:-1]

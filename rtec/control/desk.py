@@ -1,6 +1,5 @@
 """Answers requests, whatever line they came by: who may what, and what was said before is not carried out again."""
 
-import dataclasses
 import secrets
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -150,7 +149,7 @@ class Desk:
         status, model = self.daemon.status, self.daemon.setup.model
         total, newest = self.daemon.recent_events(EVENTS)
         age_s = (self.clock.now_ns() - status.time_ns) * 1e-9 if status.time_ns else None
-        facts = {**dataclasses.asdict(status), "flags": [f.name for f in status.flags], "reasons": status.reasons}
+        facts = {**vars(status), "flags": [f.name for f in status.flags], "reasons": status.reasons}
         content = {
             **self.origin,
             "model": model.name,
@@ -158,8 +157,8 @@ class Desk:
             "status": facts,
             "status_age_s": age_s,
             "events_total": total,
-            "events": [dataclasses.asdict(event) for event in newest],
-            "control": dataclasses.asdict(self.tally),
+            "events": [vars(event) for event in newest],
+            "control": vars(self.tally),
         }
         return {key: numbers(value) for key, value in content.items()}
 

@@ -6,6 +6,7 @@ and requests are limited, nobody waits for anybody, and a new client always find
 """
 
 import asyncio
+import itertools
 import os
 import pwd
 import socket
@@ -32,10 +33,14 @@ MOST_CONNECTIONS: Final = 256
 """To the local socket. One more, and the one that has been idle for longest is closed, of whoever has most."""
 MOST_SCRAPES: Final = 16
 """Connections of Prometheus at a time; the same rule."""
-REQUEST_NS: Final = 2_000_000
-"""Requests and new connections of all clients together are taken no faster than this, one behind the other."""
+REQUEST_NS: Final = 5_000_000
+"""Requests of all clients together are answered no faster than this, one behind the other."""
+CONNECTION_NS: Final = 2_000_000
+"""So are new connections taken."""
 BURST_NS: Final = 50_000_000
 """So far ahead of that pace may they be."""
+AT_ONCE: Final = 4
+"""The first requests of a connection do not wait behind those of others: enough for an order."""
 LARGEST_BUFFER: Final = 65536
 """Bytes that wait for a client that does not read."""
 SLOW_S: Final = 5.0
@@ -90,15 +95,16 @@ class Pace:
 
     Args:
         clock: monotonic.
+        period_ns: of one.
     """
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock, self._due_ns = clock, 0
+    def __init__(self, clock: Clock, period_ns: int) -> None:
+        self._clock, self._period_ns, self._due_ns = clock, period_ns, 0
 
     async def turn(self) -> None:
         """Wait for one's turn."""
         now_ns = self._clock.now_ns()
-        self._due_ns = max(self._due_ns, now_ns) + REQUEST_NS
+        self._due_ns = max(self._due_ns, now_ns) + self._period_ns
         await asyncio.sleep(max(0, self._due_ns - now_ns - BURST_NS) * 1e-9)
 
 
@@ -153,7 +159,7 @@ class Control:
         self._http: socket.socket | None = None
         self._thread = KeptThread(daemon.parts.add("control", essential=self._table.local), self._work)
         self._end: Callable[[], object] | None = None
-        self._pace, self._number = Pace(clock), 0
+        self._pace, self._number = Pace(clock, REQUEST_NS), 0
 
     def __enter__(self) -> Self:
         try:
@@ -213,7 +219,7 @@ class Control:
 
     async def _accept(self, listener: socket.socket, guests: Guests, serve: Serve) -> None:
         listener.setblocking(False)
-        pace = Pace(self._clock)
+        pace = Pace(self._clock, CONNECTION_NS)
         while True:
             await pace.turn()
             try:
@@ -244,12 +250,13 @@ class Control:
     async def _talk(self, line: Line, reader: asyncio.StreamReader) -> None:
         self._number += 1
         line.peer = Peer(_user(line.uid), "operate", b"%d" % self._number)
-        while True:
+        for count in itertools.count():
             try:
                 message = await reader.readuntil(b"\n")
             except asyncio.LimitOverrunError:
                 message = b" " * (LARGEST_REQUEST + 1)
-            await self._pace.turn()
+            if count >= AT_ONCE:
+                await self._pace.turn()
             line.used_ns = self._clock.now_ns()
             await self._send(line, self.desk.answer(message, line.peer) + b"\n")
             if len(message) > LARGEST_REQUEST:

@@ -1,5 +1,5 @@
 """Deadlines that the loop misses at 1 kHz: quiet, with the supervisor stopped, with a log disk that stalls, with
-a hundred subscribers."""
+a hundred subscribers, with hostile clients."""
 
 import json
 import os
@@ -12,21 +12,24 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rtec.control.places import socket_path
 from rtec.daemon.supervisor import Supervisor
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup
 from tests.bench.table import Row
 from tests.support import setups
-from tests.support.control_rig import Line
+from tests.support.control_rig import Line, free_place
 
 SECONDS = 10.0
 DISTURBED_S = 5.0
 BEFORE_S = 2.0
 TURNS = 2
 SUBSCRIBERS = 100
+HOSTILE = ("1100 idle connections", "requests, answers unread", "connections that come and go", "slow scrapes")
 SLACK_MISSES = 5
 """What two quiet runs differ by on a computer that does other things too."""
 
@@ -40,6 +43,7 @@ def rows() -> list[Row]:
         f"supervisor stopped for {DISTURBED_S:g} s": _stopped,
         f"log disk stalled for {DISTURBED_S:g} s": _stalled,
         f"{SUBSCRIBERS} subscribers for {DISTURBED_S:g} s": _subscribed,
+        **{f"{name}, for {DISTURBED_S:g} s": partial(_attacked, name) for name in HOSTILE},
     }
     found: dict[str, list[Facts]] = {name: [] for name in runs}
     for _ in range(TURNS):
@@ -95,6 +99,19 @@ def _subscribed(folder: Path) -> Facts:
     return _elsewhere(folder, disturb)
 
 
+def _attacked(name: str, folder: Path) -> Facts:
+    """A hostile client of `make attack`, on processors that it leaves to others, as one on another computer does."""
+    place = free_place()
+
+    def disturb(config: Path, pid: int) -> str:
+        del pid
+        words = ("-m", "tests.attack.clients", name, str(socket_path(config)), place, str(DISTURBED_S))
+        subprocess.run(["nice", "-n", "19", sys.executable, *words], stderr=subprocess.DEVNULL, check=True)
+        return ""
+
+    return _elsewhere(folder, disturb, control={"prometheus": place})
+
+
 def _listen(config: Path) -> tuple[int, int]:
     """Attach; give how many heard anything, and how many statuses all of them heard together."""
     clock, heard = RealClock(), [0] * SUBSCRIBERS
@@ -111,9 +128,9 @@ def _listen(config: Path) -> tuple[int, int]:
     return sum(n > 0 for n in heard), sum(heard)
 
 
-def _elsewhere(folder: Path, disturb: Callable[[Path, int], str]) -> Facts:
+def _elsewhere(folder: Path, disturb: Callable[[Path, int], str], **tables: dict[str, Any]) -> Facts:
     """`rtec run` as a process, disturbed after a while; what the disturbance says goes with the facts."""
-    config = setups.write(folder, setups.tables(folder))
+    config = setups.write(folder, {**setups.tables(folder), **tables})
     command = [sys.executable, "-m", "rtec.cli.main", "run", str(config), "--json", "--duration", str(SECONDS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None

@@ -1,0 +1,1 @@
+"""An attack from outside on everything that listens, reads or can be pulled out: `make attack`."""
