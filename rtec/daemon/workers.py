@@ -41,7 +41,9 @@ from rtec.machine import Machine
 LOOK_NS: Final = 10_000_000
 """While the worker opens its device, it is looked at so often."""
 OPENS_NS: Final = 20_000_000_000
-"""Opening may take so long."""
+"""Opening may take so long, counted from when the worker begins with it."""
+BEGINS_NS: Final = 120_000_000_000
+"""So long may a new process take until it begins: a busy or slow computer reads its programs from the disk."""
 SILENT_NS: Final = 1_000_000_000
 """A worker that shows no life for so long is told as silent."""
 ERRORS: Final = {kind.__name__: kind for kind in (DriverError, DriverUnavailable, DriverTimeout, DriverFault)}
@@ -67,8 +69,8 @@ class WorkerPort:
         Raises:
             DriverUnavailable: it could not, or does not say.
         """
-        memory, end_ns = self._memory, self._clock.now_ns() + OPENS_NS
-        while memory.state == STARTING and not memory.said.read() and self._clock.now_ns() < end_ns:
+        memory, begun_ns = self._memory, self._clock.now_ns()
+        while memory.state == STARTING and not memory.said.read() and not late(memory, begun_ns, self._clock):
             self._clock.sleep_until_ns(self._clock.now_ns() + LOOK_NS)
         if memory.state != OPEN:
             why = memory.told.read().get("open") or memory.said.read().get("worker")
@@ -124,6 +126,13 @@ class WorkerPort:
             raise ERRORS.get(wrong[0], DriverFault)(wrong[1])
 
 
+def late(memory: Published, begun_ns: int, clock: Clock) -> bool:
+    """Has a worker shown no life for longer than it may? It was started, or waited for, at `begun_ns`."""
+    if not memory.heartbeat_ns:
+        return clock.now_ns() - begun_ns > BEGINS_NS
+    return clock.now_ns() - memory.heartbeat_ns > OPENS_NS
+
+
 def worker_ports(memories: Mapping[str, Published], machine: Machine, clock: Clock) -> dict[str, WorkerPort]:
     """The loop's ports, by device."""
     return {name: WorkerPort(name, m, len(machine.sensor_names), clock) for name, m in memories.items()}
@@ -166,6 +175,7 @@ def work(task: Task) -> None:
     # A worker that is stopped or hangs cannot look for its parent; the kernel can.
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     clock, memory = RealClock(), task.memory
+    memory.heartbeat_ns = clock.now_ns()
     with ExitStack() as stack:
         try:
             device: Any = make_device(task.name, task.table, task.machine, clock, task.path)
@@ -224,8 +234,6 @@ class _Desk:
         memory.told.write(wrong)
 
 
-HANGS_NS: Final = OPENS_NS
-"""A worker that shows no life for so long is killed and started again; opening may take that long too."""
 STOP_TIMEOUT_S: Final = 3.0
 
 
@@ -250,13 +258,13 @@ class Kept:
 
     def look(self, again: bool) -> None:
         """See how it does; start it again when its time has come, where that is asked for."""
-        now_ns, memory = self._clock.now_ns(), self._task.memory
+        memory = self._task.memory
         if self._process is None:
             if again and self._part.due:
                 self.start()
         elif not self._process.is_alive():
             self._ended(again)
-        elif now_ns - max(memory.heartbeat_ns, self._begun_ns) > HANGS_NS:
+        elif late(memory, self._begun_ns, self._clock):
             self._process.kill()
         elif memory.state == OPEN and memory.said.read():
             memory.said.write({})

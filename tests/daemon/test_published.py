@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rtec.daemon.published import FAILED, NEVER, OPEN, Published, Reader
-from rtec.daemon.workers import WorkerPort
+from rtec.daemon.workers import BEGINS_NS, OPENS_NS, WorkerPort, late
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 
@@ -160,3 +160,18 @@ def test_the_memory_goes_with_its_last_user() -> None:
     memory.close()
     del memory
     assert mine() == before
+
+
+def test_a_new_process_gets_longer_to_begin_than_its_device_to_open() -> None:
+    """A busy computer takes half a minute to load programs; a port that hangs is given up after 20 s."""
+    memory, clock = Published.create(1), VirtualClock(10**12)
+    begun_ns = clock.now_ns()
+    clock.sleep_until_ns(begun_ns + BEGINS_NS)
+    assert not late(memory, begun_ns, clock)
+    clock.sleep_until_ns(begun_ns + BEGINS_NS + 1)
+    assert late(memory, begun_ns, clock)
+    memory.heartbeat_ns = clock.now_ns()
+    clock.sleep_until_ns(clock.now_ns() + OPENS_NS)
+    assert not late(memory, begun_ns, clock)
+    clock.sleep_until_ns(clock.now_ns() + 1)
+    assert late(memory, begun_ns, clock)

@@ -61,10 +61,14 @@ def encoders(channel: str, bits: int = 32) -> Iterator[FakeEncoders]:
         fake.close()
 
 
+PATIENT_MS = 1000.0
+"""Longer than a busy computer keeps the encoders' thread waiting."""
+
+
 def table(channel: str, **more: Any) -> dict[str, Any]:
     axis = {"map": ["u32"], "max_speed_mm_s": 400.0}
     axes = {"X": {**axis, "node": 10}, "Z": {**axis, "node": 11}}
-    return {"interface": "virtual", "channel": channel, "axis": axes, "timeout_ms": 50.0, **more}
+    return {"interface": "virtual", "channel": channel, "axis": axes, "timeout_ms": PATIENT_MS, **more}
 
 
 def driver(channel: str, **more: Any) -> CanEncodersDriver:
@@ -80,10 +84,10 @@ def cycle(device: CanEncodersDriver) -> tuple[tuple[int, ...], int]:
 
 def first(device: CanEncodersDriver) -> tuple[int, ...]:
     """The first reading that there is."""
-    for _ in range(1000):
+    for _ in range(20_000):
         with suppress(DriverTimeout):
             return cycle(device)[0]
-    raise AssertionError("no reading within 1000 cycles")
+    raise AssertionError("no reading within 20 000 cycles")
 
 
 def cycles(device: CanEncodersDriver, count: int) -> None:
@@ -135,7 +139,7 @@ def test_counters_go_round(channel: str, bits: int) -> None:
 
 
 def test_one_encoder_that_is_silent_is_told_and_comes_back(channel: str) -> None:
-    with encoders(channel) as fake, driver(channel) as device:
+    with encoders(channel) as fake, driver(channel, timeout_ms=50.0) as device:
         first(device)
         fake.mute = {11}
         with pytest.raises(DriverTimeout, match=r"no new positions within 50 ms \(waiting for Z\)"):
@@ -158,15 +162,16 @@ def test_a_jump_that_stays_needs_an_order(channel: str) -> None:
 
 
 def test_without_sync_the_reading_is_as_old_as_its_oldest_frame(channel: str) -> None:
-    """Oracle: the instants at which the two frames were sent, 30 ms apart."""
+    """Oracle: the instants at which the two frames were sent, 0.3 s apart."""
     with can.Bus(interface="virtual", channel=channel) as bus, driver(channel, sync=False, timeout_ms=1000.0) as device:
         before_ns = CLOCK.now_ns()
         bus.send(frame(0x18A, (111).to_bytes(4, "little")))
         after_ns = CLOCK.now_ns()
-        CLOCK.sleep_until_ns(after_ns + 30 * MS)
+        CLOCK.sleep_until_ns(after_ns + 300 * MS)
+        second_ns = CLOCK.now_ns()
         bus.send(frame(0x18B, (222).to_bytes(4, "little")))
         assert first(device) == (111, 222)
-        assert before_ns <= cycle(device)[1] <= after_ns + 20 * MS
+        assert before_ns <= cycle(device)[1] < second_ns
         assert bus.recv(0.05) is None  # nothing was sent, SYNC neither
 
 

@@ -209,7 +209,10 @@ def test_a_box_reset_while_the_cable_was_out(tmp_path: Path) -> None:
 
 
 def test_wrong_bits_and_garbage_on_a_real_port(tmp_path: Path) -> None:
-    """One frame in a hundred is wrong, garbage goes before each: what is read is right, what is commanded arrives."""
+    """One frame in a hundred is wrong, garbage goes before each: what is read is right, what is commanded arrives.
+
+    Each wrong frame costs a reading; on a busy computer some more come too late.
+    """
     with box_on_pty(tmp_path) as (peer, _, plant), on(tmp_path) as driver:
         soon(CLOCK, lambda: counts_of(driver))
         with peer.lock:
@@ -222,7 +225,7 @@ def test_wrong_bits_and_garbage_on_a_real_port(tmp_path: Path) -> None:
             except DriverTimeout:
                 failed += 1
             driver.apply(np.array([k // 30, 0]))
-        assert 0 < peer.faults.garbled == failed
+        assert 0 < peer.faults.garbled <= failed < 400
         assert soon(CLOCK, lambda: carried_out(driver, 13, 0))
 
 

@@ -20,9 +20,16 @@ from tests.support import setups
 SPEED = {"X": 400.0, "Z": 400.0}
 
 
-def run_file(folder: Path, role: Mapping[str, Any], device: Mapping[str, Any], **more: Any) -> Path:
+CALM_HZ = 10.0
+"""A cycle so long that no reading is too slow for it, however busy this computer is."""
+
+
+def run_file(
+    folder: Path, role: Mapping[str, Any], device: Mapping[str, Any], rate_hz: float | None = None, **more: Any
+) -> Path:
     """A run file with these devices; the model reads T_spindle_front and T_bed."""
     tables = setups.tables(folder)
+    tables["run"] |= {} if rate_hz is None else {"rate_hz": rate_hz}
     return setups.write(folder, {**tables, "role": dict(role), "device": dict(device), **more})
 
 
