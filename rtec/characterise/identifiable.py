@@ -24,7 +24,7 @@ def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
     if blind:
         raise ModelError(
             f"fit: no reading shows {names(terms, blind)}; nothing that it depends on was there, "
-            "or the instrument cannot tell it from its own zero"
+            "or the instrument takes it up in its own zero"
         )
     sets = []
     for owners, nuisances in blind_sets(normal):
@@ -32,7 +32,9 @@ def check_seen(normal: Normal, terms: Sequence[Term]) -> None:
         sets.append(", ".join([*([said] if said else []), *nuisances]))
     if any(sets):
         raise ModelError(
-            "\n".join(f"fit: the readings cannot tell these apart: {s}" for s in dict.fromkeys(sets))
+            "\n".join(
+                f"fit: these cannot be distinguished by the readings (confounded): {s}" for s in dict.fromkeys(sets)
+            )
             + "\nleave one out, or measure where they differ"
         )
 

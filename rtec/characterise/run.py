@@ -112,7 +112,7 @@ def _choose(screened: Screened, wanted: Wanted | None, tell: Stage) -> Choice:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t))
     forced = [i for i, c in enumerate(candidates) if wanted is not None and _asked(c.term.effect, c.kind)]
-    return choose(normal, candidates, forced, lambda d, t: tell("choosing on left-out runs", d, t))
+    return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t))
 
 
 def _asked(effect: Effect, kind: str) -> bool:
@@ -142,8 +142,8 @@ def _sure(
             return fit
         chosen = [t for i, t in enumerate(chosen) if i != min(idle)[1]]
     raise ModelError(
-        "fit: no effect lowers the error on left-out runs for sure: the readings are noise, or show what no effect "
-        "describes; name effects with --effects to fit them nonetheless"
+        "fit: no effect lowers the error on held-out runs significantly: the readings are noise, or show an error that "
+        "no effect describes; name effects with --effects to fit them nonetheless"
     )
 
 

@@ -18,6 +18,7 @@ from rtec.characterise.source import Source, moves, reads
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 
@@ -131,13 +132,13 @@ def _left_over(fit: Estimate) -> list[Warn]:
         ratio = float(np.max(left / rough_noise(source)))
         if ratio > LEFT_OVER:
             text = (
-                f"{source.measurement.name}: what is left is {ratio:.1f} times the noise between neighbouring readings"
+                f"{source.measurement.name}: the residual is {ratio:.1f} times the noise between neighbouring readings"
             )
             out.append(
                 Warn(
                     "left_over",
                     text,
-                    "something is missing from the model: look where and when it is left (`--report`)",
+                    "an effect is missing from the model: see where and when the residual is large (`--report`)",
                 )
             )
     return out
@@ -174,7 +175,7 @@ def _ill_conditioned(fit: Estimate) -> list[Warn]:
     return [
         Warn(
             "ill_conditioned",
-            f"condition number {condition:.0f}: hardly told apart: {said}; their sum is known, each alone is not",
+            f"condition number {condition:.0f}: hardly separated: {said}; their sum is known, each alone is not",
             "leave one out, or measure where they differ",
         )
     ]
@@ -226,9 +227,10 @@ def _sign_changes(fit: Estimate) -> list[Warn]:
             out.append(
                 Warn(
                     "sign_change",
-                    f"{term} {name} changes sign between cycles: {values[k]:.3g} over all, but of the other sign in "
-                    f"{int(against.sum())} of {int(told.sum())} left-out parts (as far as {alone[against][0]:.3g})",
-                    "it stands in for something else; look for another cause, or leave it out",
+                    f"{term} {name} changes sign between cycles: {significant(values[k])} over all, but of the other "
+                    f"sign in {int(against.sum())} of {int(told.sum())} held-out parts (as far as "
+                    f"{significant(alone[against][0])})",
+                    "it takes the place of another cause; look for that, or omit it",
                 )
             )
     return out
@@ -275,7 +277,7 @@ def _on_bound(fit: Estimate) -> list[Warn]:
     return [
         Warn(
             "on_bound",
-            f"{label(fit.terms[i])}: {name} = {fit.terms[i].theta[name]:.4g} stands on the bound of the search",
+            f"{label(fit.terms[i])}: {name} = {fit.terms[i].theta[name]:.4g} is on the bound of the search",
             "the effect is not what its equation says; try it without lag, or another effect",
         )
         for i, name in fit.found.on_bound
@@ -302,7 +304,7 @@ def outlier_warnings(outliers: Sequence[Outlier], why: str = "are off") -> list[
         for gone, did in ((True, "left out"), (False, "counted less")):
             rows = [o for o in outliers if o.measurement == name and o.left_out is gone]
             if rows:
-                said = ", ".join(f"row {o.row + 1} of run {o.run} ({o.off:+.3g})" for o in rows[:5])
+                said = ", ".join(f"row {o.row + 1} of run {o.run} ({significant(o.off, sign=True)})" for o in rows[:5])
                 more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
                 text = f"{name}: {len(rows)} readings {why} and were {did}: {said}{more}"
                 out.append(Warn("outliers", text, "look at these rows; if they are real, the model lacks their cause"))

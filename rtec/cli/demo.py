@@ -85,11 +85,10 @@ def _show(story: "Story", page: Path, model_out: Path | None) -> None:
         table.add_row(f"{' ' * len(row[0])}  typical", *row[4:7], "", end_section=True)
     console.print(table)
     console.print(
-        "Diameter and length count from the first, cold part; typical: root mean square; "
-        "NIST: what its guidelines report [G 4].\n",
+        "Diameter and length count from the first, cold part. Typical: root mean square. NIST: its guidelines [G 4].\n",
         markup=False,
     )
-    rest = Table("left uncorrected", "rms, µm", "largest, µm", "why", title="What is left, at the tool tip")
+    rest = Table("uncorrected", "rms, µm", "largest, µm", "why", title="Uncorrected residual at the tool tip")
     facts = story.facts()["left_uncorrected"]
     for row in facts:
         rest.add_row(row["part"], f"{row['rms_um']:.2f}", f"{row['largest_um']:.2f}", row["why"])

@@ -190,7 +190,7 @@ def _temperatures(story: Story) -> Section:
 def _left(story: Story) -> Section:
     rows = story.left.sizes()
     return Section(
-        "What is left uncorrected, and why",
+        "What stays uncorrected, and why",
         [
             *left_sentences(story),
             "Only a simulation can take the rest apart, because it knows the truth. The parts below sum to the tip "
@@ -205,7 +205,7 @@ def _left(story: Story) -> Section:
             "At the tool tip: radial on the cylinder, axial on face and shoulder, counted from the first part.",
             words=(0, 3),
         ),
-        Figure("left-uncorrected.png", figures.shares("What is left at the tool tip", rows), "Sizes of what is left"),
+        Figure("left-uncorrected.png", figures.shares("Residual at the tool tip", rows), "Sizes of the residual"),
     )
 
 

@@ -180,8 +180,8 @@ def by_part_um(track: Track) -> Floats:
 TITLE = "An effect that the model does not know"
 VERDICTS = {
     "named": "The diagnosis named it.",
-    "among those alike": "It is among the effects that the diagnosis says these readings cannot tell apart; where the "
-    "machine was probed they act alike, so any of them corrects it.",
+    "among those alike": "It is among the effects that the diagnosis names as confounded; where the machine was "
+    "probed their effect is the same, so each of them corrects it.",
     "not named": "The diagnosis named nothing, so nothing was added.",
     "wrongly named": "The diagnosis named another effect: it was wrong.",
 }
@@ -238,7 +238,7 @@ def later_sections(later: Later) -> list[Section]:
     out += [_renamed(s, "What the diagnosis saw", "hidden-evidence.png") for s in shown.sections[:1] if s.figure]
     if later.added is not None:
         steps = [s for s in added_page(later.added).sections if s.figure]
-        out += [_renamed(s, "What it bought on readings left out", "hidden-history.png") for s in steps]
+        out += [_renamed(s, "Error on held-out readings before and after", "hidden-history.png") for s in steps]
     return out
 
 

@@ -64,5 +64,5 @@ def check_scales(readings: Readings, predicted: Floats) -> None:
     """
     odd = odd_scales(readings, floor.cleaned(readings, readings.values), floor.cleaned(readings, predicted))
     if odd:
-        way = "put it right in the file; if it is the model that was wrong, fit it anew with `rtec fit`"
+        way = "correct it in the file; if the model was wrong, refit it with `rtec fit`"
         raise MeasurementError("\n".join(f"{said} Nothing was fitted: {way}" for said in odd))

@@ -311,7 +311,7 @@ def _intel(pc: Pc) -> bool:
 HIGHEST = 98
 ENOUGH_BYTES = 4 * 2**30
 """Everything that the process maps counts against the limit, libraries too; a small limit refuses it all."""
-LOG_IN = "log out and in again, or start the service anew; `ulimit -r -l` shows the limits"
+LOG_IN = "log out and in again, or restart the service; `ulimit -r -l` shows the limits"
 
 
 def priority(pc: Pc, wanted: Realtime, user: str) -> Finding:

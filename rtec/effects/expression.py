@@ -78,10 +78,10 @@ class Expression(Effect):
         names = names_in(self.expression)
         both = sorted(set(self.linear) & set(self.free))
         if both:
-            raise ValueError(f"parameter {both[0]!r} stands under both linear and free")
+            raise ValueError(f"parameter {both[0]!r} is under both linear and free")
         unused = [n for n in (*self.linear, *self.free) if n not in names]
         if unused:
-            raise ValueError(f"parameter {unused[0]!r} does not stand in the expression")
+            raise ValueError(f"parameter {unused[0]!r} is not in the expression")
         return self
 
     def check(self, machine: Machine, where: str) -> None:
@@ -215,7 +215,7 @@ def _declared(text: str, names: set[str], machine: Machine) -> tuple[str, dict[s
     if name in machine.channel_names or name in CONSTANTS:
         raise ModelError(f"--param {text!r}: {name!r} is a channel or a constant; choose another name")
     if name not in names:
-        raise ModelError(f"--param {text!r}: {name!r} does not stand in the expression{nearest(name, names)}")
+        raise ModelError(f"--param {text!r}: {name!r} is not in the expression{nearest(name, names)}")
     return name, {"start": start, "low": low, "high": high}
 
 

@@ -90,7 +90,7 @@ class PolynomialPosition(AxisEffect):
         confusions=(
             Confusion(
                 "piecewise_position",
-                "both follow a bent line; few targets cannot tell them apart",
+                "both follow a bent line; few targets do not separate them",
                 "more targets, and compare by evidence",
             ),
             Confusion(
@@ -110,7 +110,7 @@ class PolynomialPosition(AxisEffect):
     @classmethod
     def _distinct(cls, value: tuple[int, ...]) -> tuple[int, ...]:
         if len(set(value)) < len(value):
-            raise ValueError("a degree stands twice")
+            raise ValueError("a degree is given twice")
         return value
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
@@ -328,7 +328,7 @@ class GuideCurvature(Scale):
         confusions=(
             Confusion("scale", "pitch at a fixed height is a scale error", "two heights"),
             Confusion("angular_motion", "an angle that does not grow evenly", "more targets"),
-            Confusion("straightness", "the bow that goes with it", "angular laser beside a straightness laser"),
+            Confusion("straightness", "the bow that comes with it", "angular laser beside a straightness laser"),
         ),
         reveal="angular laser or level; ball bar: third harmonic at two heights",
     )

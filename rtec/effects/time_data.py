@@ -40,7 +40,7 @@ class DailyDrift(_OfTime):
         source="catalogue A6",
         confusions=(
             Confusion("ambient_drift", "the room has its day too", "change the room with a heater, out of step"),
-            Confusion("wear_drift", "less than a day cannot tell a swing from a trend", "two days or more"),
+            Confusion("wear_drift", "less than a day does not separate a swing from a trend", "two days or more"),
         ),
         reveal="levels or probes left in place for two days",
     )
@@ -112,7 +112,7 @@ class MissedCounts(AxisEffect):
         seen_by=("laser_linear", "tool_tip"),
         source="[G 4]: one cycle of the signals is four counts",
         confusions=(
-            Confusion("instrument_drift", "the set-up was knocked or clamped anew", "is q a whole number of counts?"),
+            Confusion("instrument_drift", "the set-up was knocked or clamped again", "is q a whole number of counts?"),
             Confusion("spindle_growth", "a quick warm-up", "move to the index pulse again"),
         ),
         reveal="check of the index pulse; move home again",
@@ -174,7 +174,7 @@ NOT_EFFECTS: dict[str, About] = {
         seen_by=(),
         source="catalogue A6",
         confusions=(Confusion("reversal_spike", "a spike sampled once", "a recording of 1 kHz or more"),),
-        reveal="told with every fit and diagnosis; only isolated readings are left out",
+        reveal="reported with every fit and diagnosis; only isolated readings are excluded",
     ),
 }
 """What looks like an effect and is none: `rtec effects` shows them, a model cannot hold them."""

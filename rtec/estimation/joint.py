@@ -22,6 +22,7 @@ from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect
 from rtec.model.fit import SearchScale
 from rtec.model.model import names_of
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 
@@ -141,7 +142,8 @@ def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[
             error = math.hypot(one.errors.get(name, 0.0), two.errors.get(name, 0.0))
             if 0.0 < APART * error < abs(one.values[name] - value):
                 out.append(
-                    f"{two.label} {name}: {value:.3g} by ordinary, {one.values[name]:.3g} by weighted least squares"
+                    f"{two.label} {name}: {significant(value)} by ordinary, {significant(one.values[name])} by "
+                    "weighted least squares"
                 )
     if not out:
         return ()
@@ -149,8 +151,8 @@ def _disputed(weighed: Joint, plain: Joint, judged: Sequence[HeldOut]) -> tuple[
     taken = "weighted" if as_good(*judged) else "ordinary"
     first = (
         "the fit depends on how slow changes of the residual are weighed, so something slow is not in the model: "
-        f"held-out runs are predicted to {rms[1]:.3g} by ordinary and to {rms[0]:.3g} by weighted least squares; "
-        f"the {taken} fit was taken"
+        f"held-out runs are predicted to {significant(rms[1])} by ordinary and to {significant(rms[0])} by weighted "
+        f"least squares; the {taken} fit was taken"
     )
     return (first, *out[:TOLD])
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_sums, gains, innovations
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 
@@ -61,11 +62,11 @@ class Noise:
         """In words."""
         u = "µm" if unit == "um" else "µrad"
         drift, offset = self.sigma * math.sqrt(self.drift), self.sigma * math.sqrt(self.offset)
-        said = f"{name}: white noise {self.sigma:.2g} {u}"
+        said = f"{name}: white noise {significant(self.sigma, 2)} {u}"
         if drift > 0.2 * self.sigma:
-            said += f", drift {drift:.2g} {u} with a memory of {minutes(self.tau_s)}"
+            said += f", drift {significant(drift, 2)} {u} with a memory of {minutes(self.tau_s)}"
         if offset > 0.2 * self.sigma:
-            said += f", offset from run to run {offset:.2g} {u}"
+            said += f", offset from run to run {significant(offset, 2)} {u}"
         return said
 
 

@@ -24,6 +24,7 @@ from rtec.estimation.readings import Readings, Series, read
 from rtec.jit import njit
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import MANY
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -112,7 +113,9 @@ def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
     for key in dict.fromkeys((w.measurement, w.column) for w in wrong):
         mine = [w for w in wrong if (w.measurement, w.column) == key]
         unit = "µm" if mine[0].unit == "um" else "µrad"
-        rows = ", ".join(f"row {w.row + 1} of run {w.run} ({w.off:+.3g} {unit})" for w in mine[:TOLD])
+        rows = ", ".join(
+            f"row {w.row + 1} of run {w.run} ({significant(w.off, sign=True)} {unit})" for w in mine[:TOLD]
+        )
         more = f" and {len(mine) - TOLD} more" if len(mine) > TOLD else ""
         count = "1 wrong reading was" if len(mine) == 1 else f"{len(mine)} wrong readings were"
         out.append(f"{key[0]} {key[1]}: {count} left out, far from all neighbours: {rows}{more}")

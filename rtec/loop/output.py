@@ -33,7 +33,7 @@ def lost(expected: IntArray, found: IntArray, allowed: IntArray, source: str = "
     if (np.abs(found - expected) <= allowed).all():
         return ""
     return (
-        f"the actuator has {found.tolist()}, {source} {expected.tolist()}: it started anew, and its counts "
+        f"the actuator has {found.tolist()}, {source} {expected.tolist()}: it restarted, and its counts "
         f"may mean something else now; {HOLDS}"
     )
 
@@ -106,12 +106,12 @@ class CommandGate:
         if self._unconfirmed_ns is None:
             self._unconfirmed_ns = now_ns
         for_ns = now_ns - self._unconfirmed_ns
-        changed = lost(told, self.has, step.units_in(self._period_s), "it was told")
+        changed = lost(told, self.has, step.units_in(self._period_s), "the last command was")
         self._far = bool(changed)
         if not self._failed and not self._in_trouble and for_ns <= PATIENCE_NS:
             return order | OUTPUT_UNCONFIRMED
         if not self._failed:
-            self._trouble.failed(f"has {self.has.tolist()}, {for_ns * 1e-9:.1f} s after it was told {told.tolist()}")
+            self._trouble.failed(f"has {self.has.tolist()}, {for_ns * 1e-9:.1f} s after the command {told.tolist()}")
         begins, self._in_trouble = not self._in_trouble, True
         if changed:
             self._waiting.failed(changed)

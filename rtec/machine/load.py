@@ -96,9 +96,7 @@ def _name_faults(file: _MachineFile, chain: list[str]) -> list[str]:
 
 
 def _chain_faults(file: _MachineFile, chain: list[str]) -> list[str]:
-    out = [
-        f"[machine] {name!r} stands twice in the chains" for name in sorted({n for n in chain if chain.count(n) > 1})
-    ]
+    out = [f"[machine] {name!r} is twice in the chains" for name in sorted({n for n in chain if chain.count(n) > 1})]
     out += [
         f"[axis.{name}] is in neither tool_chain nor work_chain{nearest(name, chain)}"
         for name in file.axis

@@ -64,7 +64,7 @@ def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
     if file.model.machine_hash != machine.hash:
         raise ModelError(
             f"{source}: [model] machine_hash: made for machine {file.model.machine!r} as it was then, not for "
-            f"{machine.name!r} as its file is now; fit anew, or check which machine file belongs to it"
+            f"{machine.name!r} as its file is now; refit, or check which machine file belongs to it"
         )
     told = file.model.effects
     if told is not None and told != len(file.effect):

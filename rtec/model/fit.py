@@ -154,7 +154,9 @@ def _tell_apart(design: Design, matrix: Floats) -> None:
         sets.append(design.names(sorted({design.owner[k] for k in np.flatnonzero(share)})))
     if sets:
         raise ModelError(
-            "\n".join(f"fit: the readings cannot tell these apart: {s}" for s in dict.fromkeys(sets))
+            "\n".join(
+                f"fit: these cannot be distinguished by the readings (confounded): {s}" for s in dict.fromkeys(sets)
+            )
             + "\nleave one out, or measure where they differ"
         )
 

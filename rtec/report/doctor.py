@@ -1,12 +1,10 @@
-"""What people are told about the devices of a run file.
-
-What people are told about this computer, and how it becomes fit for real time.
-"""
+"""Pages of the doctor: the devices of a run file, and this computer with what it lacks for real time."""
 
 from collections.abc import Sequence
 
 from rtec.doctor.found import DeviceFound, Examination, Fault, Finding, PcFound, Value
 from rtec.report.page import Page, Section, Table
+from rtec.wording import significant
 
 HEAD = ("device", "driver", "value", "now", "age", "rate", "")
 WORDS = (0, 1, 2, 6)
@@ -22,7 +20,7 @@ def doctor_page(found: Examination) -> Page:
         sections.append(Section("Wrong: the run file", _fault_lines(found.wrong)))
     told = [f"{d.name}: {text}" for d in found.devices for text in d.told]
     if told:
-        sections.append(Section("To know", told))
+        sections.append(Section("Notes", told))
     many, how = _devices(len(found.devices)), f"read for {found.seconds:g} s; nothing was commanded"
     return Page("Doctor", f"{found.machine}: {many}, {how}. {verdict}", (), sections)
 
@@ -41,7 +39,7 @@ def _rows(device: DeviceFound) -> list[tuple[str, ...]]:
 
 def _value(value: Value) -> tuple[str, str, str, str]:
     number = f"{value.value:.{value.digits}f} {value.unit}"
-    return value.name, number, _age(value.age_s), "-" if value.rate_hz is None else f"{value.rate_hz:.3g} /s"
+    return value.name, number, _age(value.age_s), "-" if value.rate_hz is None else f"{significant(value.rate_hz)} /s"
 
 
 def _age(age_s: float | None) -> str:
@@ -100,9 +98,7 @@ def _how(found: PcFound) -> list[str]:
     out += found.lines("commands")
     if kernel:
         line = f'GRUB_CMDLINE_LINUX="{" ".join(kernel)}"'
-        out.append(
-            _block("into /etc/default/grub (keep what stands there), then sudo update-grub and restart:", [line])
-        )
+        out.append(_block("into /etc/default/grub (keep what is there), then sudo update-grub and restart:", [line]))
     return out
 
 

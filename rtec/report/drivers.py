@@ -1,4 +1,4 @@
-"""What people are told about drivers."""
+"""Pages about drivers: the table of all, and one in full."""
 
 from collections.abc import Sequence
 
@@ -7,13 +7,13 @@ from rtec.report.page import Page, Section, Table
 
 
 def drivers_page(drivers: Sequence[DriverFacts]) -> Page:
-    """The table of all drivers; what cannot be used stands in a section of its own."""
+    """The table of all drivers; those that cannot be used are in a section of their own."""
     rows = [driver_row(d) for d in drivers if not d.trouble]
     lead = (
         'The drivers that are installed. A device\'s table in the run file names one: driver = "serial_box". '
-        "`rtec drivers NAME` tells its options, with an example."
+        "`rtec drivers NAME` shows its options, with an example."
     )
-    table = Table(("driver", "reads", "output it takes", "what"), rows, words=(0, 1, 2, 3))
+    table = Table(("driver", "reads", "output", "what it is"), rows, words=(0, 1, 2, 3))
     sections = [Section("Drivers", (), table)]
     broken = [f"{d.trouble} (package {d.package})" for d in drivers if d.trouble]
     if broken:
@@ -31,13 +31,13 @@ def driver_page(driver: DriverFacts) -> Page:
     """One driver in full; its example is printed below, as it stands."""
     if driver.trouble:
         return Page(driver.name, driver.trouble, (), ())
-    text = [f"In [role] it can be: {', '.join(driver.roles) or 'nothing'}."]
+    text = [f"Roles in [role]: {', '.join(driver.roles) or 'nothing'}."]
     if "actuator" in driver.roles:
         by = f", by its option {driver.takes_by}" if driver.takes_by else ""
-        text.append(f"Kinds of output that it takes: {_takes(driver)}{by}.")
+        text.append(f"Kinds of output: {_takes(driver)}{by}.")
     if driver.resumes:
-        text.append("After a reset or a lost position it stops, and goes on when it is ordered to resume.")
-    text.append(f"Its code: {driver.module}, of package {driver.package}.")
+        text.append("After a reset or a lost position it stops until it is ordered to resume.")
+    text.append(f"Code: {driver.module}, of package {driver.package}.")
     sections = [Section("What it can do", text), *(_options_section(*part) for part in _by_table(driver.options))]
     return Page(driver.name, f"{driver.name}: {driver.summary}", (), sections)
 
@@ -52,7 +52,7 @@ def _by_table(options: Sequence[Option]) -> list[tuple[str, list[Option]]]:
 
 def _options_section(table: str, options: Sequence[Option]) -> Section:
     heading = f"Options in its table {table}" if table else "Options"
-    head = ("option", "what may be given", "if not given", "what it means")
+    head = ("option", "value", "default", "meaning")
     return Section(heading, (), Table(head, [_option_row(o) for o in options], words=(0, 1, 2, 3)))
 
 

@@ -1,4 +1,4 @@
-"""What people and programs are told about the effects: the table of all, and one in full."""
+"""Pages and facts about the effects: the table of all, and one in full."""
 
 import inspect
 import math
@@ -14,7 +14,7 @@ from rtec.report.effects_figures import example_machine, example_of
 from rtec.report.page import Page, Section, Table
 
 OTHERS = "of other packages"
-NO_EFFECTS = "no errors of the machine (shown here, a model cannot hold them)"
+NO_EFFECTS = "no errors of the machine (listed for comparison; a model cannot hold them)"
 ARGUMENTS: dict[str, str] = {
     "component": "the component error that it feeds",
     "axis": "the axis that it runs along",
@@ -67,7 +67,7 @@ def catalogue_page() -> Page:
     count = len(all_effects())
     return Page(
         title="Effects",
-        lead=f"{count} effects that a model can be made of. `rtec effects NAME` tells about one of them.",
+        lead=f"{count} effects that a model can hold. `rtec effects NAME` shows one of them in full.",
         numbers=[(str(count), "effects")],
         sections=sections,
     )
@@ -93,13 +93,11 @@ def effect_page(name: str) -> Page:
         shows.append(f"Instruments: {', '.join(about.seen_by)}.")
     needs = [NEEDS.get(d, d) for d in kind.driven_by if d != "pitch"] if kind is not None else []
     if needs:
-        shows.append(f"In the readings must vary: {', '.join(needs)}.")
+        shows.append(f"Must vary in the readings: {', '.join(needs)}.")
     sections.append(Section("What shows it", shows))
     rows = [(c.effect, c.why, c.separate_by) for c in about.confusions]
     if rows:
-        sections.append(
-            Section("What looks like it", [], Table(("effect", "why", "told apart by"), rows, words=(0, 1, 2)))
-        )
+        sections.append(Section("Confounded with", [], Table(("effect", "why", "separated by"), rows, words=(0, 1, 2))))
     return Page(title=about.title, lead=f"{name}: {about.title}.", numbers=[], sections=sections)
 
 
@@ -203,7 +201,7 @@ def catalogue_markdown() -> str:
             continue
         lines = [f"## {family[0].upper()}{family[1:]}", ""]
         lines += [
-            "| effect | what, equation | usual size | shown by | looks like: told apart by |",
+            "| effect | what, equation | usual size | shown by | confounded with: separated by |",
             "|---|---|---|---|---|",
         ]
         lines += [_markdown_row(name, about) for name, about in abouts.items()]

@@ -1,9 +1,4 @@
-"""What `rtec hil` tells: accuracy beside the all-simulated run, timing, what each fault did, what must be so.
-
-What a long run against simulated hardware tells.
-
-The figure of `rtec hil`: tip error over time, with the faults; style and colours as in `figures`.
-"""
+"""Reports of `rtec hil`: accuracy beside the all-simulated run, timing, faults, checks; of a long run; the figure."""
 
 import dataclasses
 import math
@@ -18,7 +13,7 @@ from numpy.typing import NDArray
 from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
 from rtec.report.figures import GREY, KINDS, as_png, stacked
 from rtec.report.page import Figure, Page, Section, Table, plain
-from rtec.wording import number
+from rtec.wording import number, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -85,7 +80,7 @@ def hil_page(found: HilResult, figures: bool = True) -> Page:
         sections.append(_faults(found))
     sections.append(_checks(found))
     if found.warnings:
-        sections.append(Section("Said by the system", found.warnings))
+        sections.append(Section("Messages of the system", found.warnings))
     if figures:
         sections.insert(0, _accuracy_figure(found))
     numbers = [
@@ -108,7 +103,7 @@ def _accuracy(found: HilResult) -> Section:
     head = ("tool-tip error, µm", "buses: off", "on", "factor", "simulated: off", "on", "factor")
     text = (
         f"Behind real buses ({wires}), and the same machine and programme without any bus on a virtual clock. "
-        f"{found.off_s:g} s off, {found.on_s:g} s on; without the time to settle and without that of faults.",
+        f"{found.off_s:g} s off, {found.on_s:g} s on; without the times of settling and of faults.",
     )
     return Section("Accuracy", text, Table(head, rows))
 
@@ -156,15 +151,23 @@ def _device_lines(mode: str, of: Mapping[str, Any]) -> list[str]:
 
 
 def _faults(found: HilResult) -> Section:
-    head = ("fault", "at, s", "for, s", "told after, s", "held for, s", "follows again after, s", "largest error, µm")
+    head = (
+        "fault",
+        "at, s",
+        "for, s",
+        "reported after, s",
+        "held for, s",
+        "follows again after, s",
+        "largest error, µm",
+    )
     text = [f"{f.order.name}: {f.what}. {_told(f)}" for f in found.faults]
     return Section("Faults", text, Table(head, [_fault_row(f) for f in found.faults]))
 
 
 def _told(fault: FaultFound) -> str:
     if not fault.told:
-        return "The daemon had nothing to say."
-    return "Told: " + "; ".join(f"{device}: {text}" for device, text in fault.told.items()) + "."
+        return "The daemon reported nothing."
+    return "Reported: " + "; ".join(f"{device}: {text}" for device, text in fault.told.items()) + "."
 
 
 def _fault_row(fault: FaultFound) -> tuple[str, ...]:
@@ -181,7 +184,7 @@ def _fault_row(fault: FaultFound) -> tuple[str, ...]:
 
 def _checks(found: HilResult) -> Section:
     rows = [("yes" if c.passed else "NO" if c.judged else "no", c.name, c.words) for c in found.checks]
-    return Section("What must be so", (), Table(("is so", "what", "found"), rows, words=(0, 1, 2)))
+    return Section("Checks", (), Table(("passed", "check", "result"), rows, words=(0, 1, 2)))
 
 
 def _accuracy_figure(found: HilResult) -> Section:
@@ -205,14 +208,14 @@ def soak_page(found: SoakResult) -> Page:
     """The report."""
     times = sum(f.times for f in found.faults)
     failed = [c.name for c in found.checks if not c.good]
-    verdict = f"NOT SO: {', '.join(failed)}" if failed else "all that must be so is so"
+    verdict = f"FAILED: {', '.join(failed)}" if failed else "all checks passed"
     lead = (
-        f"{found.machine}: {found.duration_s / 60.0:.3g} minutes at {found.rate_hz:g} Hz behind real buses, "
+        f"{found.machine}: {significant(found.duration_s / 60.0)} minutes at {found.rate_hz:g} Hz behind real buses, "
         f"{times} faults (seed {found.seed}): {verdict}."
     )
     sections = [_resources(found), _soak_timing(found), _soak_faults(found), _soak_checks(found)]
     if found.warnings:
-        sections.append(Section("Said by the system", found.warnings))
+        sections.append(Section("Messages of the system", found.warnings))
     numbers = [
         ("faults", str(times)),
         ("deadlines lost", f"{found.deadlines.lost} of {found.timing['cycles']}"),
@@ -226,7 +229,11 @@ def soak_page(found: SoakResult) -> Page:
 
 def _resources(found: SoakResult) -> Section:
     rows = [
-        (r.process, f"{r.what}, {r.unit}" if r.unit else r.what, *(f"{v:.4g}" for v in (r.first, r.middle, r.last)))
+        (
+            r.process,
+            f"{r.what}, {r.unit}" if r.unit else r.what,
+            *(significant(v, 4) for v in (r.first, r.middle, r.last)),
+        )
         for r in found.resources
     ]
     head = ("process", "what", "first third", "second", "last")
@@ -251,9 +258,9 @@ def _soak_timing(found: SoakResult) -> Section:
 
 def _soak_faults(found: SoakResult) -> Section:
     rows = [(f.name, str(f.times), str(f.told), number(f.latest_s)) for f in found.faults]
-    return Section("Faults", (), Table(("fault", "times", "told", "at the latest after, s"), rows))
+    return Section("Faults", (), Table(("fault", "times", "reported", "at the latest after, s"), rows))
 
 
 def _soak_checks(found: SoakResult) -> Section:
     rows = [("yes" if c.passed else "NO" if c.judged else "no", c.name, c.words) for c in found.checks]
-    return Section("What must be so", (), Table(("is so", "what", "found"), rows, words=(0, 1, 2)))
+    return Section("Checks", (), Table(("passed", "check", "result"), rows, words=(0, 1, 2)))

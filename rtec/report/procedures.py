@@ -264,7 +264,7 @@ def parallelism_page(name: str, axis: str, r: Parallelism, figures: bool = True)
         [f"{z:g}", *(number(v, 3) for v in (one.radius_um, two.radius_um, one.roundness_um, two.roundness_um))]
         for z, one, two in zip(r.position_mm, *r.circles, strict=True)
     ]
-    head = [f"{axis.lower()}, mm", "R probe 1, µm", "R probe 2", "left of circle 1", "left of circle 2"]
+    head = [f"{axis.lower()}, mm", "R probe 1, µm", "R probe 2", "roundness 1, µm", "roundness 2, µm"]
     figure = None
     if figures:
         radius = r.radius_um

@@ -135,7 +135,7 @@ def test_angles_become_positions_directions_and_velocities(tmp_path: Path, direc
         np.testing.assert_allclose(c[f"a_{name}"][2:-2], np.gradient(v, seconds)[2:-2], atol=1e-3)
         before = np.sign(np.diff(c[name], prepend=2 * c[name][0] - c[name][1] if name == "y" else c[name][0] - 1e-6))
         np.testing.assert_array_equal(c[f"d_{name}"], before)
-    assert not any("stand still" in n for n in m.notes)
+    assert not any("as fixed" in n for n in m.notes)
     save_measurement(m, tmp_path / "again.csv")
     again = load_measurement(tmp_path / "again.csv", gantry())
     assert all(np.allclose(again.channels[k], v, atol=1e-9) for k, v in c.items())

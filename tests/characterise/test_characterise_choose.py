@@ -212,7 +212,7 @@ def test_named_effects_and_no_others() -> None:
         ("mount_expansion:EXX:sensor=T_bad", "sensor 'T_bad'.*did you mean 'T_bed'"),
         ("mount_expansion:EXX:sensr=T_bed", "unknown key 'sensr'; did you mean 'sensor'"),
         ("mount_expansion:EXX:T_bed", "no key=value"),
-        ("polynomial_position:EXX:degrees=[1,1]", "a degree stands twice"),
+        ("polynomial_position:EXX:degrees=[1,1]", "a degree is given twice"),
     ],
 )
 def test_what_was_asked_for_wrongly(text: str, said: str) -> None:

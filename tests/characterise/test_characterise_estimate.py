@@ -144,7 +144,7 @@ def test_measurements_are_weighed_by_their_noise() -> None:
     ("terms", "said"),
     [
         ([Term(effect("squareness", "EC0X"))], r"no reading shows squareness\(EC0X\)"),
-        ([Term(SCALE), Term(effect("polynomial_position", "EXX", axis="X", degrees=[1]))], "cannot tell these apart"),
+        ([Term(SCALE), Term(effect("polynomial_position", "EXX", axis="X", degrees=[1]))], "cannot be distinguished"),
     ],
 )
 def test_what_is_not_seen_is_told_by_name(terms: list[Term], said: str) -> None:

@@ -126,7 +126,7 @@ def test_finding_a_daemon(setup: Setup, control: Control, tmp_path: Path) -> Non
 
 
 def test_an_order_given_before_is_refused(local: Line, daemon: FakeDaemon, setup: Setup) -> None:
-    """The same bytes again: by the same connection, by another, after a new session, to a daemon started anew."""
+    """The same bytes again: by the same connection, by another, after a new session, to a daemon restarted."""
     order = local.order()
     local.send(order)
     assert local.receive() == {"schema": 1, "done": "hold ordered"}

@@ -119,7 +119,7 @@ def test_a_box_that_starts_anew(run: Run) -> None:
     assert commands.output[10:].max() == commands.output[10:].min() == 0
     assert not commands.applied_um[10:].any()
     (reason,) = run.loop.stats.reasons()["counts"]
-    assert "started anew" in reason
+    assert "restarted" in reason
     assert "until it is ordered to resume" in reason
     run.bench.driver.resume()
     run.cycles(20)

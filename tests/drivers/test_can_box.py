@@ -170,9 +170,9 @@ def test_a_box_that_started_anew_is_not_commanded_until_ordered(channel: str, bo
         command(device, 8, 9)
         assert until(lambda: _ledger(device) == (8, 9))
         box.restart()
-        with pytest.raises(DriverFault, match=r"started anew .* ledger is zero again; the correction holds"):
+        with pytest.raises(DriverFault, match=r"restarted .* ledger is zero again; the correction holds"):
             cycles(device, 50)
-        assert "started anew" in device.must_resume
+        assert "restarted" in device.must_resume
         for _ in range(20):
             with pytest.raises(DriverFault, match="until it is ordered to resume"):
                 device.apply(np.array([8, 9]))

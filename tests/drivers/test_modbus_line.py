@@ -318,7 +318,7 @@ def test_wrong_options_are_told() -> None:
         driver(serial=port, slave={"a": slave_table(1, "T_bet")})
     with pytest.raises(ConfigError, match="two slaves have id 1"):
         driver(serial=port, slave={"a": slave_table(1, "T_bed"), "b": slave_table(1, "T_air")})
-    with pytest.raises(ConfigError, match=r"stands in slave 'a' and in slave 'b'"):
+    with pytest.raises(ConfigError, match=r"is in slave 'a' and in slave 'b'"):
         driver(serial=port, slave={"a": slave_table(1, "T_bed"), "b": slave_table(2, "T_bed")})
     with pytest.raises(ConfigError, match=r"no profile 'exemys'"):
         driver(serial=port, slave={"a": {"id": 1, "profile": "exemys", "channels": {"T_bed": "1"}}})

@@ -206,7 +206,7 @@ def test_a_box_that_starts_anew_is_not_commanded_until_ordered(bench: MemoryBenc
     took = bench.box.commands
     for error in faults_of(bench, 300):
         assert isinstance(error, DriverFault)
-        assert "started anew (start 2, before 1)" in str(error)
+        assert "restarted (start 2, before 1)" in str(error)
         assert "holds until it is ordered to resume" in str(error)
     assert bench.box.commands == took
     assert bench.plant.inserted == [0, 0]
@@ -305,7 +305,7 @@ def test_a_counter_alone_notices_another_start_too(monkeypatch: pytest.MonkeyPat
         bench.read()
         bench.box.reset()
         bench.next_cycle()
-        with pytest.raises(DriverFault, match="started anew"):
+        with pytest.raises(DriverFault, match="restarted"):
             bench.read()
 
 
@@ -404,7 +404,7 @@ def test_what_the_options_refuse() -> None:
         ({"port": None}, "give port .* or usb_serial"),
         ({"max_speed_mm_s": {"X": 1.0}}, "max_speed_mm_s: axis 'Z' is missing"),
         ({"max_speed_mm_s": {"X": 1.0, "Z": 1.0, "x": 1.0}}, "has no axis 'x'; "),
-        ({"axes": ("X", "X")}, "'X' stands there 2 times"),
+        ({"axes": ("X", "X")}, "'X' is there 2 times"),
         ({"axes": ("X", "ZZ")}, "no axis 'ZZ'; did you mean 'Z'"),
         ({"parity": "odds"}, "parity"),
     ):

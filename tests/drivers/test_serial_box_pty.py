@@ -202,7 +202,7 @@ def test_a_box_reset_while_the_cable_was_out(tmp_path: Path) -> None:
         told(driver, "trying again")
         box.reset()
         peer.plug()
-        told(driver, "started anew (start 2, before 1): its ledger is zero again; the correction holds until it is")
+        told(driver, "restarted (start 2, before 1): its ledger is zero again; the correction holds until it is")
         assert plant.inserted == [0, 0]
         driver.resume()
         assert soon(CLOCK, lambda: carried_out(driver, 1, 0))

@@ -140,8 +140,8 @@ def test_another_start_holds_until_ordered(tmp_path: Path) -> None:
         assert soon(CLOCK, lambda: command(link, 12, 0))
         with cell.lock:
             cell.boot, cell.output, cell._seq = "b2", {"X": 0, "Z": 0}, 0
-        told(link, counts_of, "started anew; the correction holds until it is ordered to resume")
-        assert "started anew" in link.must_resume
+        told(link, counts_of, "restarted; the correction holds until it is ordered to resume")
+        assert "restarted" in link.must_resume
         sent = len(cell.commands)
         with pytest.raises(DriverFault, match="ordered to resume"):
             link.apply(np.array([12, 0]))

@@ -156,7 +156,7 @@ MISUSE = [
     ("A*x/p", ("p=2:3..200",), "EXX", "--param 'p=2:3..200': need low <= start <= high and low < high"),
     ("A*x/p", ("p=3:3..3",), "EXX", "need low <= start <= high and low < high"),
     ("A*x/p", ("p=9:3..20", "p=9:3..20"), "EXX", "--param 'p' is given twice"),
-    ("A*x/p", ("p=9:3..20", "q=9:3..20"), "EXX", "--param 'q=9:3..20': 'q' does not stand in the expression"),
+    ("A*x/p", ("p=9:3..20", "q=9:3..20"), "EXX", "--param 'q=9:3..20': 'q' is not in the expression"),
     ("A*x", ("x=9:3..20",), "EXX", "'x' is a channel or a constant; choose another name"),
     ("A*x", (), "EQX", "--expr: component: a component is E, then X Y Z A B or C"),
     ("A*x", (), "", "--expr: component: a component is E"),

@@ -341,7 +341,7 @@ def test_arguments_of_single_effects() -> None:
         return effect_class(effect, "t").model_validate({"effect": effect, "component": "EXX", **arguments})
 
     for arguments, said in (
-        ({"effect": "polynomial_position", "axis": "X", "degrees": [1, 1]}, "a degree stands twice"),
+        ({"effect": "polynomial_position", "axis": "X", "degrees": [1, 1]}, "a degree is given twice"),
         ({"effect": "polynomial_position", "axis": "X", "degrees": []}, "at least 1 item"),
         ({"effect": "polynomial_position", "axis": "X", "degrees": [13]}, "less than or equal to 12"),
         ({"effect": "piecewise_position", "axis": "X", "knots_mm": [1.0, 1.0]}, "knots must rise"),

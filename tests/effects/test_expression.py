@@ -199,7 +199,7 @@ def test_the_watch_sees_what_it_should() -> None:
         ("k*(x % 2)", "BinOp is not allowed; use numbers, names"),
         ("k*1e999", "a number above 1e+300"),
         ("k*lag(T_bed, T_air)", "the time constant of lag() is a number or a parameter, not a channel"),
-        ("2*x", "parameter 'k' does not stand in the expression"),
+        ("2*x", "parameter 'k' is not in the expression"),
         ("k*x + 1", "model: not linear in k: a part without a coefficient is added to one with a coefficient"),
         ("k*k*x", "model: not linear in k: coefficients are multiplied, divided by, or raised to a power"),
         ("x*k**0", "coefficients are multiplied, divided by, or raised to a power"),
@@ -216,7 +216,7 @@ def test_messages_say_what_is_wrong(text: str, said: str) -> None:
 
 
 def test_names_clash() -> None:
-    with pytest.raises(ValidationError, match="parameter 'k' stands under both linear and free"):
+    with pytest.raises(ValidationError, match="parameter 'k' is under both linear and free"):
         expression("k*x", free={"k": {"start": 1.0, "low": 0.0, "high": 2.0}})
     for name in ("x", "d_z", "T_bed", "spindle_rpm", "pi"):
         with pytest.raises(ModelError, match=f"model: parameter '{name}' has the name of a channel; choose another"):

@@ -75,7 +75,7 @@ def test_whatever_happens_ledger_log_and_limits_are_kept(faulted: dict[str, Any]
 def test_a_box_that_started_anew_waits_for_the_order(faulted: dict[str, Any]) -> None:
     """Held from the reset until the operator's order, half a second after its end."""
     found = faulted["box-reset"]
-    assert "started anew" in found["told"]["box"]
+    assert "restarted" in found["told"]["box"]
     assert "ordered to resume" in found["told"]["box"]
     assert found["held_s"] > 1.4
     assert not found["recovered_s"] < 0.4  # the order comes half a second behind its end

@@ -82,10 +82,10 @@ def test_the_daemon_after_a_kill(tmp_path: Path, runtime_folder: Path) -> None:
     assert again.returncode == 0, again.stderr
     facts = json.loads(again.stdout)
     assert any("did not end in order" in w and "mode 'on'" in w for w in facts["warnings"])
-    assert any("it started anew" in w and "ordered to resume" in w for w in facts["warnings"])
+    assert any("it restarted" in w and "ordered to resume" in w for w in facts["warnings"])
     assert facts["output"] == {"X": 0, "Z": 0}
     assert facts["flags_seen"]["ORDERED_HOLD"] == 1.0
-    assert "it started anew" in facts["devices"]["box"]["last"]["state"]
+    assert "it restarted" in facts["devices"]["box"]["last"]["state"]
     assert only_log(tmp_path).exists()
     # It waited until its end: so does the next one.
     third = json.loads(rtec_again(tmp_path, "third", "--duration", "0.2").stdout)

@@ -180,7 +180,7 @@ def test_rows_without_a_value_are_left_out_only_on_wish(tmp_path: Path) -> None:
     assert (i.rows_in, i.rows_out) == (5, 3)
     assert i.columns["T_bed_degc"].tolist() == [20, 20, 21]
     assert "2 rows without e left out" in i.notes
-    assert "nothing is left" in fault(tmp_path, "t,x,e,T\n0,0,,1\n", column=column, rows={"require": ["e"]})
+    assert "no row remains" in fault(tmp_path, "t,x,e,T\n0,0,,1\n", column=column, rows={"require": ["e"]})
 
 
 def test_the_unit_that_the_file_tells_is_used_and_not_contradicted(tmp_path: Path) -> None:

@@ -343,7 +343,7 @@ def test_isg_read_of_write_is_the_identity(tmp_path: Path, data: st.DataObject) 
     ("old", "new", "said"),
     [
         ("X  EXX", "X  EXQ", "line 2: 'EXQ' is no argument and no error parameter"),
-        ("X  EXX", "X  X", "line 2: 'X' stands twice"),
+        ("X  EXX", "X  X", "line 2: 'X' is given twice"),
         ("10.0  -0.1  1e-5", "10.0  -0.1", "line 4: has 2 values, its header 3"),
         ("10.0  -0.1  1e-5", "10.0  -0,1  1e-5", "line 4: '-0,1' is no number"),
         ("0.1 2e-5\n", "", "line 7: no rows under this header"),

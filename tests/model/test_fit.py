@@ -184,7 +184,7 @@ def test_alias_is_told_by_name(more: Effect, named: list[str] | None) -> None:
     if named is None:
         fit_model([*LINEAR, more], s, read(s, 1))
         return
-    with pytest.raises(ModelError, match="cannot tell these apart") as caught:
+    with pytest.raises(ModelError, match="cannot be distinguished") as caught:
         fit_model([*LINEAR, more], s, read(s, 1))
     assert all(name in str(caught.value) for name in named)
     assert "backlash" not in str(caught.value)

@@ -437,7 +437,7 @@ def test_an_expression_on_one_line() -> None:
         ("scale,component=EXX,axis=X,k=fast", ["k is 'fast'", "no number"]),
         ("scale,component=EXX,axis=Q,k=1", ["axis 'Q'"]),
         ("scale,component=EXX,axis=X,k", ["'k' is no key=value"]),
-        ("scale,component=EXX,axis=X,k=1,k=2", ["stands twice"]),
+        ("scale,component=EXX,axis=X,k=1,k=2", ["is given twice"]),
         ("scale,component=EQQ,axis=X,k=1", ["EQQ"]),
     ],
 )

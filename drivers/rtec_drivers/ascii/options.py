@@ -12,7 +12,7 @@ from rtec_drivers.serial_line import PortOptions
 
 SPINDLE = "spindle_rpm"
 LINE_ENDS = {"lf": b"\n", "cr": b"\r", "crlf": b"\n"}
-"""The byte that ends a line; what else stands there is white space and stripped."""
+"""The byte that ends a line; white space around it is stripped."""
 TEMPERATURE_UNITS = ("degc", "degf", "kelvin", "0.1degc", "0.01degc")
 LENGTH_UNITS = ("counts", "mm", "um", "inch")
 

@@ -8,7 +8,7 @@ from rtec_drivers.box.protocol import BoxState
 
 LARGEST = 2**31 - 1
 PATIENT_TRIES = 10
-"""Orders to resume that may be lost on the way before that is told."""
+"""Orders to resume that may be lost on the way before that is reported."""
 HOLDS = "the correction holds until it is ordered to resume"
 
 
@@ -58,9 +58,7 @@ class BoxLedger:
         if state.last_command != self._last_taken:
             self._last_taken, self._waiting_ns = state.last_command, -1
         if self.boot not in (-1, state.boot):
-            self.stop(
-                f"the encoder box started anew (start {state.boot}, before {self.boot}): its ledger is zero again"
-            )
+            self.stop(f"the encoder box restarted (start {state.boot}, before {self.boot}): its ledger is zero again")
         elif self.pending:
             self._take_up(state)
         elif state.status & protocol.NOT_RESUMED:

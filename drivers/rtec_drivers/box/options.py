@@ -46,7 +46,7 @@ def axis_order(axes: tuple[str, ...] | None, machine: Machine) -> tuple[int, ...
     names = machine.axis_names
     wanted = names if axes is None else axes
     faults = [f"axes: machine {machine.name!r} has no axis {n!r}{nearest(n, names)}" for n in wanted if n not in names]
-    faults += [f"axes: {n!r} stands there {wanted.count(n)} times; every axis must, once" for n in names
+    faults += [f"axes: {n!r} is there {wanted.count(n)} times; every axis must, once" for n in names
                if wanted.count(n) != 1]  # fmt: skip
     if faults:
         raise ConfigError("\n".join(faults))

@@ -21,7 +21,7 @@ LONGEST_BODY = 254
 """Bytes of a body that COBS still holds in one block; no frame of this version is longer."""
 
 NOT_RESUMED = 0x01
-"""The box started anew and inserts nothing until it is told to resume."""
+"""The box restarted and inserts nothing until it is ordered to resume."""
 HELD_BY_SILENCE = 0x02
 """No command came for longer than `hold_after_ms`: the box keeps its ledger where it is."""
 MOVING = 0x04

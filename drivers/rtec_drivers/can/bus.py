@@ -18,7 +18,7 @@ from rtec_drivers.link_worker import Backoff, Worker
 RECEIVE_S = 0.02
 """Longest wait for a frame before the thread looks whether it shall stop, or whether something has fallen silent."""
 GARBLED_TOLD, GARBLED_IN_A_ROW = 3, 20
-"""Lines in a row that are no frame: from how many it is told, and after how many the adapter is opened again."""
+"""Lines in a row that are no frame: from how many it is reported, and after how many the adapter is opened again."""
 GARBAGE = "what comes is no frame; look at the adapter's cable and at the rate of its serial port"
 BUS_OFF, CONTROLLER, LOST_ARBITRATION, RESTARTED = 0x40, 0x04, 0x02, 0x100
 PASSIVE, WARNING, OVERFLOW = 0x30, 0x0C, 0x03

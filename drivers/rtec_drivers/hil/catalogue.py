@@ -30,7 +30,7 @@ FAULTS: dict[str, Fault] = {
     "box-half-frames": Fault("box", "one answer in ten ends in its middle"),
     "box-late": Fault("box", "every answer comes 3 ms late, so it belongs to an older question"),
     "box-frozen": Fault("box", "the box answers, always with the same instant and counts"),
-    "box-reset": Fault("box", "the box starts anew: its ledger is zero; ordered to resume at the end", True),
+    "box-reset": Fault("box", "the box restarts: its ledger is zero; ordered to resume at the end", True),
     "box-count-jump": Fault("box", "the counters jump by 10 mm; at the end they are right, ordered to resume", True),
     "box-encoder-fault": Fault("box", "a line of an encoder is broken; ordered to resume at the end", True),
     "modbus-unplugged": Fault("modbus", "the line's cable is pulled and put back: another port"),

@@ -87,7 +87,7 @@ def read_wiring(path: Path) -> Wiring:
     tables = read_toml(path)
     if "hil" not in tables:
         raise ConfigError(
-            f"{path}: [hil] is missing; it tells which simulated machine stands behind the buses: see configs/hil.toml"
+            f"{path}: [hil] is missing; it names the simulated machine behind the buses: see configs/hil.toml"
         )
     validated(RunFile, tables, str(path))
     base = path.parent.resolve()

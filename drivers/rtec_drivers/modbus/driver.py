@@ -61,7 +61,7 @@ class SlaveOptions(Strict):
         if not self.channels and not self.register_:
             raise ValueError("nothing is read: give profile and channels, or register")
         if self.channels.keys() & self.register_.keys():
-            raise ValueError("the same sensor stands in channels and in register")
+            raise ValueError("the same sensor is in channels and in register")
         return self
 
 
@@ -253,7 +253,7 @@ def _register_maps(options: ModbusOptions) -> dict[str, Mapping[str, Register]]:
         out[name] = {**_from_profile(name, table, faults), **table.register_}
         for sensor in out[name]:
             if sensor in seen:
-                faults.append(f"sensor {sensor!r} stands in slave {seen[sensor]!r} and in slave {name!r}")
+                faults.append(f"sensor {sensor!r} is in slave {seen[sensor]!r} and in slave {name!r}")
             seen[sensor] = name
     numbers = [t.id for t in options.slave.values()]
     faults += [f"two slaves have id {n}" for n in sorted(set(numbers)) if numbers.count(n) > 1]

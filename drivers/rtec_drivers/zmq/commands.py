@@ -42,7 +42,7 @@ class CommandAccount:
         if not self._boot:
             self._boot = boot
         elif boot != self._boot:
-            self.stop("the other process started anew")
+            self.stop("the other process restarted")
         if set(output) == set(self._axes):
             self.has = tuple(output[a] for a in self._axes)
 

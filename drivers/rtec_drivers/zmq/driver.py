@@ -95,7 +95,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         return self._commands.must_resume
 
     def resume(self) -> None:
-        """The order to go on after the other process started anew or a position was lost."""
+        """The order to go on after the other process restarted or a position was lost."""
         self._commands.order_resume()
         self._counts, self._counts_ns = None, -(2**62)
         if self._tracker is not None:

@@ -35,7 +35,7 @@ from rtec.model.fit import Margin
 from rtec.model.model import names_of
 from rtec.parallel import one_blas_thread
 from rtec.tomlfile import nearest, validated
-from rtec.wording import two_numbers
+from rtec.wording import percent, two_numbers
 
 TOLD = 4
 
@@ -98,10 +98,13 @@ def _test(alike: Alike | None) -> str:
 
 def said(taken: Finding, rivals: Sequence[Rival]) -> tuple[str, ...]:
     """That the readings did not decide, which rivals there were, and what tells each apart."""
-    named = ", ".join(r.label + (f" ({r.confidence:.0%})" if r.confidence is not None else "") for r in rivals[:TOLD])
+    named = ", ".join(
+        r.label + (f" ({percent(r.confidence)})" if r.confidence is not None else "") for r in rivals[:TOLD]
+    )
     more = f" and {len(rivals) - TOLD} more" if len(rivals) > TOLD else ""
-    first = f"{taken.label} ({taken.confidence:.0%}) was taken, but these readings cannot tell it from {named}{more}"
-    return (first, *(f"to tell it from {r.label}: {r.test}" for r in rivals[:TOLD] if r.test))
+    taken_so = f"{taken.label} ({percent(taken.confidence)}) was taken"
+    first = f"{taken_so}, but these data cannot distinguish it from {named}{more}"
+    return (first, *(f"to separate it from {r.label}: {r.test}" for r in rivals[:TOLD] if r.test))
 
 
 Floats = NDArray[np.float64]
@@ -124,7 +127,7 @@ class Added:
         after: with the new effects.
         floor: what noise alone leaves, as `compare` has it.
         unit: "um", "urad", or "noise" (multiples of it).
-        better: whether the error on runs left out fell, by more than nothing.
+        better: whether the error on held-out runs fell, by more than nothing.
         smoothed: held-out error with temperatures smoothed both ways in time, which the loop cannot do.
         notes: what else is to be known, in words.
         floor_from: "repeats", "short-time differences", or both.
@@ -227,9 +230,9 @@ def _add(
     before = joint_fit(model.effects, readings, loose=loose)
     tell("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, loose) if new else (no_worse(model, before), ())
-    tell("runs left out", 2, 3)
+    tell("held-out runs", 2, 3)
     made = _judged(model, new, measurements, readings, (before, after), margin)
-    tell("runs left out", 3, 3)
+    tell("held-out runs", 3, 3)
     return replace(made, notes=(*made.notes, *searched))
 
 
@@ -320,8 +323,8 @@ def refused(added: Added) -> str:
     """Why an addition is not worth its place, in words."""
     before, after = two_numbers(added.before.held_out, added.after.held_out)
     if added.after.held_out < added.before.held_out:
-        return f"the error on runs left out falls from {before} to {after}, which is next to nothing"
-    return f"the error on runs left out rises from {before} to {after}"
+        return f"the error on held-out runs falls from {before} to {after}, which is less than 0.1 %"
+    return f"the error on held-out runs rises from {before} to {after}"
 
 
 def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:

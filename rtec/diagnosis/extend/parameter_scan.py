@@ -201,7 +201,7 @@ def _words(
             why = ", for the targets are at equal steps" if _even(fitted, readings) else ""
             out.append(
                 f"these values of {p.name} fit alike within 1 %: {told}{why}; taken was "
-                f"{chosen.theta[p.name]:.4g}, the nearest to the start; measure at unequal steps to tell them apart"
+                f"{chosen.theta[p.name]:.4g}, the nearest to the start; measure at unequal steps to separate them"
             )
     return tuple(out)
 

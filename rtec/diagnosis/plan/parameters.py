@@ -94,7 +94,7 @@ def planned(asked: Sequence[Effect | Planned], machine: Machine) -> tuple[Planne
     names = [p.name for p in out]
     twice = next((n for n in names if names.count(n) > 1), None)
     if twice:
-        raise ModelError(f"plan: {twice} stands twice among what is asked for")
+        raise ModelError(f"plan: {twice} is given twice")
     return tuple(out)
 
 

@@ -300,5 +300,5 @@ def _words(known: str, test: Extra, gain: float) -> str:
     elif gain > 0.5:
         said = f"of the usual tests none settles it alone; the best is {made}, expected odds {math.exp(gain):.1f} to 1"
     else:
-        said = "none of the usual tests on this machine tells them apart"
+        said = "none of the usual tests on this machine separates them"
     return f"{known}; {said}" if known else said

@@ -15,6 +15,7 @@ from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.estimation.readings import Readings
 from rtec.machine import Machine
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 
@@ -63,12 +64,13 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
     if apart:
         why, test = "", "add rank 1, then diagnose again"
         how = (
-            f"it explains another part of the readings (cosine {cos:.2f}) and helps runs left out: both may be missing"
+            f"it explains another part of the readings (cosine {cos:.2f}) and lowers the error on held-out runs: both "
+            "may be missing"
         )
     elif cos > SAME:
         how = f"in these readings the two are the same shape (cosine {cos:.3f})"
     elif log_odds > 2.0 * WITHIN:
-        how = "the readings make it less likely, yet runs that were left out are predicted better by it"
+        how = "it is less likely from these data, yet it predicts held-out runs better"
     else:
         how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"
     return Alike(
@@ -191,5 +193,5 @@ def fold(readings: Readings, effect: Effect, theta: Mapping[str, float]) -> Alik
         f"targets stand every {step:.4g} mm, and there a wave of {period:.4g} mm looks like one of {others} mm: "
         "the name rests on the period that the machine file gives"
     )
-    test = f"unequal steps along {axis}, or steps below {period / PER_WAVE:.3g} mm"
+    test = f"unequal steps along {axis}, or steps below {significant(period / PER_WAVE)} mm"
     return Alike("cyclic_pole", effect.component, why, test, label=f"a wave of another period ({effect.component})")

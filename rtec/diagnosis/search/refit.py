@@ -219,7 +219,7 @@ class Refits:
         counted = itertools.count()
 
         def tried(which: tuple[Screen, int]) -> Tried:
-            self.stage("fitting the best anew", next(counted), len(looks))
+            self.stage("refitting the best", next(counted), len(looks))
             look, number = which
             variant = look.variants[look.best[number]]
             theta = self._polished(number, variant.theta, look.projected.whitener, base)

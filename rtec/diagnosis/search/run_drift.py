@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.estimation.readings import Readings, Series
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 
@@ -30,8 +31,9 @@ def run_drifts(readings: Readings, left: Floats) -> tuple[str, ...]:
             name = f"{readings.measurements[s.source].name} {s.column}"
             way = "rises" if trend[0] > 0.0 else "falls"
             told.append(
-                f"drift between the runs (cycles) of {name}: their mean {way} steadily, by {abs(trend[0]):.2g} {unit} "
-                "from the first to the last. An effect of geometry would be the same in each: suspect the zero, the "
+                f"drift between the runs (cycles) of {name}: their mean {way} steadily, by "
+                f"{significant(abs(trend[0]), 2)} {unit} from the first to the last. "
+                "An effect of geometry would be the same in each: suspect the zero, the "
                 "instrument, or heat that was not recorded"
             )
     return tuple(told)

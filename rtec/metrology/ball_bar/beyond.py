@@ -20,6 +20,7 @@ from rtec.effects import Effect
 from rtec.effects.derived import FAR_MM
 from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, Shape, along, axis_of, feeds_of, shape_of
 from rtec.metrology.ball_bar.circle import CircleTest
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
 Kind = Literal["plain", "wave", "spike"]
@@ -228,8 +229,8 @@ def _waves(circles: Sequence[CircleTest], place: int) -> Iterator[ExtraCause]:
         step = min(c.setup.radius_mm * c.step_rad for c in circles)
         why = ""
         if step * PER_WAVE > wave:
-            apart = f"readings are {step:.3g} mm apart where {letter} is fastest"
-            why = f"{apart}; a wave of {wave:g} mm needs {wave / 2:.3g}"
+            apart = f"readings are {significant(step)} mm apart where {letter} is fastest"
+            why = f"{apart}; a wave of {wave:g} mm needs {significant(wave / 2)}"
         effect = along(first, effect_name, place)
         theta = {"pitch": wave} if name == "cyclic" else {"period": wave}
         of = tuple(

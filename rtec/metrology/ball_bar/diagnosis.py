@@ -28,6 +28,7 @@ from rtec.metrology.ball_bar.phase import Phase, PhaseChoice, Shift, by_time, if
 from rtec.metrology.ball_bar.search import SearchResult, search
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import one_blas_thread
+from rtec.wording import significant
 
 SAME_MM = 1.0
 FASTER = 3.0
@@ -138,18 +139,19 @@ def chosen(
     third, chance = third_harmonic(circles, straight, window_deg)
     if chance < SURE:
         return bent, (
-            f"what the linear model leaves has a third harmonic of {third:.2f} µm, which bent guides make and noise "
-            f"would not"
+            f"the residual of the linear model has a third harmonic of {third:.2f} µm, which bent guides cause and "
+            "noise does not"
         )
     better = _better(straight, bent)
     if better < SURE:
         return bent, (
-            f"the error is large enough: the linear model leaves {straight.sigma_um:.3g} µm (standard deviation), the "
-            f"non-linear {bent.sigma_um:.3g} µm, more than chance"
+            f"the error is large enough: the residual of the linear model is {significant(straight.sigma_um)} µm "
+            f"(standard deviation), of the non-linear {significant(bent.sigma_um)} µm, a difference beyond noise"
         )
     return straight, (
-        f"the linear model leaves {straight.sigma_um:.3g} µm, the non-linear one {bent.sigma_um:.3g} µm, and no third "
-        f"harmonic beyond noise ({third:.2f} µm): the simpler one is surer"
+        f"the residual of the linear model is {significant(straight.sigma_um)} µm, of the non-linear one "
+        f"{significant(bent.sigma_um)} µm, and there is no third harmonic beyond noise ({third:.2f} µm): the simpler "
+        "model is taken"
     )
 
 

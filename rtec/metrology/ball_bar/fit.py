@@ -16,6 +16,7 @@ from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.ball_bar.design import SETTING_UP, BarDesign, Centre, Rank, design_of, rank_of
 from rtec.metrology.ball_bar.noise import WHITE, AngleNoise
 from rtec.metrology.procedures.fitting import correlation_time, unit_errors
+from rtec.wording import significant
 
 Number = tuple[float, float]
 """A value and its standard error."""
@@ -103,12 +104,12 @@ def note_of(cause: Cause, numbers: Mapping[str, Number], circles: Sequence[Circl
     if cause.name == "squareness" or cause.name.startswith("perpendicularity"):
         return _leans(cause, value, circles[0])
     if cause.name == "phase":
-        words = {c.name: f"{1e-3 * value * c.phase_rate / c.omega_rad_s:.3g} ms" for c in circles}
+        words = {c.name: f"{significant(1e-3 * value * c.phase_rate / c.omega_rad_s)} ms" for c in circles}
     elif cause.name == "delay":
-        words = {c.name: f"{1e3 * value * c.omega_rad_s:.3g} µrad" for c in circles}
+        words = {c.name: f"{significant(1e3 * value * c.omega_rad_s)} µrad" for c in circles}
     elif cause.name.startswith("gain_"):
         radius = {c.name: -value * c.omega_rad_s**2 * c.setup.radius_mm * 1e-3 for c in circles}
-        words = {name: f"radius {um:+.2g} µm" for name, um in radius.items()}
+        words = {name: f"radius {significant(um, 2, sign=True)} µm" for name, um in radius.items()}
     else:
         return ""
     loop = ""

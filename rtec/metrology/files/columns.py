@@ -19,6 +19,7 @@ from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.measurement import Ints
 from rtec.metrology.units import SUFFIXES
 from rtec.tomlfile import nearest
+from rtec.wording import significant
 
 PLAIN = {name: name for name in ("spindle_rpm", "feed_mm_min", *CONSTANT_CHANNELS, "angle_deg")}
 PREFIXES = ("run", "time", "reading", "spindle", "feed", "load", "force", "angle", "dir_")
@@ -176,7 +177,7 @@ def _angles(machine: Machine, setup: BallBarSetup, channels: dict[str, Floats], 
         raise MeasurementError(
             f"{where}: {int((off > OFF_CIRCLE_MM).sum())} rows are off the circle about {list(setup.centre_mm)} of "
             f"radius {setup.radius_mm:g} mm, the first (row {int(np.argmax(off > OFF_CIRCLE_MM)) + 1}) by "
-            f"{off[int(np.argmax(off > OFF_CIRCLE_MM))]:.3g} mm; leave feed-in and feed-out out, or correct "
+            f"{significant(off[int(np.argmax(off > OFF_CIRCLE_MM))])} mm; leave feed-in and feed-out out, or correct "
             "centre_mm and radius_mm"
         )
     return np.asarray(np.rad2deg(np.arctan2(beside[1], beside[0])), dtype=np.float64)

@@ -99,7 +99,7 @@ def _read(
     if not len(raw):
         faults.whole("no rows under the header" if is_text else "no rows")
     elif not len(kept):
-        faults.whole(f"every one of its {len(raw)} rows is bad; nothing is left to use")
+        faults.whole(f"every one of its {len(raw)} rows is bad; no usable row remains")
     if {"run", "time_s"} <= set(kept.columns):
         check_order(kept, faults)
     for name in instrument.columns():

@@ -152,7 +152,7 @@ def _required(table: Table, how: ImportMap, source: str) -> tuple[Table, list[st
         values = table.column(name, source)
         keep &= values != "" if values.dtype == np.object_ else np.isfinite(values.astype(np.float64))
     if not keep.any():
-        raise MeasurementError(f"{source}: no row has a value in all of {', '.join(how.rows.require)}; nothing is left")
+        raise MeasurementError(f"{source}: no row has a value in all of {', '.join(how.rows.require)}; no row remains")
     carried = {n: _held(table.numbers(n, source)) for n in held if n in table.columns}
     columns = {n: (carried.get(n, v))[keep] for n, v in table.columns.items()}
     dropped = int((~keep).sum())

@@ -33,7 +33,7 @@ class ToolTipSetup(Setup):
     @classmethod
     def _distinct(cls, value: tuple[Letter, ...]) -> tuple[Letter, ...]:
         if len(set(value)) < len(value):
-            raise ValueError("a direction stands twice")
+            raise ValueError("a direction is given twice")
         return value
 
 

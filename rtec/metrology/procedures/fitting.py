@@ -158,5 +158,5 @@ def unit_errors(design: Floats) -> Floats:
         raise MeasurementError(f"nothing in these readings shows number {int(np.argmin(size)) + 1} of the fit")
     _, singular, directions = np.linalg.svd(design / size, full_matrices=False)
     if singular[-1] < DEPENDENT * singular[0]:
-        raise MeasurementError("these readings cannot tell all the terms of the fit apart; measure where they differ")
+        raise MeasurementError("these readings do not separate all terms of the fit; measure where the terms differ")
     return np.asarray(np.linalg.norm(directions.T / singular, axis=1) / size, dtype=np.float64)

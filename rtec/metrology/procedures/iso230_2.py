@@ -258,7 +258,7 @@ def positioning(visits: Visits, pitch_mm: float | None = None) -> Positioning:
     if both is None:
         warnings.append("Only one direction of approach was measured: no reversal value and no bidirectional figures.")
     if drift is None:
-        warnings.append("Cycles are not all complete: drift between them is not told apart from repeatability.")
+        warnings.append("Cycles are not all complete: drift between them is not separated from repeatability.")
     return Positioning(visits, up, down, both, drift, tuple(warnings))
 
 

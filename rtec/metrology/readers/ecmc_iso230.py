@@ -47,7 +47,7 @@ def read(path: Path, source: Source) -> list[Table]:
     said = "turned round" if source.swap_directions else "as the file says"
     about = (
         f"forward and backward are {said}; reports published from such files have them the other way round",
-        "the file records no time: rows stand in the order of ISO 230-2",
+        "the file records no time: rows are in the order of ISO 230-2",
     )
     lost = int(np.isnan(np.asarray(table["reference"], dtype=np.float64)).sum())
     missing = (f"{lost} of {positions * cycles * 2} readings are not in the file",) if lost else ()

@@ -45,7 +45,7 @@ def read(path: Path, source: Source) -> list[Table]:
             if not iso:
                 faults.whole(f"line {header_line}: {name!r} is no argument and no error parameter of this format")
             elif names.count(iso) > 1:
-                faults.whole(f"line {header_line}: {name!r} stands twice")
+                faults.whole(f"line {header_line}: {name!r} is given twice")
         values = _rows(block[1:], len(names), faults)
         if not len(values):
             faults.whole(f"line {header_line}: no rows under this header")

@@ -35,7 +35,7 @@ def build_module(text: str, depends_on: Sequence[ModuleType]) -> ModuleType:
     """
     salt = "".join(inspect.getsource(m) for m in (jit, *depends_on))
     name = "rtec_kernel_" + hashlib.sha256(f"{__version__}\n{salt}\n{text}".encode()).hexdigest()[:24]
-    whole = f'"""Made by rtec {__version__}; made anew when anything in it changes."""\n\n{HEADER}{text}'
+    whole = f'"""Made by rtec {__version__}; made again when anything in it changes."""\n\n{HEADER}{text}'
     if name in sys.modules:
         return sys.modules[name]
     path = _write(name, whole)

@@ -50,7 +50,7 @@ def effect_from_text(text: str, machine: Machine) -> FittedEffect:
         if not mark:
             raise ModelError(f"{where}: {item!r} is no key=value; {FORM}")
         if key.strip() in given:
-            raise ModelError(f"{where}: {key.strip()!r} stands twice")
+            raise ModelError(f"{where}: {key.strip()!r} is given twice")
         given[key.strip()] = toml_value(value)
     if kind is Expression and "linear" not in given:
         given |= _declared(given, where)
