@@ -1,10 +1,14 @@
 """Text from outside (devices, files, clients, libraries) is data: here it becomes text that may be shown anywhere.
 
 Control characters move a terminal's cursor, line breaks forge lines of a journal, direction marks turn a name round,
-half a surrogate cannot be written at all. What is not printable is shown as its escape, as Python writes it.
+half a surrogate cannot be written at all. What is not printable is shown as its escape, as JSON writes it: a text of
+JSON that is cleaned means the same.
 """
 
 import unicodedata
+from typing import Final
+
+_SHORT: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def clean(text: str) -> str:
@@ -20,4 +24,7 @@ def clean_lines(text: str) -> str:
 def _shown(character: str) -> str:
     if character.isprintable() or unicodedata.category(character) == "Zs":
         return character
-    return ascii(character)[1:-1]
+    if character in _SHORT:
+        return _SHORT[character]
+    units = character.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))

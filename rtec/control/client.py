@@ -6,7 +6,6 @@ import shlex
 import socket
 import struct
 import subprocess
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -120,16 +119,6 @@ class Client:
             RtecError: it does not answer.
         """
         return self._ask("status")
-
-    def watch(self) -> Iterator[dict[str, Any]]:
-        """Give the status again and again, as the daemon sends it.
-
-        Raises:
-            RtecError: it does not answer any more.
-        """
-        yield self._ask("watch")
-        while True:
-            yield self._read()
 
     def order(self, order: Order, text: str = "") -> str:
         """Give an order; give the daemon's answer.

@@ -41,6 +41,7 @@ GROWTH_MB: Final = 48.0
 """Of the supervisor, during one attack: 256 connections with full buffers are a third of it."""
 EVERY_NS: Final = 200_000_000
 KILLS: Final = 50
+CYCLE_NS: Final = 1_000_000
 BATCH: Final = 50
 SLEW_UM_S, COUNTS_PER_UM = 50.0, 2.0
 ROUNDING: Final = 1e-9
@@ -104,8 +105,8 @@ def kills(seconds: float) -> Iterator[Row]:
 def _killed(found: dict[str, Any], kind: str) -> tuple[int, float]:
     """How many loops took over what the machine has; the largest command beside its limit."""
     commands = np.array(found["commands"])
-    time_s, output = commands[:, 0] * 1e-9, commands[:, 3:]
-    may = 1 + np.ceil(SLEW_UM_S * COUNTS_PER_UM * np.maximum(np.diff(time_s), 1e-3))
+    output = commands[:, 3:]
+    may = 1 + np.ceil(SLEW_UM_S * COUNTS_PER_UM * CYCLE_NS * 1e-9)  # of one cycle, however long the loop was dead
     offs = [np.abs(np.array(b["output"]) - output[b["after"] - 1]).max() for b in found["begins"][1:]]
     good = sum(off <= (0 if kind == "box" else 1) for off in offs) + 1
     kept = np.abs(np.array(found["saved"]) - found["inserted"]).max() <= 1
@@ -224,12 +225,14 @@ def _events(folder: Path) -> list[dict[str, Any]]:
 
 
 def _largest_step(log: Path) -> float:
-    """Largest change of the correction beside what its slew limit allows in the time between."""
+    """Largest change of the correction beside what its slew limit allows in the time between, one cycle at most."""
     with LogReader(log) as reader:
         blocks = list(reader.blocks())
     um = np.concatenate([commands.applied_um for _, commands in blocks])
     time_ns = np.concatenate([samples.time_ns for samples, _ in blocks])
-    return float((np.abs(np.diff(um, axis=0)).max(axis=1) / (SLEW_UM_S * np.diff(time_ns) * 1e-9)).max())
+    return float(
+        (np.abs(np.diff(um, axis=0)).max(axis=1) / (SLEW_UM_S * np.minimum(np.diff(time_ns), CYCLE_NS) * 1e-9)).max()
+    )
 
 
 def files(seconds: float) -> Iterator[Row]:

@@ -56,7 +56,7 @@ SUMMARY = {
     **{"cycles": 7, "deadline_misses": 0, "wake_up": _TIMES, "compute": _TIMES, "driver_errors": 1},
     "devices": {HOSTILE: {"times": 1, "last": {"output": HOSTILE}}},
 }
-SHOWN = r"box \x1b[31;5m\nrtec: all is well\u202e\ud800\x9b2J\u2028 [/red] <script>x"
+SHOWN = r"box \u001b[31;5m\nrtec: all is well\u202e\ud800\u009b2J\u2028 [/red] <script>x"
 
 
 def one_line(text: str) -> bool:
@@ -75,9 +75,14 @@ def test_what_comes_out_is_one_printable_line(text: str) -> None:
     cleaned.encode()
 
 
+@given(st.text(st.characters()))
+def test_cleaned_json_means_the_same(text: str) -> None:
+    assert json.loads(clean(json.dumps(text, ensure_ascii=False))) == text
+
+
 def test_it_is_shown_as_its_escape() -> None:
     assert clean(HOSTILE) == SHOWN
-    assert clean_lines(f"a{ESC}\nb") == "a\\x1b[31;5m\nb"
+    assert clean_lines(f"a{ESC}\nb") == "a\\u001b[31;5m\nb"
 
 
 @pytest.mark.parametrize("kind", [errors.ConfigError, errors.DriverFault, errors.LogError, errors.MeasurementError])
@@ -137,7 +142,7 @@ def test_what_is_drawn_and_written(terminal: bool) -> None:
     text = re.sub(r"\x1b\[(\?25[lh]|[12]?[AKG]|2K)|\r", "", out.getvalue())  # what rich itself moves the cursor with
     assert all(one_line(line) for line in text.split("\n"))
     assert text.count("[/red]") >= 8
-    assert "\\x1b[31;5m" in text
+    assert "\\u001b[31;5m" in text
 
 
 def test_whatever_is_written_to_the_standard_streams(capsys: pytest.CaptureFixture[str]) -> None:
