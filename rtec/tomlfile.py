@@ -3,6 +3,7 @@
 import difflib
 import hashlib
 import json
+import re
 import tomllib
 import types
 import typing
@@ -11,12 +12,17 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
 
 from rtec.errors import ConfigError, RtecError
 from rtec.text import clean
 
 M = TypeVar("M", bound=BaseModel)
 MAX_BYTES = 64 * 1024 * 1024
+DEEPEST = 32
+"""Tables within tables, at most; no file of rtec has more than seven."""
+ENDLESS_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){%d}" % (DEEPEST + 1))  # noqa: UP031 (braces)
+OUT_OF_RANGE = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 
 
 class Strict(BaseModel):
@@ -34,7 +40,11 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
     try:
         if path.stat().st_size > MAX_BYTES:
             raise error(f"{path}: larger than {MAX_BYTES // 2**20} MiB, which no configuration is")
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if ENDLESS_KEY.search(text):
+            raise RecursionError  # tomllib takes the square of its length to read such a key
+        data = tomllib.loads(text)
+        beyond = [_section(loc[:-1]) + loc[-1] for loc in _beyond_64_bits(data, ())]
     except FileNotFoundError as e:
         raise error(f"{path}: no such file") from e
     except IsADirectoryError as e:
@@ -49,9 +59,23 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
         raise error(f"{path}: cannot be read: {e.strerror}") from e
     except ValueError as e:  # TOMLDecodeError is one; a number of thousands of digits is another
         raise error(f"{path}: not valid TOML: {e}") from e
+    if beyond:
+        raise error("\n".join(f"{path}: {place}: TOML's integers have 64 bits; this one has more" for place in beyond))
     if fault := next(_unprintable(data), ""):
         raise error(f"{path}: {fault}")
     return data
+
+
+def _beyond_64_bits(value: object, loc: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
+    """Places of the integers that no 64 bits hold; TOML 1.0 has a reader refuse them. Nests as deep as `DEEPEST`."""
+    if len(loc) > DEEPEST:
+        raise RecursionError
+    if isinstance(value, int):
+        if not -(2**63) <= value < 2**63:
+            yield _joined(loc)
+    elif isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _beyond_64_bits(item, (*loc, key))
 
 
 def _unprintable(value: Any, key: str = "") -> Iterator[str]:
@@ -110,6 +134,8 @@ def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str) -> str:
     if item["type"] == "model_type":
         return f"{source}: {_section(loc)}must be a table, found {item.get('input')!r}"
     found = item.get("input")
+    if item["type"] in OUT_OF_RANGE:
+        item = {**item, "msg": _range_at(kind, item["loc"]) or item["msg"]}
     shown = f", found {found!r}" if isinstance(found, str | int | float | bool) else ""
     message = str(item["msg"]).removeprefix("Value error, ")
     where = f"{_section(loc[:-1])}{loc[-1]}: " if loc else ""
@@ -134,19 +160,37 @@ def _section(loc: tuple[Any, ...]) -> str:
 
 
 def _keys_at(kind: Any, loc: tuple[Any, ...]) -> set[str]:
-    """Keys allowed at a place of a model class; follows dicts, lists, optionals and unions."""
-    origin = get_origin(kind)
+    """Keys allowed at a place of a model class."""
+    models = (k for k, _ in _kinds_at(kind, loc) if isinstance(k, type) and issubclass(k, BaseModel))
+    return {field.alias or name for model in models for name, field in model.model_fields.items()}
+
+
+def _range_at(kind: Any, loc: tuple[Any, ...]) -> str:
+    """'must be from … to …' for the number at a place of a model class; "" where its type says no two bounds."""
+    words = {"ge": "from", "gt": "above", "le": "to", "lt": "below"}
+    for _, limits in _kinds_at(kind, loc):
+        flat = [item for limit in limits for item in (limit.metadata if isinstance(limit, FieldInfo) else (limit,))]
+        said = [f"{words[w]} {getattr(x, w):g}" for w in words for x in flat if getattr(x, w, None) is not None]
+        if len(said) == 2:
+            return f"must be {' '.join(said)}"
+    return ""
+
+
+def _kinds_at(kind: Any, loc: tuple[Any, ...], limits: tuple[Any, ...] = ()) -> Iterator[tuple[Any, tuple[Any, ...]]]:
+    """Types at a place of a model class, each with its bounds; follows dicts, lists, optionals and unions."""
+    origin, arguments = get_origin(kind), get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        return set().union(*(_keys_at(k, loc) for k in get_args(kind)))
-    if origin is typing.Annotated:
-        return _keys_at(get_args(kind)[0], loc)
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        if not loc:
-            return {field.alias or name for name, field in kind.model_fields.items()}
-        by_key = {field.alias or name: field for name, field in kind.model_fields.items()}
-        field = by_key.get(str(loc[0]))
+        for k in arguments:
+            yield from _kinds_at(k, loc, limits)
+    elif origin is typing.Annotated:
+        yield from _kinds_at(arguments[0], loc, (*limits, *arguments[1:]))
+    elif loc and isinstance(kind, type) and issubclass(kind, BaseModel):
+        field = {f.alias or name: f for name, f in kind.model_fields.items()}.get(str(loc[0]))
         # A tagged union puts its tag into the place; it is no key, so it is stepped over.
-        return _keys_at(field.annotation, loc[1:]) if field else _keys_at(kind, loc[1:])
-    if origin in (dict, list, tuple) and loc:
-        return _keys_at(get_args(kind)[1 if origin is dict else 0], loc[1:])
-    return set()
+        yield from _kinds_at(field.annotation, loc[1:], tuple(field.metadata)) if field else _kinds_at(kind, loc[1:])
+    elif loc and origin is tuple and isinstance(loc[0], int) and arguments[-1] is not Ellipsis:
+        yield from _kinds_at(arguments[min(loc[0], len(arguments) - 1)], loc[1:])
+    elif loc and origin in (dict, list, tuple):
+        yield from _kinds_at(arguments[1 if origin is dict else 0], loc[1:])
+    else:
+        yield kind, limits

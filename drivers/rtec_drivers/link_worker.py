@@ -6,7 +6,9 @@ the kernel, and `stop` wakes it.
 
 import threading
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Annotated, Generic, Protocol, TypeVar
+
+from pydantic import Field
 
 from rtec.daemon.process import prepare_worker
 from rtec.errors import DriverError, DriverUnavailable, unforeseen
@@ -14,6 +16,9 @@ from rtec.loop.clock import Clock
 
 NS = 1_000_000_000
 STOP_TIMEOUT_S = 15.0
+
+FirstRetry = Annotated[float, Field(ge=1e-3, le=60)]
+LongestRetry = Annotated[float, Field(ge=1e-3, le=600)]
 
 
 class Backoff:

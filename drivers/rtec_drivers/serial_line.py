@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from rtec.errors import DriverTimeout, DriverUnavailable
 from rtec.tomlfile import Strict
+from rtec_drivers.link_worker import FirstRetry, LongestRetry
 
 READ_BYTES = 4096
 SELECT_LIMIT = 1024
@@ -40,8 +41,8 @@ class PortOptions(Strict):
     parity: Literal["none", "even", "odd", "mark", "space"] = "none"
     stopbits: Literal[1, 2] = 1
     at_start: Literal["required", "later"] = "required"
-    first_retry_s: Annotated[float, Field(gt=0, le=60)] = 0.1
-    longest_retry_s: Annotated[float, Field(gt=0, le=600)] = 5.0
+    first_retry_s: FirstRetry = 0.1
+    longest_retry_s: LongestRetry = 5.0
 
     @model_validator(mode="after")
     def _some_port(self) -> Self:

@@ -17,6 +17,7 @@ from rtec.correction.sinks import Sink
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
+from rtec.quantities import MicrometresPositive, RevolutionsPerMinute, Seed
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 from rtec.tomlfile import Strict
@@ -42,14 +43,14 @@ class SimOptions(Strict):
     """
 
     truth: Path
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
     program: str | None = None
     program_file: Path | None = None
     repeat: bool = True
-    warm_up_s: Annotated[float, Field(ge=0)] = 0.0
-    warm_up_rpm: float = 0.0
+    warm_up_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    warm_up_rpm: RevolutionsPerMinute = 0.0
     actuator: Literal["pulse", "following_error", "phase", "origin_offset"] = "pulse"
-    unit_um: Annotated[float, Field(gt=0)] = 1.0
+    unit_um: MicrometresPositive = 1.0
 
     @model_validator(mode="after")
     def _one_program(self) -> Self:

@@ -14,13 +14,14 @@ import importlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverUnavailable
+from rtec.quantities import Code, Coefficient, DegreesCelsius, Factor, SecondsPositive
 from rtec.tomlfile import Strict, nearest
 
 Kind = Literal["B", "E", "J", "K", "N", "R", "S", "T"]
@@ -96,13 +97,13 @@ class Conversion(Strict):
         cold_junction: of the voltage: temperature of the terminals, °C, or the name of the reading that gives it.
     """
 
-    scale: float = 1.0
-    offset: float = 0.0
-    open_codes: tuple[float, ...] = ()
-    range_degc: tuple[float, float] = (-50.0, 250.0)
-    stuck_s: Annotated[float, Field(gt=0)] = 900.0
+    scale: Factor = 1.0
+    offset: Coefficient = 0.0
+    open_codes: tuple[Code, ...] = ()
+    range_degc: tuple[DegreesCelsius, DegreesCelsius] = (-50.0, 250.0)
+    stuck_s: SecondsPositive = 900.0
     thermocouple: Kind | None = None
-    cold_junction: str | float | None = None
+    cold_junction: str | DegreesCelsius | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

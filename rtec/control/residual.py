@@ -16,7 +16,7 @@ from rtec.machine import Machine
 from rtec.model import Model
 
 LARGEST_BYTES: Final = 16 * 1024 * 1024
-_Number = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Number = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
 class _Item(BaseModel):
@@ -27,7 +27,7 @@ class _Item(BaseModel):
     name: str
     column: str = ""
     unit: str
-    n: Annotated[int, Field(gt=0, le=2**53)]
+    n: Annotated[int, Field(ge=1, le=2**53)]
     rms_residual_um: _Number
     noise_floor_um: _Number
     components: tuple[str, ...] = ()

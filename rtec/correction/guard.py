@@ -22,11 +22,12 @@ the text that calls them for a machine's axes and sensors; it decides nothing.
 
 import math
 from enum import IntFlag
-from typing import Annotated, Final
+from typing import Final
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from rtec.jit import njit
+from rtec.quantities import MicrometresPerSecond, MicrometresPerSecond2, MicrometresPositive, SecondsPositive
 from rtec.tomlfile import Strict
 
 MODE_OFF: Final = 0
@@ -111,10 +112,10 @@ class Limits(Strict):
         acceleration_um_s2: fastest change of that speed.
     """
 
-    warning_um: Annotated[float, Field(gt=0)]
-    stop_um: Annotated[float, Field(gt=0)]
-    slew_um_s: Annotated[float, Field(gt=0)]
-    acceleration_um_s2: Annotated[float, Field(gt=0)]
+    warning_um: MicrometresPositive
+    stop_um: MicrometresPositive
+    slew_um_s: MicrometresPerSecond
+    acceleration_um_s2: MicrometresPerSecond2
 
     @model_validator(mode="after")
     def _ordered(self) -> "Limits":
@@ -132,9 +133,9 @@ class GuardSettings(Strict):
         fade_after_s: after so long a hold the correction fades to nothing; not set: it stays for ever.
     """
 
-    counts_max_age_s: Annotated[float, Field(gt=0)] = 0.005
-    temperature_max_age_s: Annotated[float, Field(gt=0)] = 30.0
-    fade_after_s: Annotated[float, Field(gt=0)] | None = None
+    counts_max_age_s: SecondsPositive = 0.005
+    temperature_max_age_s: SecondsPositive = 30.0
+    fade_after_s: SecondsPositive | None = None
 
 
 # Plain integers: the compiler knows no enumerations.

@@ -16,6 +16,13 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rtec.machine import Axis
+from rtec.quantities import (
+    CountsPerSecond,
+    MicrometresPositive,
+    MillimetresPositive,
+    SecondsNotNegative,
+    SecondsPositive,
+)
 from rtec.tomlfile import Strict
 
 UNLIMITED = float(2**52)
@@ -47,7 +54,7 @@ class PulseSink(Strict):
 
     kind: Literal["pulse"] = "pulse"
     quantum_counts: Literal[1, 4] = 1
-    max_counts_per_s: Annotated[float, Field(gt=0)] = 20000.0
+    max_counts_per_s: CountsPerSecond = 20000.0
 
     def scale(self, axis: Axis) -> SinkScale:
         """Counts; positive ones make the axis stop sooner, hence the sign."""
@@ -56,9 +63,9 @@ class PulseSink(Strict):
 
 
 class _OffsetSink(Strict):
-    resolution_um: Annotated[float, Field(gt=0)]
-    period_s: Annotated[float, Field(gt=0)] = 0.020
-    max_um: Annotated[float, Field(gt=0)] = 1000.0
+    resolution_um: MicrometresPositive
+    period_s: SecondsPositive = 0.020
+    max_um: MicrometresPositive = 1000.0
 
     @property
     def unit_um(self) -> float:
@@ -82,7 +89,7 @@ class OriginOffsetSink(_OffsetSink):
     """Shift of the controller's origin; slower controllers take it every second or so."""
 
     kind: Literal["origin_offset"] = "origin_offset"
-    period_s: Annotated[float, Field(gt=0)] = 1.0
+    period_s: SecondsPositive = 1.0
 
 
 class PhaseSink(Strict):
@@ -90,8 +97,8 @@ class PhaseSink(Strict):
 
     kind: Literal["phase"] = "phase"
     bits: Annotated[int, Field(ge=4, le=24)] = 8
-    range_mm: Annotated[float, Field(gt=0)] = 0.1
-    period_s: Annotated[float, Field(ge=0)] = 0.020
+    range_mm: MillimetresPositive = 0.1
+    period_s: SecondsNotNegative = 0.020
 
     @property
     def unit_um(self) -> float:

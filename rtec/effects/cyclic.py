@@ -151,7 +151,7 @@ class InterpolationError(_Wave):
         reveal="laser in steps of λ/8 or less over a few periods",
     )
     effect: Literal["interpolation_error"] = "interpolation_error"
-    lambda_mm: Annotated[float, Field(gt=0.0, le=5.0)]
+    lambda_mm: Annotated[float, Field(ge=1e-6, le=5.0)]
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:

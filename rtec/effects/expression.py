@@ -35,15 +35,16 @@ from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
+from rtec.quantities import Coefficient
 from rtec.tomlfile import Strict, nearest, validated
 
 
 class Free(Strict):
     """A non-linear parameter of an expression: where the search begins and its bounds."""
 
-    start: float
-    low: float
-    high: float
+    start: Coefficient
+    low: Coefficient
+    high: Coefficient
     unit: str = "1"
 
     @model_validator(mode="after")

@@ -17,6 +17,7 @@ from pydantic import Field, field_validator
 from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings
 from rtec.effects.state import Channels, Value
 from rtec.machine import Axis, Machine
+from rtec.quantities import Millimetres
 
 MM_TO_M = 1e-3
 
@@ -150,7 +151,7 @@ class PiecewisePosition(AxisEffect):
     feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
     driven_by: ClassVar[tuple[str, ...]] = ("position",)
     effect: Literal["piecewise_position"] = "piecewise_position"
-    knots_mm: Annotated[tuple[float, ...], Field(min_length=2, max_length=1000)]
+    knots_mm: Annotated[tuple[Millimetres, ...], Field(min_length=2, max_length=1000)]
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:

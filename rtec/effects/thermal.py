@@ -32,6 +32,7 @@ from rtec.effects.base import (
 from rtec.effects.geometry import scaled
 from rtec.effects.state import Channels, Value
 from rtec.machine import Machine
+from rtec.quantities import Millimetres
 
 LAGS_S = (300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0)
 TAU = Parameter("tau", "s", 1800.0, 10.0, 40000.0, 1800.0, LAGS_S)
@@ -97,7 +98,7 @@ class AxisExpansion(OneSensor, AxisEffect):
     feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
     driven_by: ClassVar[tuple[str, ...]] = ("position", "temperature")
     effect: Literal["axis_expansion"] = "axis_expansion"
-    fixed_mm: float = 0.0
+    fixed_mm: Millimetres = 0.0
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read position and sensor."""

@@ -17,6 +17,7 @@ from rtec.errors import ConfigError, RtecError
 from rtec.loop.step import Inputs, StepSettings, loop_faults
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
+from rtec.quantities import DegreesCelsius, Millimetres, RevolutionsPerMinute
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
 
 PLACE: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|\*|[^:/\[\]\s]+):(?P<port>\d{1,5})")
@@ -75,9 +76,9 @@ class LogTable(Strict):
         pack: turn closed files into zstd Parquet, about a tenth of the size.
     """
 
-    segment_mb: Annotated[float, Field(gt=0)] = 512.0
-    segment_s: Annotated[float, Field(ge=1)] = 3600.0
-    disk_share: Annotated[float, Field(gt=0, le=1)] = 0.5
+    segment_mb: Annotated[float, Field(ge=1e-3, le=1e6)] = 512.0
+    segment_s: Annotated[float, Field(ge=1, le=1e7)] = 3600.0
+    disk_share: Annotated[float, Field(ge=1e-6, le=1)] = 0.5
     pack: bool = True
 
 
@@ -99,7 +100,7 @@ class RunTable(Strict):
     mode: Literal["on", "off", "hold"] = "on"
     log_folder: Path | None = None
     state_folder: Path | None = None
-    flush_s: Annotated[float, Field(gt=0, le=1)] = 0.5
+    flush_s: Annotated[float, Field(ge=1e-3, le=1)] = 0.5
 
 
 class Roles(Strict):
@@ -121,7 +122,7 @@ class Realtime(Strict):
     """
 
     priority: Annotated[int, Field(ge=0, le=98)] = 80
-    cpu: Annotated[int, Field(ge=0)] | None = None
+    cpu: Annotated[int, Field(ge=0, le=4095)] | None = None
     lock_memory: bool = True
 
 
@@ -136,8 +137,8 @@ class CaptureAxis(Strict):
 
     a: str
     b: str
-    start_mm: float = 0.0
-    min_edge_separation_us: Annotated[float, Field(gt=0)] = 1.0
+    start_mm: Millimetres = 0.0
+    min_edge_separation_us: Annotated[float, Field(ge=1e-3, le=1e6)] = 1.0
 
 
 class CaptureTable(Strict):
@@ -150,8 +151,8 @@ class CaptureTable(Strict):
     """
 
     axis: dict[str, CaptureAxis]
-    degc: dict[str, float] = Field(default_factory=dict)
-    spindle_rpm: float = 0.0
+    degc: dict[str, DegreesCelsius] = Field(default_factory=dict)
+    spindle_rpm: RevolutionsPerMinute = 0.0
 
 
 class RunFile(Strict):

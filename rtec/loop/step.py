@@ -30,6 +30,7 @@ from rtec.model.kernel import build as elementary
 from rtec.model.kernel.build import build_module
 from rtec.model.kernel.trace import Plan, plan_model
 from rtec.model.kernel.write import EXTRA_ARRAYS, LAG_SLOTS, write_kernel
+from rtec.quantities import Kilograms, Newtons
 from rtec.tomlfile import Strict
 
 Array = NDArray[Any]
@@ -49,8 +50,8 @@ class Inputs(Strict):
             (`rtec.effects.derived.motion_update`); only models that read these channels use it.
     """
 
-    load_kg: Annotated[float, Field(ge=0)] = 0.0
-    force_n: float = 0.0
+    load_kg: Kilograms = 0.0
+    force_n: Newtons = 0.0
     motion_filter_s: Annotated[float, Field(ge=0.001, le=10)] = 0.02
 
 

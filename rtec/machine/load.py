@@ -9,9 +9,9 @@ from pydantic import Field
 
 from rtec.errors import ConfigError
 from rtec.machine.machine import CONSTANT_CHANNELS, Axis, Link, Machine, Sensor
+from rtec.quantities import Counts, CountsPerMillimetre, DegreesCelsius, Millimetres, MillimetresPositive, Vector
 from rtec.tomlfile import Strict, nearest, read_toml, validated
 
-Vector = tuple[float, float, float]
 RESERVED = {"time_s", "spindle_rpm", "feed_mm_min", *CONSTANT_CHANNELS, "run", "pi", "e"}
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -25,12 +25,12 @@ class _MachineTable(Strict):
 class _AxisTable(Strict):
     kind: Literal["linear"] = "linear"
     direction: Literal["X", "Y", "Z"]
-    travel_mm: tuple[float, float]
-    counts_per_mm: Annotated[float, Field(gt=0)]
-    pitch_mm: Annotated[float, Field(gt=0)] | None = None
+    travel_mm: tuple[Millimetres, Millimetres]
+    counts_per_mm: CountsPerMillimetre
+    pitch_mm: MillimetresPositive | None = None
     offset_mm: Vector = (0.0, 0.0, 0.0)
     compensate: bool = True
-    dead_band_counts: Annotated[int, Field(ge=0)] = 2
+    dead_band_counts: Counts = 2
 
 
 class _LinkTable(Strict):
@@ -38,7 +38,7 @@ class _LinkTable(Strict):
 
 
 class _SensorTable(Strict):
-    range_degc: tuple[float, float] = (-20.0, 120.0)
+    range_degc: tuple[DegreesCelsius, DegreesCelsius] = (-20.0, 120.0)
 
 
 class _MachineFile(Strict):

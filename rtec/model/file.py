@@ -5,7 +5,7 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tomli_w
 from pydantic import Field
@@ -14,14 +14,15 @@ from rtec.effects import effect_class
 from rtec.errors import ModelError
 from rtec.machine import Machine
 from rtec.model.model import FittedEffect, Model
+from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, DegreesCelsius, MicrometresNotNegative
 from rtec.tomlfile import Strict, read_toml, validated
 
 FORMAT = 1
 
 
 class _Number(Strict):
-    value: float
-    se: Annotated[float, Field(ge=0)] | None = None
+    value: Coefficient
+    se: CoefficientNotNegative | None = None
     unit: str
 
 
@@ -30,15 +31,15 @@ class _ModelTable(Strict):
     name: str
     machine: str
     machine_hash: str
-    reference_degc: float
-    noise_um: Annotated[float, Field(ge=0)] | None = None
-    effects: Annotated[int, Field(ge=0)] | None = None
+    reference_degc: DegreesCelsius
+    noise_um: MicrometresNotNegative | None = None
+    effects: Counts | None = None
 
 
 class _ModelFile(Strict):
     model: _ModelTable
     effect: list[dict[str, Any]] = Field(default_factory=list)
-    valid_range: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    valid_range: dict[str, tuple[Coefficient, Coefficient]] = Field(default_factory=dict)
     measurement: dict[str, str] = Field(default_factory=dict)
     history: list[dict[str, Any]] = Field(default_factory=list)
 

@@ -247,3 +247,18 @@ def check_fitted(fitted: FittedEffect, machine: Machine, where: str) -> None:
             raise ModelError(f"{where}: {said}; it has: {', '.join(wanted) or 'none'}")
         if not all(np.isfinite(v) for v in found.values()):
             raise ModelError(f"{where}: a {kind} is not a finite number")
+    for parameter in fitted.effect.nonlinear(machine):
+        low, high = _believable(parameter)
+        if not low <= fitted.theta[parameter.name] <= high:
+            raise ModelError(
+                f"{where}: [nonlinear.{parameter.name}] value: must be from {low:g} to {high:g} {parameter.unit}, "
+                f"found {fitted.theta[parameter.name]:g}"
+            )
+
+
+def _believable(parameter: Parameter) -> tuple[float, float]:
+    """Lowest and highest value that a model may have: ten times beyond where a fit searches, and of the same sign."""
+    low, high = parameter.low, parameter.high
+    if low > 0:
+        return low / 10, high * 10
+    return (low - 10 * (high - low), high + 10 * (high - low)) if np.isfinite(high - low) else (low, high)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,16 @@ from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import Edges, counts_at, decode_edges, pack
 from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError, LogError
+from rtec.limits import most_bytes
 from rtec.loop.records import MODES_BY_NAME, Layout, Samples
 from rtec.loop.run_file import CaptureAxis, CaptureTable, Setup
 from rtec.loop.step import Step
 from rtec.machine import Axis
 from rtec.replay import sigrok
 
+MOST_CYCLES: Final = 4_000_000
+EXPANSION: Final = 48
+"""Bytes of memory that a byte of the capture takes at worst, with an edge at every sample."""
 Ints = NDArray[np.int64]
 Column = NDArray[np.float64] | Ints
 
@@ -82,7 +87,8 @@ def replay_capture(
     wanted = _wanted(setup)
     tell = progress or (lambda *_: None)
     stages = 3 + len(wanted.axis)
-    capture = sigrok.read(path)
+    capture = sigrok.read(path, min(sigrok.MAX_LOGIC_BYTES, most_bytes(EXPANSION)))
+    _check_length(capture, setup)
     tell(1, stages)
     edges = {name: decode_edges(*capture.pair(a.a, a.b)) for name, a in wanted.axis.items()}
     step = Step(setup.step_settings())
@@ -112,6 +118,22 @@ def replay_capture(
     tell(stages, stages)
     n = len(capture.samples)
     return CaptureReport(n, n / capture.samplerate_hz, len(samples), _flags_seen(commands.flags), reports, out, table)
+
+
+def _check_length(capture: sigrok.Capture, setup: Setup) -> None:
+    """Refuse what has less than a sample a cycle, and what makes more cycles than memory holds."""
+    rate_hz = setup.file.run.rate_hz
+    if capture.samplerate_hz < rate_hz:
+        raise LogError(
+            f"{capture.source}: sampled at {capture.samplerate_hz} Hz, and [run] rate_hz of {setup.path} is "
+            f"{rate_hz:g}; a capture has at least one sample a cycle"
+        )
+    cycles = len(capture.samples) / capture.samplerate_hz * rate_hz
+    if cycles > MOST_CYCLES:
+        raise LogError(
+            f"{capture.source}: {len(capture.samples) / capture.samplerate_hz:.0f} s are {cycles:.0f} cycles of "
+            f"{rate_hz:g} Hz; at most {MOST_CYCLES} are replayed; divide the capture"
+        )
 
 
 def _flags_seen(flags: Ints) -> dict[str, float]:

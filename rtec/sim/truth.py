@@ -11,10 +11,26 @@ from pydantic import Field
 
 from rtec.errors import ConfigError
 from rtec.machine import Machine
+from rtec.quantities import (
+    Coefficient,
+    DegreesCelsius,
+    DegreesDifference,
+    DegreesSpread,
+    HoursPositive,
+    Micrometres,
+    MicrometresNotNegative,
+    Microradians,
+    Millimetres,
+    MillimetresPerSecond,
+    MillimetresPerSecond2,
+    MillimetresPositive,
+    Radians,
+    SecondsPositive,
+    Share,
+    WattsPerKelvin,
+)
 from rtec.tomlfile import Strict, nearest, read_toml, validated
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 Motion = Literal["X", "Y", "Z", "A", "B", "C"]
 AngularMotion = Literal["A", "B", "C", "A0", "B0", "C0"]
 
@@ -22,52 +38,52 @@ AngularMotion = Literal["A", "B", "C", "A0", "B0", "C0"]
 class Ambient(Strict):
     """Air of the workshop: a daily wave, a slow random walk that returns, and days that differ by seed."""
 
-    mean_degc: float = 20.0
-    swing_degc: NotNegative = 0.0
-    coldest_at_h: float = -3.0
-    day_spread_degc: NotNegative = 0.0
-    walk_degc_per_sqrt_h: NotNegative = 0.0
-    walk_return_h: Positive = 6.0
+    mean_degc: DegreesCelsius = 20.0
+    swing_degc: DegreesSpread = 0.0
+    coldest_at_h: Annotated[float, Field(ge=-1e5, le=1e5)] = -3.0
+    day_spread_degc: DegreesSpread = 0.0
+    walk_degc_per_sqrt_h: DegreesSpread = 0.0
+    walk_return_h: HoursPositive = 6.0
 
 
 class Body(Strict):
     """A first-order body of the thermal network."""
 
-    capacity_j_per_k: Positive
-    to_air_w_per_k: NotNegative = 0.0
+    capacity_j_per_k: Annotated[float, Field(ge=1e-3, le=1e12)]
+    to_air_w_per_k: WattsPerKelvin = 0.0
 
 
 class Conductance(Strict):
     """Heat path between two bodies."""
 
     between: tuple[str, str]
-    w_per_k: Positive
+    w_per_k: WattsPerKelvin
 
 
 class SpindleHeat(Strict):
     """Heat of the spindle, `w_at_1000_rpm · (n/1000)^exponent`, shared among bodies."""
 
-    w_at_1000_rpm: NotNegative
-    exponent: Positive
-    shares: dict[str, Positive]
+    w_at_1000_rpm: Annotated[float, Field(ge=0, le=1e6)]
+    exponent: Annotated[float, Field(ge=1e-3, le=10)]
+    shares: dict[str, Share]
 
 
 class SensorTruth(Strict):
     """A sensor stuck on a body (or hanging in the air: body "air")."""
 
     body: str
-    offset_degc: float = 0.0
-    noise_degc: NotNegative = 0.0
-    lag_s: Positive = 1.0
-    resolution_degc: NotNegative = 0.0
+    offset_degc: DegreesDifference = 0.0
+    noise_degc: DegreesSpread = 0.0
+    lag_s: SecondsPositive = 1.0
+    resolution_degc: DegreesSpread = 0.0
 
 
 class Shape(Strict):
     """`slope_per_m · q` + waves (amplitude, wavelength mm, phase rad) + bumps (height, centre mm, width mm)."""
 
-    slope_per_m: float = 0.0
-    waves: tuple[tuple[float, Positive, float], ...] = ()
-    bumps: tuple[tuple[float, float, Positive], ...] = ()
+    slope_per_m: Coefficient = 0.0
+    waves: tuple[tuple[Coefficient, MillimetresPositive, Radians], ...] = ()
+    bumps: tuple[tuple[Coefficient, Millimetres, MillimetresPositive], ...] = ()
 
 
 class Screw(Strict):
@@ -83,38 +99,38 @@ class Screw(Strict):
     """
 
     bodies: tuple[str, ...] = ()
-    fixed_at_mm: float = 0.0
-    um_per_m_degc: float = 0.0
-    bend_per_degc: float = 0.0
-    cyclic_um: float = 0.0
-    cyclic_phase_rad: float = 0.0
-    cyclic2_um: float = 0.0
-    cyclic2_phase_rad: float = 0.0
-    encoder_um: float = 0.0
-    encoder_phase_rad: float = 0.0
+    fixed_at_mm: Millimetres = 0.0
+    um_per_m_degc: Coefficient = 0.0
+    bend_per_degc: Coefficient = 0.0
+    cyclic_um: Micrometres = 0.0
+    cyclic_phase_rad: Radians = 0.0
+    cyclic2_um: Micrometres = 0.0
+    cyclic2_phase_rad: Radians = 0.0
+    encoder_um: Micrometres = 0.0
+    encoder_phase_rad: Radians = 0.0
 
 
 class Drive(Strict):
     """Servo drive and position loop of one axis, and the heat that it makes."""
 
-    kv_per_s: Positive = 40.0
-    feed_forward: NotNegative = 1.0
-    lag_ms: Positive = 2.0
-    heat_j_per_mm: NotNegative = 0.0
-    shares: dict[str, Positive] = Field(default_factory=dict)
-    production_feed_mm_s: NotNegative = 50.0
+    kv_per_s: Annotated[float, Field(ge=1e-3, le=1e4)] = 40.0
+    feed_forward: Annotated[float, Field(ge=0, le=10)] = 1.0
+    lag_ms: Annotated[float, Field(ge=1e-3, le=1e6)] = 2.0
+    heat_j_per_mm: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    shares: dict[str, Share] = Field(default_factory=dict)
+    production_feed_mm_s: Annotated[float, Field(ge=0, le=1e5)] = 50.0
 
 
 class AxisTruth(Strict):
     """One axis: where its encoder sits, its six motions, squareness and play."""
 
     encoder: Literal["screw", "scale"] = "screw"
-    backlash_um: NotNegative = 0.0
+    backlash_um: MicrometresNotNegative = 0.0
     screw: Screw = Screw()
     drive: Drive = Drive()
     motion_um: dict[str, Shape] = Field(default_factory=dict)
     motion_urad: dict[str, Shape] = Field(default_factory=dict)
-    squareness_urad: dict[Literal["A", "B", "C"], float] = Field(default_factory=dict)
+    squareness_urad: dict[Literal["A", "B", "C"], Microradians] = Field(default_factory=dict)
 
 
 class Growth(Strict):
@@ -124,8 +140,8 @@ class Growth(Strict):
     motion: Literal["X", "Y", "Z"]
     body: str
     minus: str | None = None
-    per_degc: float
-    per_degc2: float = 0.0
+    per_degc: Coefficient
+    per_degc2: Coefficient = 0.0
 
 
 class AngularGrowth(Growth):
@@ -139,23 +155,23 @@ class Drift(Strict):
 
     link: str
     motion: Literal["X", "Y", "Z"]
-    amplitude: float
-    period_h: Positive
+    amplitude: Coefficient
+    period_h: HoursPositive
 
 
 class Servo(Strict):
     """The controller: one speed profile for all."""
 
     period_us: Literal[50, 100, 125, 200, 250, 500, 1000] = 500
-    rapid_mm_s: Positive = 250.0
-    acceleration_mm_s2: Positive = 2000.0
-    spindle_rpm_per_s: Positive = 2000.0
+    rapid_mm_s: MillimetresPerSecond = 250.0
+    acceleration_mm_s2: MillimetresPerSecond2 = 2000.0
+    spindle_rpm_per_s: Annotated[float, Field(ge=1e-3, le=1e9)] = 2000.0
 
 
 class Truth(Strict):
     """A whole simulated machine; `check_truth` compares it with the machine file."""
 
-    reference_degc: float = 20.0
+    reference_degc: DegreesCelsius = 20.0
     ambient: Ambient = Ambient()
     body: dict[str, Body]
     conductance: tuple[Conductance, ...] = ()

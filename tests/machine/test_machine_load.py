@@ -89,8 +89,8 @@ FAULTS: list[tuple[Callable[[Table], object], str]] = [
         put("link", "tool", "offset_mm", [0, 0, 0, 0]),
         "[link.tool] offset_mm: Tuple should have at most 3 items after validation, not 4",
     ),
-    (put("axis", "X", "counts_per_mm", 0), "[axis.X] counts_per_mm: Input should be greater than 0, found 0"),
-    (put("axis", "X", "pitch_mm", -5.0), "[axis.X] pitch_mm: Input should be greater than 0, found -5.0"),
+    (put("axis", "X", "counts_per_mm", 0), "[axis.X] counts_per_mm: must be from 0.001 to 1e+08, found 0"),
+    (put("axis", "X", "pitch_mm", -5.0), "[axis.X] pitch_mm: must be from 1e-06 to 100000, found -5.0"),
     (
         put("axis", "X", "counts_per_mm", float("nan")),
         "[axis.X] counts_per_mm: Input should be a finite number, found nan",

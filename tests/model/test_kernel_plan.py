@@ -182,10 +182,10 @@ def hostile_machine() -> Machine:
         {
             "machine": {"name": "'); import os #", "tool_chain": ["exec", "M", "eval"], "work_chain": ["class", "q"]},
             "axis": {
-                "exec": {"direction": "X", "travel_mm": [0.0, 1e3], "counts_per_mm": 1000, "pitch_mm": 1e-300},
-                "M": {"direction": "Z", "travel_mm": [-1e300, 1e300], "counts_per_mm": 1000},
+                "exec": {"direction": "X", "travel_mm": [0.0, 1e3], "counts_per_mm": 1000, "pitch_mm": 1e-6},
+                "M": {"direction": "Z", "travel_mm": [-1e5, 1e5], "counts_per_mm": 1000},
             },
-            "link": {"eval": {"offset_mm": [-1e-300, 1e300, -0.0]}},
+            "link": {"eval": {"offset_mm": [-1e-300, 1e5, -0.0]}},
             "temperature": {"import": {}, "os": {}, "njit": {}, "lambda_": {}},
         },
         "hostile",

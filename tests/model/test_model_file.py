@@ -108,7 +108,7 @@ FAULTS: list[tuple[Callable[[Table], None], str]] = [
     (put("model", "nam", "x"), "[model] unknown key 'nam'; did you mean 'name'?"),
     (drop("model", "reference_degc"), "[model] key 'reference_degc' is missing"),
     (drop("model"), "key 'model' is missing"),
-    (put("model", "noise_um", -1.0), "[model] noise_um: Input should be greater than or equal to 0, found -1.0"),
+    (put("model", "noise_um", -1.0), "[model] noise_um: must be from 0 to 1e+06, found -1.0"),
     (
         put("model", "reference_degc", float("nan")),
         "[model] reference_degc: Input should be a finite number, found nan",
@@ -166,7 +166,7 @@ FAULTS: list[tuple[Callable[[Table], None], str]] = [
     ),
     (
         put("effect", 0, "coefficient", "k", "se", -1.0),
-        "[effect 1, scale]: [coefficient.k] se: Input should be greater than or equal to 0, found -1.0",
+        "[effect 1, scale]: [coefficient.k] se: must be from 0 to 1e+12, found -1.0",
     ),
     (put("valid_range", "T_ari", [0.0, 1.0]), "[valid_range] 'T_ari' is no channel; did you mean 'T_air'?"),
     (put("valid_range", "x", [1.0, 0.0]), "[valid_range] x: [1.0, 0.0]: need lowest <= highest"),

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError
 from rtec.machine import Machine
+from rtec.quantities import MillimetresPerSecond, SecondsPositive
 from rtec.tomlfile import nearest
 from rtec_drivers.serial_line import PortOptions
 
@@ -42,14 +43,14 @@ class AsciiOptions(PortOptions):
     at_start: Literal["required", "later"] = "later"
     patterns: Annotated[tuple[str, ...], Field(min_length=1)]
     units: dict[str, str] = Field(default_factory=dict)
-    max_speed_mm_s: dict[str, Annotated[float, Field(gt=0)]] = Field(default_factory=dict)
+    max_speed_mm_s: dict[str, MillimetresPerSecond] = Field(default_factory=dict)
     decimal: Literal[".", ","] = "."
     line_end: Literal["lf", "cr", "crlf"] = "lf"
     encoding: Literal["ascii", "latin-1", "utf-8"] = "latin-1"
     request: str | None = None
     request_period_s: Annotated[float, Field(ge=0.001, le=3600)] = 1.0
-    silent_reopen_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
-    stuck_after_s: Annotated[float, Field(gt=0)] | None = None
+    silent_reopen_s: Annotated[float, Field(ge=1e-3, le=3600)] = 10.0
+    stuck_after_s: SecondsPositive | None = None
     longest_line: Annotated[int, Field(ge=1, le=4096)] = 256
 
     @model_validator(mode="after")

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from rtec.errors import ConfigError
 from rtec.machine import Machine
+from rtec.quantities import Counts, MillimetresPerSecond
 from rtec.tomlfile import nearest
 from rtec_drivers.serial_line import PortOptions
 
@@ -28,13 +29,13 @@ class BoxOptions(PortOptions):
 
     baud: Annotated[int, Field(ge=50, le=20_000_000)] = 1_000_000
     axes: tuple[str, ...] | None = None
-    max_speed_mm_s: dict[str, Annotated[float, Field(gt=0)]]
+    max_speed_mm_s: dict[str, MillimetresPerSecond]
     box_serial: Annotated[int, Field(ge=0, le=2**32 - 1)] | None = None
-    timeout_ms: Annotated[float, Field(gt=0, le=100)] = 0.6
+    timeout_ms: Annotated[float, Field(ge=1e-3, le=100)] = 0.6
     open_timeout_s: Annotated[float, Field(ge=0.1, le=30)] = 3.0
-    command_timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.05
-    silent_reopen_s: Annotated[float, Field(gt=0, le=600)] = 2.0
-    resume_step_counts: Annotated[int, Field(ge=0)] = 16
+    command_timeout_s: Annotated[float, Field(ge=1e-4, le=10)] = 0.05
+    silent_reopen_s: Annotated[float, Field(ge=1e-3, le=600)] = 2.0
+    resume_step_counts: Counts = 16
 
 
 def axis_order(axes: tuple[str, ...] | None, machine: Machine) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
+from rtec.quantities import Counts, MillimetresPerSecond
 from rtec_drivers.box.ledger import BoxLedger
 from rtec_drivers.box.options import axis_order, max_counts_per_s
 from rtec_drivers.box.protocol import NOT_RESUMED, BoxState
@@ -41,11 +42,11 @@ class CanBoxOptions(CanOptions):
 
     base_id: Annotated[int, Field(ge=0x40, le=0x780)] = 0x140
     axes: tuple[str, ...] | None = None
-    max_speed_mm_s: dict[str, Annotated[float, Field(gt=0)]]
-    timeout_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
+    max_speed_mm_s: dict[str, MillimetresPerSecond]
+    timeout_ms: Annotated[float, Field(ge=1e-3, le=1000)] = 20.0
     open_timeout_s: Annotated[float, Field(ge=0.1, le=30)] = 2.0
-    command_timeout_s: Annotated[float, Field(gt=0, le=10)] = 0.2
-    resume_step_counts: Annotated[int, Field(ge=0)] = 16
+    command_timeout_s: Annotated[float, Field(ge=1e-4, le=10)] = 0.2
+    resume_step_counts: Counts = 16
 
     @field_validator("base_id")
     @classmethod

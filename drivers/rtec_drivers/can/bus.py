@@ -12,8 +12,9 @@ from pydantic import Field
 
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.quantities import Code, Whole
 from rtec.tomlfile import Strict
-from rtec_drivers.link_worker import Backoff, Worker
+from rtec_drivers.link_worker import Backoff, FirstRetry, LongestRetry, Worker
 
 RECEIVE_S = 0.02
 """Longest wait for a frame before the thread looks whether it shall stop, or whether something has fallen silent."""
@@ -41,10 +42,10 @@ class CanOptions(Strict):
     interface: str
     channel: str
     bitrate: Annotated[int, Field(ge=5_000, le=1_000_000)] | None = None
-    settings: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    settings: dict[str, str | Whole | Code | bool] = Field(default_factory=dict)
     at_start: Literal["required", "later"] = "required"
-    first_retry_s: Annotated[float, Field(gt=0, le=60)] = 0.1
-    longest_retry_s: Annotated[float, Field(gt=0, le=600)] = 5.0
+    first_retry_s: FirstRetry = 0.1
+    longest_retry_s: LongestRetry = 5.0
 
     @property
     def place(self) -> str:

@@ -13,11 +13,12 @@ from pydantic import Field, model_validator
 from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
+from rtec.quantities import Factor
 from rtec_drivers.can.bus import CanOptions, CanPort
 from rtec_drivers.can.signals import NMT, Dbc, NodeOptions, NodeWatch, SignalOptions, Source
 from rtec_drivers.thermocouple import Conversion, Readings, open_code_faults
 
-Timeout = Annotated[float, Field(gt=0, le=3600)]
+Timeout = Annotated[float, Field(ge=1e-3, le=3600)]
 
 
 class TemperatureSignal(SignalOptions, Conversion):
@@ -45,7 +46,7 @@ class SpindleSignal(SignalOptions):
         timeout_s: longest time between two of its frames.
     """
 
-    scale: float = 1.0
+    scale: Factor = 1.0
     timeout_s: Timeout = 1.0
 
 

@@ -11,6 +11,7 @@ from pydantic import Field
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
+from rtec.quantities import MillimetresPerSecond
 from rtec.tomlfile import nearest
 from rtec_drivers.can.bus import CanOptions, CanPort
 from rtec_drivers.can.signals import Dbc, NodeOptions, NodeWatch, SignalOptions
@@ -28,7 +29,7 @@ class EncoderSignal(SignalOptions):
         max_speed_mm_s: highest speed of the axis; faster counts are refused.
     """
 
-    max_speed_mm_s: Annotated[float, Field(gt=0)]
+    max_speed_mm_s: MillimetresPerSecond
 
 
 class CanEncoderOptions(CanOptions):
@@ -48,7 +49,7 @@ class CanEncoderOptions(CanOptions):
     axis: dict[str, EncoderSignal]
     bits: Annotated[int, Field(ge=8, le=64)] = 32
     sync: bool = True
-    timeout_ms: Annotated[float, Field(gt=0, le=10_000)] = 20.0
+    timeout_ms: Annotated[float, Field(ge=1e-3, le=10_000)] = 20.0
     node: dict[str, NodeOptions] = Field(default_factory=dict)
 
 

@@ -183,7 +183,7 @@ class NodeOptions(Strict):
     """
 
     id: Annotated[int, Field(ge=1, le=127)]
-    heartbeat_s: Annotated[float, Field(gt=0, le=120)] = 2.0
+    heartbeat_s: Annotated[float, Field(ge=1e-3, le=120)] = 2.0
     start: bool = False
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 from rtec.errors import DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.tomlfile import Strict
+from rtec_drivers.link_worker import FirstRetry, LongestRetry
 from rtec_drivers.serial_line import PortFinder, PortOptions, SerialLine
 
 NS = 1_000_000_000
@@ -32,8 +33,8 @@ class TcpOptions(Strict):
     port: Annotated[int, Field(ge=1, le=65535)] = TCP_PORT
     rtu: bool = False
     at_start: Literal["required", "later"] = "required"
-    first_retry_s: Annotated[float, Field(gt=0, le=60)] = 0.1
-    longest_retry_s: Annotated[float, Field(gt=0, le=600)] = 5.0
+    first_retry_s: FirstRetry = 0.1
+    longest_retry_s: LongestRetry = 5.0
 
 
 class Line(Protocol):

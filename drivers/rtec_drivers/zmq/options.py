@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError
+from rtec.quantities import Counts, MicrometresPositive, MillimetresPerSecond, SecondsPositive
 from rtec.tomlfile import Strict
 
 TCP = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:.]+\]|[^:/\[\]]+):(?P<port>\d{1,5})")
@@ -40,17 +41,17 @@ class ZmqOptions(Strict):
     state: str
     command: str | None = None
     actuator: Literal["pulse", "following_error", "phase", "origin_offset"] = "pulse"
-    unit_um: Annotated[float, Field(gt=0)] = 1.0
+    unit_um: MicrometresPositive = 1.0
     clock: Literal["shared", "own"] = "own"
-    max_speed_mm_s: dict[str, Annotated[float, Field(gt=0)]] = Field(default_factory=dict)
+    max_speed_mm_s: dict[str, MillimetresPerSecond] = Field(default_factory=dict)
     server_key_file: Path | None = None
     own_key_file: Path | None = None
     at_start: Literal["required", "later"] = "required"
-    open_timeout_s: Annotated[float, Field(gt=0, le=30)] = 3.0
-    silent_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
-    command_timeout_s: Annotated[float, Field(gt=0, le=60)] = 0.1
-    resume_step: Annotated[int, Field(ge=0)] = 16
-    stuck_after_s: Annotated[float, Field(gt=0)] | None = None
+    open_timeout_s: Annotated[float, Field(ge=1e-3, le=30)] = 3.0
+    silent_s: Annotated[float, Field(ge=1e-3, le=3600)] = 1.0
+    command_timeout_s: Annotated[float, Field(ge=1e-4, le=60)] = 0.1
+    resume_step: Counts = 16
+    stuck_after_s: SecondsPositive | None = None
 
     @model_validator(mode="after")
     def _addresses(self) -> Self:

@@ -89,7 +89,7 @@ def _read(
     is_text = table.suffix == ".csv"
     where = f"under [table] of {toml.name}"
     faults = Faults(str(table), "line" if is_text else "row")
-    text = look_over(table, accepted.encoding if is_text else "latin-1", where)
+    text = look_over(table, accepted.encoding if is_text else "latin-1", where, text=is_text)
     names = header_of(table, text, accepted, where) if is_text else parquet_names(table)
     used, unread = check_columns(names, machine, instrument, accepted.ignore_columns, faults)
     once = [name for name in used if names.count(name) == 1 or is_text]

@@ -10,17 +10,19 @@ import csv
 import hashlib
 import itertools
 import math
+import os
 import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
+from rtec.limits import check_size
 from rtec.metrology.files.faults import Faults, places
 from rtec.metrology.files.toml import Leniency
 
@@ -114,6 +116,9 @@ class Cells:
 
 
 BLOCK = 1 << 20
+LONGEST_LINE: Final = 1 << 20
+EXPANSION: Final = 12
+"""Bytes of memory that a byte of a table takes while it is read."""
 # The longer marks first: that of UTF-32 begins like that of UTF-16.
 MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -139,25 +144,28 @@ class Text:
     notes: tuple[str, ...]
 
 
-def look_over(path: Path, declared: str | None, where: str) -> Text:
+def look_over(path: Path, declared: str | None, where: str, *, text: bool = True) -> Text:
     """Hash a file and make sure that all of it can be decoded, in one pass.
 
     Args:
         path: the file.
         declared: encoding that the user gave.
         where: how the user gives one, for messages.
+        text: has it lines? None of them may be longer than `LONGEST_LINE`.
 
     Raises:
-        MeasurementError: cannot be read, or is not text in that encoding; names line and byte.
+        MeasurementError: cannot be read, is larger than memory holds, or is not text in that encoding; names line and
+            byte.
     """
     try:
         with path.open("rb") as file:
+            check_size(path, os.fstat(file.fileno()).st_size, EXPANSION, MeasurementError)
             head = file.read(4096)
             encoding = declared or _by_mark(head, path, where)
             if declared == "utf-8" and head.startswith(codecs.BOM_UTF8):
                 encoding = "utf-8-sig"
             file.seek(0)
-            digest = _pass(file, encoding, path, where)
+            digest = _pass(file, encoding, path, where, LONGEST_LINE if text else None)
     except FileNotFoundError as e:
         raise MeasurementError(f"{path}: no such file") from e
     except OSError as e:
@@ -179,13 +187,17 @@ def _by_mark(head: bytes, path: Path, where: str) -> str:
     return "utf-8"
 
 
-def _pass(file: BinaryIO, encoding: str, path: Path, where: str) -> "hashlib._Hash":
+def _pass(file: BinaryIO, encoding: str, path: Path, where: str, longest: int | None) -> "hashlib._Hash":
     digest = hashlib.sha256()
     decoder = codecs.getincrementaldecoder(encoding)()
     plain = encoding in ("utf-8", "utf-8-sig", "latin-1", "cp1252")
-    at, lines = 0, 0
+    at, lines, begun = 0, 0, 0
     while block := file.read(BLOCK):
         digest.update(block)
+        begun = len(block) - 1 - end if (end := block.rfind(b"\n")) >= 0 else begun + len(block)
+        if longest is not None and begun > longest:
+            number = lines + block.count(b"\n") + 1
+            raise MeasurementError(f"{path}: line {number}: longer than {longest} bytes; is this a table?")
         pending = len(decoder.getstate()[0])
         if pending or not (plain and block.isascii()):
             try:
@@ -369,20 +381,30 @@ def read_parquet(path: Path, used: Sequence[str], faults: Faults) -> Raw:
     from pyarrow import parquet
 
     columns: dict[str, Floats] = {}
-    n = 0
     try:
         with parquet.ParquetFile(path) as file:
-            table = file.read(columns=list(used))
-        n = table.num_rows
-        for name in used:
-            kind = table.schema.field(name).type
-            if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
-                columns[name] = table.column(name).cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
-            else:
-                faults.whole(f"column {name!r} is of type {kind}; write it as numbers (float64)")
+            check_size(path, file.metadata.num_rows * 8 * len(used), EXPANSION, MeasurementError)
+            n = file.metadata.num_rows
+            table = file.read(columns=_numeric(file.schema_arrow, used, faults))
+        for name in table.column_names:
+            columns[name] = table.column(name).cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
     except (pa.ArrowException, ValueError, OSError, KeyError) as e:
         raise MeasurementError(f"{path}: cannot be read: {_first_line(e)}") from e
     return Raw(columns, np.arange(1, n + 1), "row", np.zeros(n, dtype=np.bool_))
+
+
+def _numeric(schema: Any, used: Sequence[str], faults: Faults) -> list[str]:
+    """Those of the columns that hold numbers; the others are faults, and not read."""
+    from pyarrow import types
+
+    out = []
+    for name in used:
+        kind = schema.field(name).type
+        if types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind):
+            out.append(name)
+        else:
+            faults.whole(f"column {name!r} is of type {kind}; write it as numbers (float64)")
+    return out
 
 
 def _first_line(error: Exception) -> str:

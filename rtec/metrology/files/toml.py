@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from rtec.errors import MeasurementError
+from rtec.quantities import Code, SecondsPositive
 from rtec.tomlfile import Strict, read_toml, validated
 
 TABLES = (".csv", ".parquet")
@@ -28,11 +29,11 @@ class Leniency(Strict):
     encoding: Literal["utf-8", "latin-1", "cp1252", "utf-16", "utf-16-le", "utf-16-be"] | None = None
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] = ","
     decimal: Literal[".", ","] = "."
-    missing_codes: tuple[float | str, ...] = ()
-    accept_values: tuple[float, ...] = ()
+    missing_codes: tuple[Code | str, ...] = ()
+    accept_values: tuple[Code, ...] = ()
     drop_bad_rows: bool = False
     ignore_columns: tuple[str, ...] = ()
-    hold_temperature_s: Annotated[float, Field(gt=0)] | None = None
+    hold_temperature_s: SecondsPositive | None = None
 
     @model_validator(mode="after")
     def _marks_differ(self) -> "Leniency":

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -11,6 +11,7 @@ from rtec.errors import MeasurementError
 from rtec.metrology.files.toml import MeasurementTable
 from rtec.metrology.readers.base import Source, Table
 from rtec.metrology.units import UNITS, canonical
+from rtec.quantities import Code, Coefficient, Factor, MillimetresNotNegative, MillimetresPositive, SecondsPositive
 from rtec.tomlfile import Strict, read_toml, validated
 
 TIMES = ("time", "t", "ts", "time_s", "zeit", "timestamp", "uhrzeit", "date", "datum", "datetime")
@@ -40,12 +41,12 @@ class Column(Strict):
     from_: str = Field(alias="from")
     minus: str | None = None
     unit: str | None = None
-    scale: float = 1.0
+    scale: Factor = 1.0
     sign: Literal[1, -1] = 1
-    offset: float = 0.0
+    offset: Coefficient = 0.0
     fill: Literal["hold"] | None = None
-    values: dict[str, float] = Field(default_factory=dict)
-    missing_codes: tuple[float, ...] = ()
+    values: dict[str, Coefficient] = Field(default_factory=dict)
+    missing_codes: tuple[Code, ...] = ()
 
     @field_validator("unit")
     @classmethod
@@ -77,8 +78,8 @@ class Time(Strict):
     format: str | None = None
     from_zero: bool = True
     restarts: bool = False
-    restart_gap_s: Annotated[float, Field(gt=0)] = 1.0
-    step_s: Annotated[float, Field(gt=0)] | None = None
+    restart_gap_s: SecondsPositive = 1.0
+    step_s: SecondsPositive | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> "Time":
@@ -106,9 +107,9 @@ class Run(Strict):
 
     column: str | None = None
     direction_of: str | None = None
-    dead_band_mm: Annotated[float, Field(ge=0)] = 0.01
-    gap_s: Annotated[float, Field(gt=0)] | None = None
-    jump_mm: Annotated[float, Field(gt=0)] | None = None
+    dead_band_mm: MillimetresNotNegative = 0.01
+    gap_s: SecondsPositive | None = None
+    jump_mm: MillimetresPositive | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> "Run":

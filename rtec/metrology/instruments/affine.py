@@ -22,8 +22,8 @@ from rtec.machine import Machine
 from rtec.machine.chain import MM_URAD_TO_UM
 from rtec.metrology.instruments.base import Floats, Instrument, Nuisance, component_index
 from rtec.metrology.measurement import Ints
+from rtec.quantities import Vector
 
-Vector = tuple[float, float, float]
 Letter = Literal["X", "Y", "Z"]
 Turn = Literal["A", "B", "C"]
 Scope = Literal["run", "setup", "none"]

@@ -20,9 +20,10 @@ from pydantic import Field
 
 from rtec.effects import State
 from rtec.machine import Axis, Machine
-from rtec.metrology.instruments.affine import ORIGIN, Scope, Vector, point, zero
+from rtec.metrology.instruments.affine import ORIGIN, Scope, point, zero
 from rtec.metrology.instruments.base import Floats, Instrument, Nuisance, component_index
 from rtec.metrology.measurement import Ints, Setup
+from rtec.quantities import Degrees, Millimetres, MillimetresPerMinute, MillimetresPositive, Vector
 
 Positive = Annotated[float, Field(gt=0)]
 Plane = Literal["XY", "YZ", "ZX", "XZ"]
@@ -56,12 +57,12 @@ class BallBarSetup(Setup):
 
     plane: Plane
     centre_mm: Vector
-    radius_mm: Positive
-    height_mm: float = 0.0
+    radius_mm: MillimetresPositive
+    height_mm: Millimetres = 0.0
     direction: Literal["ccw", "cw"]
-    feed_mm_min: Positive
-    start_deg: float = 0.0
-    arc_deg: Annotated[float, Field(gt=0, le=360)] = 360.0
+    feed_mm_min: MillimetresPerMinute
+    start_deg: Degrees = 0.0
+    arc_deg: Annotated[float, Field(ge=0.1, le=360)] = 360.0
     overshoot_deg: Annotated[float, Field(ge=0, le=360)] = 0.0
     offset_mm: Vector = ORIGIN
     zero: Scope = "none"

@@ -5,16 +5,16 @@ unknown angle in its plane. Both are nuisances. Squareness is what is left: a tu
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Vector, point, zero
+from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, point, zero
 from rtec.metrology.instruments.base import Floats, Nuisance
 from rtec.metrology.measurement import Ints, Setup
+from rtec.quantities import MicrometresNotNegative, Vector
 
 
 class GridEncoderSetup(Setup):
@@ -36,7 +36,7 @@ class GridEncoderSetup(Setup):
     offset_mm: Vector = ORIGIN
     zero: Scope = "setup"
     alignment: Scope = "setup"
-    accuracy_um: Annotated[float, Field(ge=0)] = 0.0
+    accuracy_um: MicrometresNotNegative = 0.0
     plate: str = ""
 
     @property

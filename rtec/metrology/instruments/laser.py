@@ -15,7 +15,6 @@ from rtec.metrology.instruments.affine import (
     Scope,
     Sign,
     Turn,
-    Vector,
     from_middle_m,
     point,
     slope,
@@ -24,6 +23,7 @@ from rtec.metrology.instruments.affine import (
 )
 from rtec.metrology.instruments.base import Floats, Nuisance
 from rtec.metrology.measurement import Ints, Setup
+from rtec.quantities import Millimetres, Vector
 from rtec.tomlfile import nearest
 
 
@@ -44,7 +44,7 @@ class LaserLinearSetup(Setup):
     zero: Scope = "setup"
     slope: Scope = "none"
     air_sensor: str | None = None
-    interferometer_mm: float | None = None
+    interferometer_mm: Millimetres | None = None
 
 
 @dataclass(frozen=True)

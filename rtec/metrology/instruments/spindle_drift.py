@@ -13,9 +13,10 @@ from pydantic import Field
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Sign, Vector, point, zero
+from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Sign, point, zero
 from rtec.metrology.instruments.base import Floats, Nuisance
 from rtec.metrology.measurement import Ints, Setup
+from rtec.quantities import Vector
 from rtec.tomlfile import Strict
 
 PROBE = re.compile(r"[a-z][a-z0-9]*")

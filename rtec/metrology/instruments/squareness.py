@@ -15,7 +15,6 @@ from rtec.metrology.instruments.affine import (
     ORIGIN,
     AffineInstrument,
     Scope,
-    Vector,
     component_itself,
     flipped,
     from_middle_m,
@@ -24,6 +23,7 @@ from rtec.metrology.instruments.affine import (
 )
 from rtec.metrology.instruments.base import Floats, Nuisance
 from rtec.metrology.measurement import Ints, Setup
+from rtec.quantities import Vector, Whole
 from rtec.tomlfile import nearest
 
 
@@ -41,7 +41,7 @@ class SquarenessSetup(Setup):
 
     reference_axis: str | None = None
     probe_offset_mm: Vector = ORIGIN
-    reversed_runs: tuple[int, ...] = ()
+    reversed_runs: tuple[Whole, ...] = ()
     zero: Scope = "setup"
 
 

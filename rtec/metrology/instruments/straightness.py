@@ -16,7 +16,6 @@ from rtec.metrology.instruments.affine import (
     Letter,
     Scope,
     Sign,
-    Vector,
     flipped,
     from_middle_m,
     legendre,
@@ -27,6 +26,7 @@ from rtec.metrology.instruments.affine import (
 )
 from rtec.metrology.instruments.base import Floats, Nuisance
 from rtec.metrology.measurement import Ints, Setup
+from rtec.quantities import Vector, Whole
 
 
 class StraightnessSetup(Setup):
@@ -47,7 +47,7 @@ class StraightnessSetup(Setup):
     direction: Letter | None = None
     probe_offset_mm: Vector = ORIGIN
     sign: Sign = 1
-    reversed_runs: tuple[int, ...] = ()
+    reversed_runs: tuple[Whole, ...] = ()
     artefact_degree: Degree | None = None
     zero: Scope = "setup"
     slope: Scope = "setup"

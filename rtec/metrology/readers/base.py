@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rtec.errors import MeasurementError
+from rtec.limits import check_size
 from rtec.metrology.files.table import look_over
+from rtec.quantities import Counts
 from rtec.tomlfile import Strict, nearest
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Texts = NDArray[np.object_]
-MAX_BYTES = 2 << 30
+EXPANSION = 16
+"""Bytes of memory that a byte of a text takes while it is read."""
 WHERE = "in [source] of the map,"
 
 
@@ -41,7 +44,7 @@ class Source(Strict):
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     decimal: Literal[".", ","] = "."
     thousands: Literal[".", ",", " ", "'", "\u00a0", "\u202f"] | None = None
-    skip_rows: Annotated[int, Field(ge=0)] = 0
+    skip_rows: Counts = 0
     comment: Annotated[str, Field(min_length=1)] | None = None
     header: bool = True
     unit_row: bool = False
@@ -123,7 +126,6 @@ def decoded(path: Path, encoding: str | None) -> tuple[str, tuple[str, ...]]:
         MeasurementError: no such file, too large, or not text in that encoding.
     """
     text = look_over(path, encoding, WHERE)
-    if path.stat().st_size > MAX_BYTES:
-        raise MeasurementError(f"{path}: larger than {MAX_BYTES >> 30} GiB; divide it first")
+    check_size(path, path.stat().st_size, EXPANSION, MeasurementError)
     with path.open(encoding=text.encoding, newline=None) as file:
         return file.read(), text.notes

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 GOLDEN = 0.3819660112501051
 """Steps of (k + this) pitches meet every phase of the pitch evenly."""
 MARGIN, INTERVALS = 0.02, 20
-MOST_ROWS = 10_000_000
+MOST_ROWS = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,11 @@ def line(axis: Axis, targets: Targets) -> tuple[Floats, list[str]]:
             )
         step = better
     count = math.floor((last - first) / step + 1e-9) + 1
-    if count > MOST_ROWS:
-        raise ConfigError(f"[targets] step_mm {step:g}: {count} targets on axis {axis.name}; at most {MOST_ROWS} rows")
+    if count * targets.readings > MOST_ROWS:
+        raise ConfigError(
+            f"[targets] step_mm {step:g}: {count} targets on axis {axis.name}, {targets.readings} readings each; at "
+            f"most {MOST_ROWS} rows"
+        )
     return first + step * np.arange(count, dtype=np.float64), notes
 
 

@@ -7,11 +7,22 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from rtec.quantities import (
+    Coefficient,
+    DegreesCelsius,
+    DegreesDifference,
+    DegreesSpread,
+    MicrometresNotNegative,
+    Millimetres,
+    MillimetresPerMinute,
+    MillimetresPositive,
+    RevolutionsPerMinute,
+    SecondsNotNegative,
+    SecondsPositive,
+    Share,
+    ZeroOrMore,
+)
 from rtec.tomlfile import Strict
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Targets(Strict):
@@ -31,14 +42,14 @@ class Targets(Strict):
     """
 
     axes: tuple[str, ...] | None = None
-    range_mm: tuple[float, float] | None = None
-    step_mm: Positive | None = None
+    range_mm: tuple[Millimetres, Millimetres] | None = None
+    step_mm: MillimetresPositive | None = None
     keep_step: bool = False
-    dwell_s: Positive = 3.0
-    readings: Annotated[int, Field(ge=1)] = 1
-    feed_mm_min: Positive = 3000.0
+    dwell_s: SecondsPositive = 3.0
+    readings: Annotated[int, Field(ge=1, le=100_000)] = 1
+    feed_mm_min: MillimetresPerMinute = 3000.0
     both_directions: bool | None = None
-    at_mm: dict[str, Annotated[tuple[float, ...], Field(min_length=1)]] = Field(default_factory=dict)
+    at_mm: dict[str, Annotated[tuple[Millimetres, ...], Field(min_length=1)]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _range_rises(self) -> "Targets":
@@ -59,13 +70,13 @@ class Path(Strict):
         step_mm: between readings on a grid.
     """
 
-    step_deg: Positive = 0.25
+    step_deg: Annotated[float, Field(ge=1e-3, le=360)] = 0.25
     kinds: Annotated[tuple[Literal["square", "straight", "l_shaped"], ...], Field(min_length=1)] = (
         "square", "straight", "l_shaped",
     )  # fmt: skip
-    travel_mm: Positive = 160.0
-    feeds_mm_min: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1000.0,)
-    step_mm: Positive = 0.5
+    travel_mm: MillimetresPositive = 160.0
+    feeds_mm_min: Annotated[tuple[MillimetresPerMinute, ...], Field(min_length=1)] = (1000.0,)
+    step_mm: MillimetresPositive = 0.5
 
 
 class Phase(Strict):
@@ -82,12 +93,12 @@ class Phase(Strict):
     """
 
     name: str
-    cycles: Annotated[int, Field(ge=0)] = 0
-    hours: NotNegative = 0.0
+    cycles: Annotated[int, Field(ge=0, le=100_000)] = 0
+    hours: Annotated[float, Field(ge=0, le=1e5), ZeroOrMore] = 0.0
     on: bool = True
-    rpm: float = 0.0
+    rpm: RevolutionsPerMinute = 0.0
     moving: Share = 0.0
-    read_every_s: Positive | None = None
+    read_every_s: SecondsPositive | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> "Phase":
@@ -110,30 +121,30 @@ class Body(Strict):
         share: how much of that body's rise above the air this one has.
     """
 
-    tau_s: Positive = 3600.0
-    on_degc: float = 0.0
-    axis_degc: dict[str, float] = Field(default_factory=dict)
-    spindle_degc: float = 0.0
+    tau_s: SecondsPositive = 3600.0
+    on_degc: DegreesDifference = 0.0
+    axis_degc: dict[str, DegreesDifference] = Field(default_factory=dict)
+    spindle_degc: DegreesDifference = 0.0
     follows: str | None = None
-    share: float = 1.0
+    share: Coefficient = 1.0
 
 
 class Sensors(Strict):
     """Faults that all temperature sensors share in kind: offset (drawn once each), noise, lag, resolution."""
 
-    offset_degc: NotNegative = 0.1
-    noise_degc: NotNegative = 0.02
-    lag_s: NotNegative = 10.0
-    resolution_degc: NotNegative = 0.01
+    offset_degc: DegreesSpread = 0.1
+    noise_degc: DegreesSpread = 0.02
+    lag_s: SecondsNotNegative = 10.0
+    resolution_degc: DegreesSpread = 0.01
 
 
 class Thermal(Strict):
     """Air and bodies; a sensor that has no body here gets one by its name (axis, spindle, air, else structure)."""
 
-    air_degc: float = 20.0
-    swing_degc: NotNegative = 1.0
-    walk_degc: NotNegative = 0.3
-    walk_tau_s: Positive = 7200.0
+    air_degc: DegreesCelsius = 20.0
+    swing_degc: DegreesSpread = 1.0
+    walk_degc: DegreesSpread = 0.3
+    walk_tau_s: SecondsPositive = 7200.0
     body: dict[str, Body] = Field(default_factory=dict)
     sensors: Sensors = Sensors()
 
@@ -151,13 +162,13 @@ class Noise(Strict):
         lost: share of readings that are missing.
     """
 
-    white_um: NotNegative = 0.3
-    drift_um: NotNegative = 0.0
-    drift_tau_s: Positive = 1800.0
-    run_offset_um: NotNegative = 0.0
-    resolution_um: NotNegative = 0.0
+    white_um: MicrometresNotNegative = 0.3
+    drift_um: MicrometresNotNegative = 0.0
+    drift_tau_s: SecondsPositive = 1800.0
+    run_offset_um: MicrometresNotNegative = 0.0
+    resolution_um: MicrometresNotNegative = 0.0
     outliers: Share = 0.0
-    outlier_um: NotNegative = 20.0
+    outlier_um: MicrometresNotNegative = 20.0
     lost: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
 
@@ -181,8 +192,8 @@ class Settings(Strict):
     path: Path = Path()
     protocol: Preset | None = None
     phase: tuple[Phase, ...] = ()
-    cycles: Annotated[int, Field(ge=1)] = 5
+    cycles: Annotated[int, Field(ge=1, le=100_000)] = 5
     thermal: Thermal = Thermal()
     noise: Noise = Noise()
-    nuisance: dict[str, NotNegative] = Field(default_factory=dict)
-    log_every_s: Positive | None = None
+    nuisance: dict[str, MicrometresNotNegative] = Field(default_factory=dict)
+    log_every_s: SecondsPositive | None = None
