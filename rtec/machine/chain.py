@@ -17,18 +17,95 @@ Symbols: `q` axis positions, mm; `p` tool tip and `o` frame origin of a link, mm
 [XT eq. 1] prints `-EBX z` in e_x beside `-EBX x` in e_z, which no one rotation gives; this file follows `ε × p`.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from rtec.machine.machine import Machine
-
 UNITS = {d: np.eye(3)[i] for i, d in enumerate("XYZ")}
 MM_URAD_TO_UM = 1e-3
 Floats = NDArray[np.float64]
+Direction = Literal["X", "Y", "Z"]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One moving link.
+
+    Attributes:
+        name: as on the machine's panel, for example "X"; its position channel is the lower-case name.
+        kind: "linear"; rotary axes will be another value.
+        direction: machine coordinate that grows when the axis moves positive. For an axis on the work side this
+            is the tool's motion relative to the workpiece (the slide itself moves the other way).
+        travel_mm: lowest and highest position.
+        counts_per_mm: encoder counts after x4.
+        pitch_mm: screw or scale pitch; None where there is none.
+        offset_mm: frame origin at position zero, relative to the previous link.
+        compensate: may rtec correct this axis?
+        dead_band_counts: motion back by at most this much does not count as a reversal.
+    """
+
+    name: str
+    direction: Direction
+    travel_mm: tuple[float, float]
+    counts_per_mm: float
+    pitch_mm: float | None = None
+    offset_mm: Vector = (0.0, 0.0, 0.0)
+    compensate: bool = True
+    dead_band_counts: int = 2
+    kind: Literal["linear"] = "linear"
+
+    @property
+    def channel(self) -> str:
+        """Name of the position channel, mm."""
+        return self.name.lower()
+
+    @property
+    def dead_band_mm(self) -> float:
+        """The dead band of direction, mm."""
+        return self.dead_band_counts / self.counts_per_mm
+
+    @property
+    def direction_channel(self) -> str:
+        """Name of the channel of the last direction of motion: -1, +1, or 0 before the first motion."""
+        return f"d_{self.channel}"
+
+    @property
+    def velocity_channel(self) -> str:
+        """Name of the velocity channel, mm/s, signed."""
+        return f"v_{self.channel}"
+
+    @property
+    def acceleration_channel(self) -> str:
+        """Name of the acceleration channel, mm/s², signed."""
+        return f"a_{self.channel}"
+
+    @property
+    def since_reversal_channel(self) -> str:
+        """Name of the channel of the distance travelled since the last reversal, mm."""
+        return f"s_{self.channel}"
+
+    @property
+    def moving_channels(self) -> tuple[str, ...]:
+        """Names of all its channels: position, direction, velocity, acceleration, distance since reversal."""
+        return (
+            self.channel,
+            self.direction_channel,
+            self.velocity_channel,
+            self.acceleration_channel,
+            self.since_reversal_channel,
+        )
+
+
+@dataclass(frozen=True)
+class Link:
+    """A fixed link: spindle, turret, tool, workpiece; `offset_mm` from the previous link."""
+
+    name: str
+    offset_mm: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -76,9 +153,28 @@ def component_unit(component: str) -> str:
     return "urad" if component[1] in "ABC" else "um"
 
 
-def derive_chain(machine: "Machine") -> Chain:
-    """Work out the lever arms of every component error from the two chains of a machine."""
-    origins, tip = _frame_origins(machine)
+def derive_chain(
+    tool_chain: Sequence[str], work_chain: Sequence[str], axes: Sequence[Axis], links: Mapping[str, Link]
+) -> Chain:
+    """Work out the lever arms of every component error from the two chains of a machine.
+
+    Args:
+        tool_chain: names of its links and axes from the base to the tool tip.
+        work_chain: the same from the base to the cutting point.
+        axes: in the order of the poses.
+        links: the fixed links by name.
+    """
+    moving, n = {axis.name: axis for axis in axes}, 1 + len(axes)
+    travels = {axis.name: _travel(k, axis, n) for k, axis in enumerate(axes)}
+    origins: dict[str, Floats] = {}
+    for chain, side in ((work_chain, -1.0), (tool_chain, 1.0)):
+        here = np.zeros((3, n))
+        for name in chain:
+            here = here + _constant(np.asarray((moving.get(name) or links[name]).offset_mm, dtype=np.float64), n)
+            if name in moving:
+                here = here + side * travels[name]
+            origins[name] = here
+    tip = origins[tool_chain[-1]] if tool_chain else np.zeros((3, n))
     names: list[str] = []
     terms: list[Floats] = []
     turns: list[Floats] = []
@@ -88,43 +184,25 @@ def derive_chain(machine: "Machine") -> Chain:
         terms.append(term)
         turns.append(turn)
 
-    n = 1 + len(machine.axes)
-    for link in (*machine.work_chain, *machine.tool_chain):
-        is_axis = link in machine.axis_names
-        sign = -1.0 if link in machine.work_chain and not is_axis else 1.0
+    for link in (*work_chain, *tool_chain):
+        sign = -1.0 if link in work_chain and link not in moving else 1.0
         arm = tip - origins[link]
-        tag = link if is_axis else f"0{link}"
+        tag = link if link in moving else f"0{link}"
         for letter, unit in zip("XYZ", np.eye(3), strict=True):
             add(f"E{letter}{tag}", sign * _constant(unit, n), np.zeros(3))
         for letter, unit in zip("ABC", np.eye(3), strict=True):
             add(f"E{letter}{tag}", sign * MM_URAD_TO_UM * _cross(unit, arm), sign * unit)
-        if is_axis:
-            travel = _travel(machine, link)
+        if link in moving:
             for letter, direction, unit in zip("ABC", "XYZ", np.eye(3), strict=True):
-                if direction != machine.axis(link).direction:
-                    add(f"E{letter}0{link}", MM_URAD_TO_UM * _cross(unit, travel), np.zeros(3))
+                if direction != moving[link].direction:
+                    add(f"E{letter}0{link}", MM_URAD_TO_UM * _cross(unit, travels[link]), np.zeros(3))
     return Chain(tuple(names), np.stack(terms, axis=1), np.stack(turns, axis=1), tip)
 
 
-def _frame_origins(machine: "Machine") -> tuple[dict[str, Floats], Floats]:
-    """Origin of each link's frame and of the tool tip, (3, 1 + axes), affine in the axis positions."""
-    origins: dict[str, Floats] = {}
-    for names, side in ((machine.work_chain, -1.0), (machine.tool_chain, 1.0)):
-        here = np.zeros((3, 1 + len(machine.axes)))
-        for name in names:
-            is_axis = name in machine.axis_names
-            offset = machine.axis(name).offset_mm if is_axis else machine.links[name].offset_mm
-            here = here + _constant(np.asarray(offset, dtype=np.float64), here.shape[1])
-            if is_axis:
-                here = here + side * _travel(machine, name)
-            origins[name] = here
-    tip = origins[machine.tool_chain[-1]] if machine.tool_chain else np.zeros((3, 1 + len(machine.axes)))
-    return origins, tip
-
-
-def _travel(machine: "Machine", name: str) -> Floats:
-    out = np.zeros((3, 1 + len(machine.axes)))
-    out[:, 1 + machine.axis_names.index(name)] = UNITS[machine.axis(name).direction]
+def _travel(k: int, axis: Axis, n: int) -> Floats:
+    """Motion of the k-th axis, (3, n), affine in the axis positions."""
+    out = np.zeros((3, n))
+    out[:, 1 + k] = UNITS[axis.direction]
     return out
 
 

@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from rtec.errors import ConfigError
-from rtec.machine.machine import CONSTANT_CHANNELS, Axis, Link, Machine, Sensor
+from rtec.machine.chain import Axis, Link
+from rtec.machine.machine import CONSTANT_CHANNELS, Machine, Sensor
 from rtec.quantities import Counts, CountsPerMillimetre, DegreesCelsius, Millimetres, MillimetresPositive, Vector
 from rtec.tomlfile import Strict, nearest, read_toml, validated
 

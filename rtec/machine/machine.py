@@ -1,96 +1,15 @@
-"""Machine, axis, fixed link and sensor as plain data, and the names that follow from them."""
+"""Machine and sensors as plain data, and the names that follow from them."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Literal
 
 from rtec.errors import ConfigError
-from rtec.machine.chain import Chain, derive_chain
+from rtec.machine.chain import Axis, Chain, Link, derive_chain
 from rtec.tomlfile import digest, nearest
-
-Direction = Literal["X", "Y", "Z"]
-Vector = tuple[float, float, float]
 
 CONSTANT_CHANNELS = ("load_kg", "force_n")
 """Work-piece weight and force: columns of a measurement; in the loop constants from the run file."""
-
-
-@dataclass(frozen=True)
-class Axis:
-    """One moving link.
-
-    Attributes:
-        name: as on the machine's panel, for example "X"; its position channel is the lower-case name.
-        kind: "linear"; rotary axes will be another value.
-        direction: machine coordinate that grows when the axis moves positive. For an axis on the work side this
-            is the tool's motion relative to the workpiece (the slide itself moves the other way).
-        travel_mm: lowest and highest position.
-        counts_per_mm: encoder counts after x4.
-        pitch_mm: screw or scale pitch; None where there is none.
-        offset_mm: frame origin at position zero, relative to the previous link.
-        compensate: may rtec correct this axis?
-        dead_band_counts: motion back by at most this much does not count as a reversal.
-    """
-
-    name: str
-    direction: Direction
-    travel_mm: tuple[float, float]
-    counts_per_mm: float
-    pitch_mm: float | None = None
-    offset_mm: Vector = (0.0, 0.0, 0.0)
-    compensate: bool = True
-    dead_band_counts: int = 2
-    kind: Literal["linear"] = "linear"
-
-    @property
-    def channel(self) -> str:
-        """Name of the position channel, mm."""
-        return self.name.lower()
-
-    @property
-    def dead_band_mm(self) -> float:
-        """The dead band of direction, mm."""
-        return self.dead_band_counts / self.counts_per_mm
-
-    @property
-    def direction_channel(self) -> str:
-        """Name of the channel of the last direction of motion: -1, +1, or 0 before the first motion."""
-        return f"d_{self.channel}"
-
-    @property
-    def velocity_channel(self) -> str:
-        """Name of the velocity channel, mm/s, signed."""
-        return f"v_{self.channel}"
-
-    @property
-    def acceleration_channel(self) -> str:
-        """Name of the acceleration channel, mm/s², signed."""
-        return f"a_{self.channel}"
-
-    @property
-    def since_reversal_channel(self) -> str:
-        """Name of the channel of the distance travelled since the last reversal, mm."""
-        return f"s_{self.channel}"
-
-    @property
-    def moving_channels(self) -> tuple[str, ...]:
-        """Names of all its channels: position, direction, velocity, acceleration, distance since reversal."""
-        return (
-            self.channel,
-            self.direction_channel,
-            self.velocity_channel,
-            self.acceleration_channel,
-            self.since_reversal_channel,
-        )
-
-
-@dataclass(frozen=True)
-class Link:
-    """A fixed link: spindle, turret, tool, workpiece; `offset_mm` from the previous link."""
-
-    name: str
-    offset_mm: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -161,7 +80,7 @@ class Machine:
     @cached_property
     def chain(self) -> Chain:
         """The lever arms: component errors to tool-tip error."""
-        return derive_chain(self)
+        return derive_chain(self.tool_chain, self.work_chain, self.axes, self.links)
 
     @property
     def components(self) -> tuple[str, ...]:

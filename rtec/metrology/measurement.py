@@ -2,17 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
 from rtec.machine import Machine
-from rtec.tomlfile import Strict
-
-if TYPE_CHECKING:
-    from rtec.metrology.instruments.base import Instrument
+from rtec.metrology.instruments.base import Instrument
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -36,7 +32,7 @@ class Measurement:
     """
 
     name: str
-    instrument: "Instrument"
+    instrument: Instrument
     machine: Machine
     run: Ints
     time_s: Floats
@@ -55,7 +51,3 @@ class Measurement:
     def matrix(self) -> Floats:
         """The readings, (readings of the instrument, n), in the order of `instrument.columns()`."""
         return np.stack([self.readings[c] for c in self.instrument.columns()])
-
-
-class Setup(Strict):
-    """The `[setup]` table of an instrument; each instrument has its own keys."""

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.derived import FAR_MM
 from rtec.errors import ModelError
-from rtec.machine import Machine
-from rtec.machine.machine import CONSTANT_CHANNELS, Axis
+from rtec.machine import Axis, Machine
+from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.tomlfile import digest, nearest
 
 PLACES = 3

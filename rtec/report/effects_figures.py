@@ -20,8 +20,7 @@ from rtec.diagnosis.words import spoken
 from rtec.effects import Effect, State, all_effects
 from rtec.effects.base import Surroundings
 from rtec.errors import ConfigError, ModelError
-from rtec.machine import Machine
-from rtec.machine.machine import Axis, Link, Sensor
+from rtec.machine import Axis, Link, Machine, Sensor
 from rtec.report.figures import GREY, LINES, as_png, stacked
 
 if TYPE_CHECKING:

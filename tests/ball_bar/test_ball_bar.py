@@ -8,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import ConfigError, MeasurementError
-from rtec.machine.exact import exact_tip_error_um
 from rtec.metrology.ball_bar.causes import causes
 from rtec.metrology.ball_bar.circle import circle_of
 from rtec.metrology.ball_bar.design import stacked_design
@@ -19,6 +18,7 @@ from rtec.sim.campaign.settings import QUIET, Phase, Settings
 from rtec.sim.campaign.settings import Path as Way
 from rtec.sim.campaign.truth import truth_of
 from tests.support.ball_bar_examples import ROWS, bar, gantry, recorded
+from tests.support.exact_chain import exact_tip_error_um
 from tests.support.machines import turning_centre, vertical_mill
 
 Floats = NDArray[np.float64]

@@ -30,11 +30,11 @@ from rtec.jit import as_written
 from rtec.machine import Machine, machine_from
 from rtec.metrology.files.load import load_measurement, save_measurement
 from rtec.model import FittedEffect, Model
-from rtec.model.compiled import compile_model
 from rtec.model.fit import Margin, valid_range
 from rtec.model.kernel.trace import plan_model
 from rtec.model.model import reversal_um
 from tests.support import measurement_examples
+from tests.support.compiled_model import compile_model
 from tests.support.machines import turning_centre
 
 Floats = NDArray[np.float64]

@@ -13,8 +13,8 @@ from rtec.effects import State
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model
-from rtec.model.fit import fit_model
 from tests.support.machines import turning_centre, vertical_mill
+from tests.support.tip_fit import fit_model
 
 Floats = NDArray[np.float64]
 MACHINE = turning_centre()

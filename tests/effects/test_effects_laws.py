@@ -17,8 +17,8 @@ from rtec import jit
 from rtec.effects import EFFECTS, State, derived, effect_class
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model, load_model, save_model
-from rtec.model.compiled import CompiledModel, compile_model
 from rtec.model.kernel import build as elementary
+from tests.support.compiled_model import CompiledModel, compile_model
 from tests.support.effect_example import MACHINE, Example, states
 from tests.support.effect_examples import EXAMPLES, everything
 
@@ -274,7 +274,7 @@ def plain_module(text: str, depends_on: Any) -> ModuleType:
 @pytest.fixture
 def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(jit, "numba", None)
-    monkeypatch.setattr("rtec.model.compiled.build_module", plain_module)
+    monkeypatch.setattr("tests.support.compiled_model.build_module", plain_module)
 
 
 @each

@@ -25,10 +25,10 @@ from rtec.errors import ModelError
 from rtec.loop.records import MODE_ON, Samples
 from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.model import Model, load_model, save_model
-from rtec.model.compiled import compile_model
 from rtec.model.file import tables
-from rtec.model.fit import fit_model
+from tests.support.compiled_model import compile_model
 from tests.support.machines import turning_centre
+from tests.support.tip_fit import fit_model
 
 Floats = NDArray[np.float64]
 PAGE = (Path(__file__).parents[2] / "docs" / "write-an-effect.md").read_text(encoding="utf-8")

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from rtec.effects import effect_class
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
-from rtec.machine.exact import exact_tip_error_um
 from rtec.model import FittedEffect, Model
+from tests.support.exact_chain import exact_tip_error_um
 from tests.support.machines import ALL, X1, X4, Z4, axis, bridge, machine, turning_centre, vertical_mill
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from rtec.errors import ConfigError, MeasurementError
 from rtec.machine import Machine
-from rtec.machine.exact import exact_tip_error_um
 from rtec.metrology.grid.compare import certain, directions, feeds, places
 from rtec.metrology.grid.paths import edges_of
 from rtec.metrology.grid.setup import GridSetup, analyse
@@ -18,6 +17,7 @@ from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Noise, Phase, Settings
 from rtec.sim.campaign.settings import Path as Way
 from rtec.sim.campaign.truth import truth_of
+from tests.support.exact_chain import exact_tip_error_um
 from tests.support.machines import axis, machine, turning_centre
 
 Floats = NDArray[np.float64]

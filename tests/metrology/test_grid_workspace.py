@@ -15,12 +15,12 @@ from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.candidates import extended
 from rtec.characterise.source import Source, seen_components
 from rtec.machine import Machine
-from rtec.machine.exact import exact_tip_error_um
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
-from rtec.model.compiled import compile_model
 from rtec.sim.campaign.truth import truth_of
 from tests.metrology.test_grid_encoder import measured, own
+from tests.support.compiled_model import compile_model
+from tests.support.exact_chain import exact_tip_error_um
 from tests.support.machines import axis, machine
 
 Floats = NDArray[np.float64]

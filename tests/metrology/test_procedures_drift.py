@@ -5,10 +5,10 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.cyclic import cyclic_error
 from rtec.metrology.procedures.drift import approach, phases_of, spindle_drift, tilt_urad
 from rtec.metrology.procedures.fitting import correlation_time
-from rtec.metrology.procedures.lag import lag_model
+from tests.support.cyclic_turns import cyclic_error
+from tests.support.lag_fit import lag_model
 
 Floats = NDArray[np.float64]
 EVERY_S = 600.0  # [G 3.5]: every 10 min

@@ -35,11 +35,22 @@ def test_utf16_reads_as_utf8_does(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plain[name], wide[name])
 
 
-def test_semicolons_and_decimal_commas_get_a_way_on(tmp_path: Path) -> None:
+def test_semicolons_are_read_and_decimal_commas_get_a_way_on(tmp_path: Path) -> None:
     path = tmp_path / "c.csv"
+    path.write_text("\n".join(";".join(map(str, row)) for row in (HEAD, *ROWS)) + "\n", encoding="utf-8")
+    np.testing.assert_array_equal(read_table(path)["axial_um"], [row[3] for row in ROWS])
     lines = [";".join(HEAD), *(";".join(f"{v:.3f}".replace(".", ",") for v in row) for row in ROWS)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    with pytest.raises(MeasurementError, match="divide cells by ','"):
+    with pytest.raises(
+        MeasurementError, match=r"line 2: column 'time_s': '0,000' is no number; write decimals with a point"
+    ):
+        read_table(path)
+
+
+def test_a_number_beyond_a_float_is_none(tmp_path: Path) -> None:
+    path = written(tmp_path / "d.csv", HEAD)
+    path.write_text(path.read_text(encoding="utf-8") + "1e999,1,2,3\n", encoding="utf-8")
+    with pytest.raises(MeasurementError, match=r"line 50: column 'time_s': '1e999' is no number"):
         read_table(path)
 
 

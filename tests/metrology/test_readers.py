@@ -425,7 +425,7 @@ def test_marks_in_numbers_are_never_guessed(tmp_path: Path, cell: str, source: A
         ("", {}, "no rows"),
         ("a;b\n", {}, "no rows under the header"),
         ("a\nb\n", {"skip_rows": 9}, "no rows after the first 9"),
-        ("a;a\n1;2\n", {}, "column 'a' stands 2 times"),
+        ("a;a\n1;2\n", {}, "column 'a' is 2 times"),
         ("a;b\n1;2\n1;2;3\n4\n", {}, "line 3: has 3 cells, the header has 2"),
         ("a;b\n", {"unit_row": True}, "unit_row"),
         ('a;b\n1;"2\n3;4\n', {}, "quote"),

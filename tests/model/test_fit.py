@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, State, effect_class
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model
-from rtec.model.fit import Margin, fit_model
+from rtec.model.fit import Margin
 from tests.support.machines import turning_centre
+from tests.support.tip_fit import fit_model
 
 Floats = NDArray[np.float64]
 MACHINE = turning_centre()

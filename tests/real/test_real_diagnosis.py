@@ -18,9 +18,7 @@ from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import machine_from
 from rtec.metrology.measurement import Measurement
-from rtec.metrology.procedures.cyclic import cyclic_error
 from rtec.metrology.procedures.iso230_2 import positioning
-from rtec.metrology.procedures.lag import lag_model
 from rtec.metrology.procedures.tables import read_dat
 from rtec.metrology.readers.base import Source
 from rtec.metrology.readers.json_lines import read as read_json
@@ -28,6 +26,8 @@ from rtec.metrology.readers.twincat_scope import read as read_scope
 from rtec.model import Model
 from tests.real.test_real_fit import SPEED, SPLIT_H, fitted, recorded, unseen_rms_um
 from tests.support.characterise_examples import Probe, ProbeSetup
+from tests.support.cyclic_turns import cyclic_error
+from tests.support.lag_fit import lag_model
 from tests.support.real_data import real_file
 
 Floats = NDArray[np.float64]

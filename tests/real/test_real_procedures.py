@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.metrology.procedures.cyclic import cyclic_error
 from rtec.metrology.procedures.drift import spindle_drift
 from rtec.metrology.procedures.iso230_2 import Positioning, TwoWay, positioning
-from rtec.metrology.procedures.lag import lag_model
 from rtec.metrology.procedures.tables import read_dat, read_table
 from rtec.metrology.readers.base import Source
 from rtec.metrology.readers.json_lines import read as read_json
 from rtec.metrology.readers.twincat_scope import read as read_scope
+from tests.support.cyclic_turns import cyclic_error
+from tests.support.lag_fit import lag_model
 from tests.support.real_data import real_file
 
 Floats = NDArray[np.float64]

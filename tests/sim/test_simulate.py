@@ -16,7 +16,6 @@ from rtec.cli.main import status
 from rtec.effects import State
 from rtec.errors import ConfigError, MeasurementError, RtecError
 from rtec.machine import Machine, load_machine
-from rtec.machine.exact import exact_tip_error_um
 from rtec.metrology.files.load import load_measurement
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import INSTRUMENTS, make_instrument
@@ -29,6 +28,7 @@ from rtec.sim.campaign.request import DRIFT_PROBES, setup_table
 from rtec.sim.campaign.settings import PERFECT, QUIET, Noise, Phase, Settings, Targets, Thermal
 from rtec.sim.campaign.thermal import relax
 from rtec.sim.campaign.truth import effect_from_text, truth_of
+from tests.support.exact_chain import exact_tip_error_um
 from tests.support.instrument_examples import EXAMPLES, Example, frames
 from tests.support.machines import turning_centre, vertical_mill
 

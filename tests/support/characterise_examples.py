@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, State, effect_class
 from rtec.machine import Machine
-from rtec.metrology.instruments.base import Instrument, Nuisance
-from rtec.metrology.measurement import Ints, Measurement, Setup
+from rtec.metrology.instruments.base import Instrument, Ints, Nuisance, Setup
+from rtec.metrology.measurement import Measurement
 from tests.support.machines import turning_centre
 
 Floats = NDArray[np.float64]

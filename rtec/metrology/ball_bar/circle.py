@@ -19,7 +19,8 @@ from rtec.metrology.instruments.ball_bar import (
     circle_channels,
     travelled_deg,
 )
-from rtec.metrology.measurement import Ints, Measurement
+from rtec.metrology.instruments.base import Ints
+from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

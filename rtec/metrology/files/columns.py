@@ -15,8 +15,7 @@ from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.table import Floats
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup, axis_along, circle_channels, travelled_deg
-from rtec.metrology.instruments.base import Instrument
-from rtec.metrology.measurement import Ints
+from rtec.metrology.instruments.base import Instrument, Ints
 from rtec.metrology.units import SUFFIXES
 from rtec.tomlfile import nearest
 from rtec.wording import significant

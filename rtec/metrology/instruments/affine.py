@@ -20,8 +20,7 @@ from pydantic import Field
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.machine.chain import MM_URAD_TO_UM
-from rtec.metrology.instruments.base import Floats, Instrument, Nuisance, component_index
-from rtec.metrology.measurement import Ints
+from rtec.metrology.instruments.base import Floats, Instrument, Ints, Nuisance, component_index
 from rtec.quantities import Vector
 
 Letter = Literal["X", "Y", "Z"]

@@ -21,8 +21,7 @@ from pydantic import Field
 from rtec.effects import State
 from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.affine import ORIGIN, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, Instrument, Nuisance, component_index
-from rtec.metrology.measurement import Ints, Setup
+from rtec.metrology.instruments.base import Floats, Instrument, Ints, Nuisance, Setup, component_index
 from rtec.quantities import Degrees, Millimetres, MillimetresPerMinute, MillimetresPositive, Vector
 
 Positive = Annotated[float, Field(gt=0)]

@@ -18,12 +18,16 @@ from rtec.effects import State
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
-from rtec.metrology.measurement import Ints, Setup
-from rtec.tomlfile import nearest
+from rtec.tomlfile import Strict, nearest
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 BLOCK = 16384
 """Poses worked on at a time by `Instrument.arms_of`."""
+
+
+class Setup(Strict):
+    """The `[setup]` table of an instrument; each instrument has its own keys."""
 
 
 @dataclass(frozen=True)

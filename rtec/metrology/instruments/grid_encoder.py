@@ -12,8 +12,7 @@ import numpy as np
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, Nuisance
-from rtec.metrology.measurement import Ints, Setup
+from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
 from rtec.quantities import MicrometresNotNegative, Vector
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import AffineInstrument, Letter, Scope, Sign, Turn, turn, zero
-from rtec.metrology.instruments.base import Floats, Nuisance
-from rtec.metrology.measurement import Ints, Setup
+from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
 
 
 class LevelSetup(Setup):

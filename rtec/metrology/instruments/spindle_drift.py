@@ -14,8 +14,7 @@ from pydantic import Field
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Sign, point, zero
-from rtec.metrology.instruments.base import Floats, Nuisance
-from rtec.metrology.measurement import Ints, Setup
+from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
 from rtec.quantities import Vector
 from rtec.tomlfile import Strict
 

@@ -21,8 +21,7 @@ from rtec.metrology.instruments.affine import (
     point,
     zero,
 )
-from rtec.metrology.instruments.base import Floats, Nuisance
-from rtec.metrology.measurement import Ints, Setup
+from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
 from rtec.quantities import Vector, Whole
 from rtec.tomlfile import nearest
 

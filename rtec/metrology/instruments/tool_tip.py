@@ -9,8 +9,7 @@ from pydantic import Field, field_validator
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, Nuisance
-from rtec.metrology.measurement import Ints, Setup
+from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
 from rtec.quantities import Vector
 
 

@@ -6,8 +6,7 @@ from typing import Literal
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import AffineInstrument, Scope, Sign, point, zero
-from rtec.metrology.instruments.base import Floats, Nuisance
-from rtec.metrology.measurement import Ints, Setup
+from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
 
 
 class WorkPieceSetup(Setup):

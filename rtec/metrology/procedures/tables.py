@@ -1,14 +1,5 @@
-"""Plain tables for the procedures: CSV with one line of names, numbers below, strictly read.
+"""What the procedures are fed with: plain tables (CSV, one line of names), measurements, and `*_ISO230.dat` of ecmc."""
 
-What the tables of straightness, parallelism and drift hold, and how they become arrays.
-
-Procedures fed by measurement files rather than plain tables.
-
-Positioning tests in the text form of ecmc (`*_ISO230.dat`) as visits of targets.
-"""
-
-import codecs
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,29 +14,26 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.drift import Drift, spindle_drift
 from rtec.metrology.procedures.iso230_2 import Visits
 from rtec.metrology.procedures.straightness import Parallelism, Straightness, face, pair, parallelism, reversal
+from rtec.metrology.readers import delimited, ecmc_iso230
 from rtec.metrology.readers.base import Source
-from rtec.metrology.readers.ecmc_iso230 import read
 from rtec.metrology.units import UNITS
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
 Table = dict[str, Floats]
-WAY_ON = "divide cells by ',' and write decimals with a point"
 LENGTHS = ("nm", "mm", "m", "inch", "mil", "urad", "mrad", "deg")
 """Units that a column in µm is sometimes in by mistake, as its name then says."""
 
 
 def read_table(path: Path) -> Table:
-    """Columns by name, (n,) each; an empty cell is NaN.
+    """Columns by name, (n,) each; an empty cell is NaN, a line that begins with # is no row.
 
     Raises:
-        MeasurementError: not readable, not UTF-8, no rows, a name twice, a row too short or long, or a cell that is no
-            number; the message names file, row (the first is 1: the names) and column.
+        MeasurementError: not readable, no text, no rows, a name twice, a row too short or long, or a cell that is no
+            number; the message names file, line and column.
     """
-    names, rows = _rows(path)
-    if not rows:
-        raise MeasurementError(f"{path}: no rows below the names")
-    return {n: np.array([_number(path, i, n, r[k]) for i, r in rows]) for k, n in enumerate(names)}
+    (table,) = delimited.read(path, Source(comment="#"), where="")
+    return {name: table.numbers(name, str(path)) for name in table.columns}
 
 
 def need(path: Path, table: Table, names: Sequence[str]) -> list[Floats]:
@@ -92,54 +80,6 @@ def position_of(path: Path, table: Table) -> tuple[str, Floats]:
     if np.isnan(values).any():
         raise MeasurementError(f"{path}: row {int(np.argmax(np.isnan(values))) + 2}: {found[0]} is empty")
     return found[0].removesuffix("_mm").upper(), values
-
-
-def _rows(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    try:
-        with path.open(encoding=_encoding(path), newline="") as file:
-            lines = [(i, [c.strip() for c in r]) for i, r in enumerate(csv.reader(file), 1)]
-    except UnicodeError as e:
-        raise MeasurementError(f"{path}: not UTF-8 text, nor UTF-16 with its mark; save it as UTF-8") from e
-    except FileNotFoundError as e:
-        raise MeasurementError(f"{path}: no such file") from e
-    except OSError as e:
-        raise MeasurementError(f"{path}: cannot be read: {e.strerror}") from e
-    except csv.Error as e:
-        raise MeasurementError(f"{path}: not a CSV table: {e}") from e
-    lines = [(i, r) for i, r in lines if any(r) and not r[0].startswith("#")]
-    if not lines:
-        raise MeasurementError(f"{path}: empty")
-    names = lines[0][1]
-    if len(set(names)) < len(names) or "" in names:
-        raise MeasurementError(
-            f"{path}: row {lines[0][0]}: each column needs a name of its own, found {', '.join(names)}"
-        )
-    if len(names) == 1 and ";" in names[0]:
-        raise MeasurementError(f"{path}: row {lines[0][0]}: cells are divided by ';'; {WAY_ON}")
-    for i, row in lines[1:]:
-        if len(row) != len(names):
-            commas = f"; decimal commas? {WAY_ON}" if len(row) > len(names) else ""
-            raise MeasurementError(f"{path}: row {i}: {len(row)} cells, but {len(names)} columns{commas}")
-    return names, lines[1:]
-
-
-def _encoding(path: Path) -> str:
-    """UTF-16 where its byte order mark says so; else UTF-8, with a mark or without."""
-    with path.open("rb") as file:
-        return "utf-16" if file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
-
-
-def _number(path: Path, row: int, name: str, text: str) -> float:
-    if not text:
-        return float("nan")
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("inf")
-    if not np.isfinite(value):
-        hint = "; write decimals with a point" if "," in text else ""
-        raise MeasurementError(f"{path}: row {row}, column {name}: expected a number, found {text!r}{hint}")
-    return value
 
 
 METHODS = ("reversal", "pair", "face")
@@ -373,7 +313,7 @@ def read_dat(path: Path, swap: bool = False) -> Visits:
     """
     if not path.is_file():
         raise MeasurementError(f"{path}: no such file")
-    table = read(path, Source(swap_directions=swap))[0]
+    table = ecmc_iso230.read(path, Source(swap_directions=swap))[0]
     unit = UNITS[table.units["target"]]
     if unit.kind != "length":
         raise MeasurementError(f"{path}: UNIT={table.units['target']}: only linear axes are known here")

@@ -63,6 +63,7 @@ class Table:
         lines: line of each row in the file, (n,).
         notes: what the reader told.
         wrong: of a column of texts, line and text of the first cell that is no number, where the reader knows it.
+        where: how the user tells the reader more, for messages; "" where nothing can be told.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Table:
     lines: Ints
     notes: tuple[str, ...] = field(default=())
     wrong: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+    where: str = WHERE
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -85,7 +87,9 @@ class Table:
         if values.dtype != np.object_:
             return values.astype(np.float64)
         line, text = self.wrong.get(name) or self._first_text(values)
-        raise MeasurementError(f"{source}: line {line}: column {name!r}: {text!r} is no number; {_way(text)}")
+        raise MeasurementError(
+            f"{source}: line {line}: column {name!r}: {text!r} is no number; {_way(text, self.where)}"
+        )
 
     def _first_text(self, values: Floats | Texts) -> tuple[int, str]:
         i = next((i for i, v in enumerate(values) if not _is_number(str(v))), 0)
@@ -106,17 +110,19 @@ def _is_number(text: str) -> bool:
     return "_" not in text
 
 
-def _way(text: str) -> str:
+def _way(text: str, where: str) -> str:
+    if not where:
+        return "write decimals with a point" if "," in text else "correct the file"
     digits = text.replace(",", "").replace(".", "").strip("+- ").isdigit()
     if digits and "," in text and "." in text:
-        return f"thousands separators? {WHERE} thousands = … and decimal = …"
+        return f"thousands separators? {where} thousands = … and decimal = …"
     if digits and "," in text:
-        return f'{WHERE} decimal = "," if it is a decimal comma, or thousands = ","'
+        return f'{where} decimal = "," if it is a decimal comma, or thousands = ","'
     if digits and "." in text:
-        return f'a point among decimal commas? {WHERE} thousands = "." if it divides thousands, else decimal = "."'
+        return f'a point among decimal commas? {where} thousands = "." if it divides thousands, else decimal = "."'
     if any(c in text for c in ":/-") and text[:1].isdigit():
         return 'is it a time? [time] takes unit = "iso" or a format'
-    return f'{WHERE} missing = ["{text}"] if it stands for "no value", else correct the file'
+    return f'{where} missing = ["{text}"] if it stands for "no value", else correct the file'
 
 
 def decoded(path: Path, encoding: str | None) -> tuple[str, tuple[str, ...]]:

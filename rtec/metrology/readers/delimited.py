@@ -18,8 +18,8 @@ NANS = ("nan", "NaN", "NAN")
 NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 
 
-def read(path: Path, source: Source) -> list[Table]:
-    """Read the one table of the file.
+def read(path: Path, source: Source, where: str = WHERE) -> list[Table]:
+    """Read the one table of the file; `where` is how the user tells more of it, for messages.
 
     Raises:
         MeasurementError: not text, no rows, or rows of another length than the header; by line.
@@ -38,19 +38,19 @@ def read(path: Path, source: Source) -> list[Table]:
     delimiter = source.delimiter or _delimiter([lines[i] for i in kept[:20]])
     if source.delimiter is None:
         notes = (*notes, f"cells are divided by {delimiter!r}, as it seems")
-    names, units, first = _header(path, [lines[i] for i in kept[:2]], delimiter, source)
+    names, units, first = _header(path, [lines[i] for i in kept[:2]], delimiter, source, where)
     rows = kept[first:]
     if not rows:
         raise MeasurementError(f"{path}: no rows under the header")
     at = np.array(rows, dtype=np.int64) + 1
-    table = _cells(path, [lines[i] for i in rows], at, names, delimiter)
+    table = _cells(path, [lines[i] for i in rows], at, names, delimiter, where)
     columns: dict[str, Floats | Texts] = {}
     wrong = {}
     for name in names:
         columns[name], bad = _numbers_or_texts(table.column(name), source)
         if bad is not None:
             wrong[name] = (int(at[bad]), str(columns[name][bad]))
-    return [Table(path.stem, columns, units, at, notes, wrong)]
+    return [Table(path.stem, columns, units, at, notes, wrong, where)]
 
 
 def _delimiter(lines: list[str]) -> str:
@@ -60,7 +60,9 @@ def _delimiter(lines: list[str]) -> str:
     return (alike or seen or [","])[0]
 
 
-def _header(path: Path, lines: list[str], delimiter: str, source: Source) -> tuple[list[str], dict[str, str], int]:
+def _header(
+    path: Path, lines: list[str], delimiter: str, source: Source, where: str
+) -> tuple[list[str], dict[str, str], int]:
     """Names, units, and how many lines they took."""
     cells = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
     if not source.header:
@@ -68,9 +70,9 @@ def _header(path: Path, lines: list[str], delimiter: str, source: Source) -> tup
     names = [n or f"c{i + 1}" for i, n in enumerate(cells[0])]
     for name in names:
         if names.count(name) > 1:
+            other = f", or {where} header = false with skip_rows, and use c1, c2, …" if where else ""
             raise MeasurementError(
-                f"{path}: column {name!r} stands {names.count(name)} times in the header; rename one, or "
-                f"{WHERE} header = false with skip_rows, and use c1, c2, …"
+                f"{path}: column {name!r} is {names.count(name)} times in the header; rename one{other}"
             )
     units = {n: u for n in names if (u := _bracketed(n))}
     if not source.unit_row:
@@ -93,7 +95,7 @@ def _unit(text: str) -> str:
         return ""
 
 
-def _cells(path: Path, lines: list[str], at: Ints, names: list[str], delimiter: str) -> Any:
+def _cells(path: Path, lines: list[str], at: Ints, names: list[str], delimiter: str, where: str) -> Any:
     """All cells as texts."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -106,14 +108,14 @@ def _cells(path: Path, lines: list[str], at: Ints, names: list[str], delimiter: 
             convert_options=arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string())),
         )
     except (pa.ArrowException, ValueError) as e:
-        _tell_widths(path, lines, at, len(names), delimiter)
+        _tell_widths(path, lines, at, len(names), delimiter, where)
         raise MeasurementError(f"{path}: not a table divided by {delimiter!r}: {str(e).splitlines()[0]}") from e
     if table.num_rows != len(lines):
         raise MeasurementError(f"{path}: {len(lines)} lines and {table.num_rows} rows: a quote is not closed?")
     return table
 
 
-def _tell_widths(path: Path, lines: list[str], at: Ints, width: int, delimiter: str) -> None:
+def _tell_widths(path: Path, lines: list[str], at: Ints, width: int, delimiter: str, where: str) -> None:
     faults = Faults(str(path))
     for line, number in zip(lines, at.tolist(), strict=True):
         try:
@@ -122,8 +124,10 @@ def _tell_widths(path: Path, lines: list[str], at: Ints, width: int, delimiter: 
             faults.row("csv", number, str(e), "is this a text table?")
             continue
         if n != width:
-            way = (
-                f"is the delimiter {delimiter!r}? lines before the header: {WHERE} skip_rows = …; after it: comment = …"
+            way = f"is the delimiter {delimiter!r}?" + (
+                f" lines before the header: {where} skip_rows = …; after it: comment = …"
+                if where
+                else " decimal commas? write decimals with a point"
             )
             faults.row("width", number, f"has {n} cells, the header has {width}", way)
     faults.raise_if_any()
@@ -146,7 +150,11 @@ def _numbers_or_texts(column: Any, source: Source) -> tuple[Floats | Texts, int 
         plain = compute.replace_substring(compute.replace_substring(plain, ".", "?"), ",", ".")
     plain = compute.if_else(blank, pa.scalar(None, pa.string()), compute.utf8_ltrim(plain, "+"))
     number = compute.fill_null(compute.match_substring_regex(plain, NUMBER), True)
-    if compute.all(number, min_count=0).as_py():
-        return np.asarray(plain.cast(pa.float64()).to_numpy(), dtype=np.float64), None
     first = compute.index(number, False).as_py()
+    if first < 0:
+        values = np.asarray(plain.cast(pa.float64()).to_numpy(), dtype=np.float64)
+        infinite = np.isinf(values)
+        if not infinite.any():
+            return values, None
+        first = int(np.argmax(infinite))
     return np.asarray(compute.if_else(blank, "", texts).to_numpy(zero_copy_only=False), dtype=np.object_), first

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from rtec.effects.derived import lag_track
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.cyclic import Number
 from rtec.metrology.procedures.fitting import Fit, separable_fit
+from tests.support.cyclic_turns import Number
 
 Floats = NDArray[np.float64]
 
