@@ -38,7 +38,7 @@ Microradians = Annotated[float, Field(ge=-1e6, le=1e6)]
 Radians = Annotated[float, Field(ge=-1e4, le=1e4)]
 Degrees = Annotated[float, Field(ge=-3600, le=3600)]
 
-DegreesCelsius = Annotated[float, Field(ge=-273.15, le=5000)]
+DegreesCelsius = Annotated[float, Field(ge=-273.15, le=1e6)]
 DegreesDifference = Annotated[float, Field(ge=-5000, le=5000)]
 DegreesSpread = Annotated[float, Field(ge=0, le=5000), ZeroOrMore]
 

@@ -17,8 +17,8 @@ from rtec.loop.clock import Clock
 NS = 1_000_000_000
 STOP_TIMEOUT_S = 15.0
 
-FirstRetry = Annotated[float, Field(ge=1e-3, le=60)]
-LongestRetry = Annotated[float, Field(ge=1e-3, le=600)]
+FirstRetry = Annotated[float, Field(ge=1e-6, le=60)]
+LongestRetry = Annotated[float, Field(ge=1e-6, le=600)]
 
 
 class Backoff:

@@ -140,7 +140,7 @@ def lines() -> Feed:
 def readings() -> Feed:
     kinds = [
         Conversion(scale=0.001, thermocouple="K", cold_junction=25.0),
-        Conversion(scale=1e300, offset=1e300, thermocouple="B", cold_junction=20.0),
+        Conversion(scale=1e12, offset=1e12, thermocouple="B", cold_junction=20.0),
         Conversion(scale=1e-3, thermocouple="T", cold_junction="T_air"),
         Conversion(),
     ]
