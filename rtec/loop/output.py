@@ -61,6 +61,8 @@ class CommandGate:
         self._period_s = period_ns * 1e-9
         self._expected: IntArray | None = None
         self._allowed: IntArray | None = None
+        self._step: Step | None = None
+        self._told = self.has
         self._known = self._failed = self._in_trouble = self._far = False
         self._unconfirmed_ns: int | None = None
 
@@ -98,7 +100,9 @@ class CommandGate:
         if self._resumable is not None and (stopped := self._resumable.must_resume):
             self._failed = True
             self._trouble.failed(stopped)
-        told = step.output_of(step.state)
+        if step is not self._step:
+            self._step, self._told = step, step.output_of(step.state)
+        told = self._told
         confirmed = told.tobytes() == self.has.tobytes()
         if confirmed and not self._failed:
             self._well()

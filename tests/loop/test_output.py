@@ -30,7 +30,7 @@ from rtec.replay.replay import replay_log
 from tests.support import setups
 from tests.support.output_rigs import FAULTS, MS, RIGS, OutputRig, SimRig
 
-WELL, BAD, AFTER = 700, 1000, 1000
+WELL, BAD, AFTER = 500, 1000, 800
 SLEW_UM_S, ACCELERATION_UM_S2 = 50.0, 2000.0
 """Of tests/support/setups.py; at 2 counts/µm and 1 kHz a cycle's 0.1 counts are one count at most."""
 MOST_COUNTS = 1
@@ -142,6 +142,21 @@ def test_a_command_is_never_further_than_one_cycle_from_what_the_machine_has(
     assert not (run.commands.flags[after] & (Flag.OUTPUT_TROUBLE | Flag.HELD)).any(), "it goes on"
     assert np.abs(run.commands.output[run.done - 1] - rig.has()).max() <= MOST_COUNTS
     assert run.loop.stats.reasons() == {}
+    run.check(made, tmp_path)
+
+
+@pytest.mark.parametrize("pause_ms", [80, 3000])
+def test_a_pause_is_not_made_up_for_by_one_large_command(
+    rig: OutputRig, made: Setup, tmp_path: Path, pause_ms: int
+) -> None:
+    """The computer stands still, in the middle of a way of 8 counts, again and again; then the correction goes on."""
+    run = Run(rig, made)
+    run.cycles(WELL)
+    for _ in range(3):
+        run.cycles(TURN_CYCLES + 30)
+        rig.clock.sleep_until_ns(rig.clock.now_ns() + pause_ms * MS)
+    after = run.cycles(AFTER // 2)
+    assert not (run.commands.flags[after][200:] & (Flag.OUTPUT_TROUBLE | Flag.HELD)).any()
     run.check(made, tmp_path)
 
 
