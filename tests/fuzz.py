@@ -214,7 +214,7 @@ def kinds(folder: Path) -> dict[str, tuple[Callable[[bytes], bool], tuple[bytes,
 
 
 def _requests(setup: Setup) -> tuple[Callable[[bytes], bool], tuple[bytes, ...]]:
-    desk, peer = Desk(FakeDaemon(setup), VirtualClock(1), {}), Peer("cell", "operate", b"1")
+    desk, peer = Desk(FakeDaemon(setup), VirtualClock(1), {}), Peer("cell", "operate")
     session = json.loads(desk.answer(b'{"schema":1,"ask":"session"}', peer))["session"]
     order = {"schema": 1, "ask": "order", "id": 7, "session": session, "seq": 1, "order": "mark", "text": "first part"}
 

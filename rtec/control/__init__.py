@@ -1,1 +1,1 @@
-"""Asking and controlling a running daemon: sockets, requests, keys, telemetry (`docs/control.md`)."""
+"""Looking at a running daemon and giving it orders: the socket, requests, status, figures (`docs/control.md`)."""

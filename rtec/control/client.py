@@ -26,6 +26,19 @@ LARGEST_ANSWER: Final = 4 * 1024 * 1024
 HOST: Final = re.compile(
     r"(?P<host>([A-Za-z0-9_][\w.-]*@)?([A-Za-z0-9][\w.-]*|\[[0-9a-fA-F:.]+\]))(:(?P<port>\d{1,5}))?"
 )
+LONGEST_NS: Final = 15_000_000_000
+PERIOD_NS: Final = 50_000_000
+SEEN_NS: Final = 100_000_000
+"""Rows that are so much newer than an order were made under it."""
+_MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
+KEPT: Final = (Order.HOLD, Order.FADE)
+"""Orders that a daemon that is restarted must not forget: they are done when they are on disk."""
+_MODE_WORDS: Final = {
+    Order.ENABLE: "the correction follows the model",
+    Order.HOLD: "the correction stays where it is",
+    Order.FADE: "the correction goes to nothing at its slew limit",
+}
+_NOTED: Final = {Order.MARK: ("mark",), Order.RELOAD: ("reloaded", "not reloaded"), Order.RESUME: ("resume",)}
 
 
 @dataclass(frozen=True)
@@ -75,6 +88,23 @@ def _by_ssh(config: Path | None, at: str, key: Path | None) -> tuple[str, ...]:
     identity = [] if key is None else ["-o", "IdentitiesOnly=yes", "-i", str(key)]
     options = ("-T", "-o", "BatchMode=yes", "-o", "ServerAliveInterval=5")
     return ("ssh", *options, *port, *identity, "--", match["host"].replace("[", "").replace("]", ""), shlex.join(there))
+
+
+def _none(config: Path | None) -> str:
+    who = "no daemon runs" if config is None else f"no daemon runs with {config}"
+    user = f" as this user (number {os.geteuid()})" if config is None and os.geteuid() else ""
+    return (
+        f"{who}{user}: start one with `rtec run {config or 'CONFIG'}`, or `systemctl status 'rtec@*'` says why it does "
+        "not run; one of another user answers to that user and to root"
+    )
+
+
+def _several(alive: list[Path]) -> str:
+    names = []
+    for path in alive:
+        with Client(Place(path)) as client:
+            names.append(str(client.status()["config"]))
+    return f"{len(alive)} daemons run: name the run file of one: {', '.join(names)}"
 
 
 class Client:
@@ -192,37 +222,6 @@ class Client:
         return f"no answer by `{self._place}`: is it allowed there, and does the daemon run? See docs/control.md"
 
 
-def _none(config: Path | None) -> str:
-    who = "no daemon runs" if config is None else f"no daemon runs with {config}"
-    user = f" as this user (number {os.geteuid()})" if config is None and os.geteuid() else ""
-    return (
-        f"{who}{user}: start one with `rtec run {config or 'CONFIG'}`, or `systemctl status 'rtec@*'` says why it does "
-        "not run; one of another user answers to that user and to root"
-    )
-
-
-def _several(alive: list[Path]) -> str:
-    names = []
-    for path in alive:
-        with Client(Place(path)) as client:
-            names.append(str(client.status()["config"]))
-    return f"{len(alive)} daemons run: name the run file of one: {', '.join(names)}"
-
-
-LONGEST_NS: Final = 15_000_000_000
-PERIOD_NS: Final = 50_000_000
-SEEN_NS: Final = 100_000_000
-"""Rows that are so much newer than an order were made under it."""
-_MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
-KEPT: Final = (Order.HOLD, Order.FADE)
-"""Orders that a daemon that is restarted must not forget: they are done when they are on disk."""
-_TOGETHER: Final = {
-    Order.ENABLE: "the correction follows the model",
-    Order.HOLD: "the correction stays where it is",
-    Order.FADE: "the correction goes to nothing at its slew limit",
-}
-
-
 @dataclass(frozen=True)
 class Outcome:
     """What came of an order.
@@ -279,9 +278,6 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
     return Outcome(new[-1]["what"] == "reloaded", new[-1]["text"], after)
 
 
-_NOTED: Final = {Order.MARK: ("mark",), Order.RELOAD: ("reloaded", "not reloaded"), Order.RESUME: ("resume",)}
-
-
 def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
     """What came of an order that is a mode; None: no row that was made under it has been seen."""
     why = held(status)
@@ -308,7 +304,7 @@ def _kept(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after
 def _mode_text(order: Order, status: dict[str, Any]) -> str:
     units = {axis: "" if um is None else " µm" for axis, um in status["applied_um"].items()}
     applied = ", ".join(f"{axis} {um_text(um)}{units[axis]}" for axis, um in status["applied_um"].items())
-    return f"{_TOGETHER[order]}; applied now: {applied}"
+    return f"{_MODE_WORDS[order]}; applied now: {applied}"
 
 
 def _resumed(before: dict[str, Any], status: dict[str, Any], after: dict[str, Any]) -> Outcome | None:

@@ -1,7 +1,6 @@
-"""Answers requests, whatever line they came by: who may what, and what was said before is not carried out again."""
+"""Answers requests: who may what, and that an order which was given before is not carried out again."""
 
 import secrets
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
@@ -18,9 +17,8 @@ from rtec.loop.run_file import Setup
 
 SESSION_NS: Final = 10_000_000_000
 """An order that was held up for longer is old: whoever gave it has long looked away."""
-SESSIONS: Final = 256
 EVENTS: Final = 20
-TELL_NS: Final = 60_000_000_000
+REPORT_NS: Final = 60_000_000_000
 
 
 class Daemon(Protocol):
@@ -55,25 +53,41 @@ class Daemon(Protocol):
 
 
 @dataclass
+class Session:
+    """What makes the orders of a connection new: `nonce` is asked for first, `seq` of the last order only grows."""
+
+    nonce: str
+    since_ns: int
+    seq: int = -1
+
+
+@dataclass
 class Peer:
     """Who asks, over one connection.
 
     Attributes:
         name: as the events show it.
         role: what it may.
-        line: of its connection; another one after each time that it connects.
+        lowered: it took a name and a role of its own, once and for good.
         watches: it is sent the status again and again.
+        session: the one that it asked for last.
     """
 
     name: str
     role: Role
-    line: bytes
+    lowered: bool = False
     watches: bool = False
+    session: Session | None = None
 
     def lower(self, name: str, role: Role) -> None:
-        """Take another name beside its own, and a role: rights that it has not it does not get by that."""
-        self.name = f"{name} ({self.name})"
-        self.role = "operate" if self.role == role == "operate" else "read"
+        """Take another name beside its own, and a role.
+
+        Raises:
+            OrderRefused: it did so before, or it has not the rights that it wants.
+        """
+        if self.lowered or (role == "operate" and self.role != "operate"):
+            raise OrderRefused(f"{self.name} cannot take another name or more rights")
+        self.name, self.role, self.lowered = f"{name} ({self.name})", role, True
 
 
 @dataclass
@@ -87,14 +101,7 @@ class Tally:
 
 
 @dataclass
-class _Session:
-    nonce: str
-    since_ns: int
-    seq: int = -1
-
-
-@dataclass
-class _Tell:
+class _Refusals:
     """Refusals go to the events, but not more often than once a minute: nobody fills the disk with them."""
 
     next_ns: int = 0
@@ -106,9 +113,9 @@ class Desk:
     """Answers requests.
 
     Args:
-        daemon: is told the orders.
+        daemon: takes the orders.
         clock: monotonic.
-        origin: what does not change while the daemon runs; stands in every status.
+        origin: what does not change while the daemon runs; is in every status.
         residual: knows what the last measurement says.
 
     Attributes:
@@ -120,8 +127,7 @@ class Desk:
     origin: Mapping[str, Any]
     residual: Residual = field(default_factory=lambda: Residual(None))
     tally: Tally = field(default_factory=Tally)
-    _sessions: OrderedDict[bytes, _Session] = field(default_factory=OrderedDict)
-    _tell: _Tell = field(default_factory=_Tell)
+    _refusals: _Refusals = field(default_factory=_Refusals)
 
     def answer(self, message: bytes, peer: Peer) -> bytes:
         """Give the answer to any message; raises nothing for any of them."""
@@ -145,7 +151,7 @@ class Desk:
         return text
 
     def status(self) -> dict[str, Any]:
-        """Everything that the daemon tells of itself."""
+        """Everything that the daemon reports of itself."""
         status, model = self.daemon.status, self.daemon.setup.model
         total, newest = self.daemon.recent_events(EVENTS)
         age_s = (self.clock.now_ns() - status.time_ns) * 1e-9 if status.time_ns else None
@@ -164,13 +170,13 @@ class Desk:
 
     def refusal(self, text: str) -> None:
         """Put a refusal into the events, if none was there in the last minute."""
-        now_ns, tell = self.clock.now_ns(), self._tell
-        if now_ns < tell.next_ns:
-            tell.kept_back += 1
+        now_ns, before = self.clock.now_ns(), self._refusals
+        if now_ns < before.next_ns:
+            before.kept_back += 1
             return
-        more = f" (and {tell.kept_back} more since the last entry)" if tell.kept_back else ""
+        more = f" (and {before.kept_back} more since the last entry)" if before.kept_back else ""
         self.daemon.note("refused", text + more)
-        tell.next_ns, tell.kept_back = now_ns + TELL_NS, 0
+        before.next_ns, before.kept_back = now_ns + REPORT_NS, 0
 
     def _content(self, request: Request, peer: Peer) -> Mapping[str, Any]:
         if request.ask == "as":
@@ -182,20 +188,14 @@ class Desk:
         if peer.role != "operate":
             raise OrderRefused(f"{peer.name} may read, not operate")
         if request.ask == "session":
-            return {"session": self._begin(peer), "good_for_s": SESSION_NS / 1e9}
+            peer.session = Session(secrets.token_hex(16), self.clock.now_ns())
+            return {"session": peer.session.nonce, "good_for_s": SESSION_NS / 1e9}
         self._check(request, peer)
         return {"done": self.daemon.order(request.order, request.text, peer.name)}
 
-    def _begin(self, peer: Peer) -> str:
-        self._sessions.pop(peer.line, None)
-        while len(self._sessions) >= SESSIONS:
-            self._sessions.popitem(last=False)
-        made = self._sessions[peer.line] = _Session(secrets.token_hex(16), self.clock.now_ns())
-        return made.nonce
-
     def _check(self, request: Request, peer: Peer) -> None:
         """Refuse what was sent before: over another line, to an earlier daemon, long ago, or twice."""
-        session = self._sessions.get(peer.line)
+        session = peer.session
         if session is None or not secrets.compare_digest(session.nonce, request.session):
             raise OrderRefused("this session is not of this connection; ask for one")
         if self.clock.now_ns() - session.since_ns > SESSION_NS:

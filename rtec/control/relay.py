@@ -37,8 +37,8 @@ def relay(path: Path, name: str, role: Role, source: int = 0, sink: int = 1) -> 
                     raise RtecError(f"{path}: the daemon hung up")
                 heard += byte
             answered = read_answer(heard)
-            if "error" in answered:
-                raise RtecError(f"--name {name!r}: {answered['error']}")
+            if why := answered.get("error") or answered.get("refused"):
+                raise RtecError(f"--name {name!r} --role {role}: {why}")
             ready.register(source, selectors.EVENT_READ)
             ready.register(daemon, selectors.EVENT_READ)
             while True:

@@ -74,7 +74,7 @@ class Line:
     pid: int
     used_ns: int
     writer: asyncio.StreamWriter | None = None
-    peer: Peer = field(default_factory=lambda: Peer("", "read", b""))
+    peer: Peer = field(default_factory=lambda: Peer("", "read"))
     task: asyncio.Task[None] | None = None
 
     def end(self) -> None:
@@ -159,7 +159,7 @@ class Control:
         self._http: socket.socket | None = None
         self._thread = KeptThread(daemon.parts.add("control", essential=self._table.local), self._work)
         self._end: Callable[[], object] | None = None
-        self._pace, self._number = Pace(clock, REQUEST_NS), 0
+        self._pace = Pace(clock, REQUEST_NS)
 
     def __enter__(self) -> Self:
         try:
@@ -248,8 +248,7 @@ class Control:
             self.desk.refusal(unforeseen(e))
 
     async def _talk(self, line: Line, reader: asyncio.StreamReader) -> None:
-        self._number += 1
-        line.peer = Peer(_user(line.uid), "operate", b"%d" % self._number)
+        line.peer = Peer(_user(line.uid), "operate")
         for count in itertools.count():
             try:
                 message = await reader.readuntil(b"\n")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtec.control.desk import SESSION_NS, SESSIONS, TELL_NS, Desk, Peer
+from rtec.control.desk import REPORT_NS, SESSION_NS, Desk, Peer
 from rtec.control.messages import LARGEST_REQUEST, RequestError, read_request
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
@@ -34,7 +34,7 @@ def daemon(setup: Setup) -> FakeDaemon:
 def test_a_session_ends_by_itself(daemon: FakeDaemon) -> None:
     """An order that was held up on its way for longer than a session lasts is old."""
     clock = VirtualClock(NS)
-    desk, peer = Desk(daemon, clock, {}), Peer("cell", "operate", b"1")
+    desk, peer = Desk(daemon, clock, {}), Peer("cell", "operate")
 
     def give(seq: int, wait_ns: int) -> dict[str, Any]:
         session = json.loads(desk.answer(b'{"schema":1,"ask":"session"}', peer))["session"]
@@ -48,18 +48,26 @@ def test_a_session_ends_by_itself(daemon: FakeDaemon) -> None:
     assert len(daemon.orders) == 1
 
 
-def test_sessions_and_refusals_take_no_more_room_however_many_come(daemon: FakeDaemon) -> None:
+def test_refusals_take_no_more_room_however_many_come(daemon: FakeDaemon) -> None:
     """Told once a minute, with the number of those kept back."""
     clock = VirtualClock(NS)
     desk = Desk(daemon, clock, {})
-    for k in range(3 * SESSIONS):
-        desk.answer(b'{"schema":1,"ask":"session"}', Peer("cell", "operate", b"%d" % k))
-        desk.answer(b"?", Peer("cell", "operate", b"1"))
-    assert len(desk._sessions) == SESSIONS
+    for _ in range(700):
+        desk.answer(b"?", Peer("cell", "operate"))
     assert daemon.notes == ["cell: is no JSON text"]
-    clock.sleep_until_ns(NS + TELL_NS)
-    desk.answer(b"?", Peer("cell", "operate", b"1"))
-    assert daemon.notes[1:] == [f"cell: is no JSON text (and {3 * SESSIONS - 1} more since the last entry)"]
+    clock.sleep_until_ns(NS + REPORT_NS)
+    desk.answer(b"?", Peer("cell", "operate"))
+    assert daemon.notes[1:] == ["cell: is no JSON text (and 699 more since the last entry)"]
+
+
+def test_a_name_is_taken_once(daemon: FakeDaemon) -> None:
+    """Else it would grow with every request."""
+    desk, peer = Desk(daemon, VirtualClock(NS), {}), Peer("root", "operate")
+    ask = b'{"schema":1,"ask":"as","name":"cell","role":"operate"}'
+    assert json.loads(desk.answer(ask, peer))["name"] == "cell (root)"
+    for _ in range(100):
+        assert "cannot take another name" in json.loads(desk.answer(ask, peer))["refused"]
+    assert (peer.name, peer.role) == ("cell (root)", "operate")
 
 
 @pytest.mark.parametrize(
@@ -116,12 +124,12 @@ _messages = (
 )
 
 
-@settings(max_examples=500)
+@settings(max_examples=200)
 @given(message=_messages)
 def test_no_message_gets_an_order_through_without_a_session(setup: Setup, message: bytes) -> None:
     """Nor makes the desk raise; every answer is an object of the schema, and what is noted fits into a file."""
     daemon = FakeDaemon(setup)
-    found = json.loads(Desk(daemon, VirtualClock(NS), {}).answer(message, Peer("cell", "operate", b"1")))
+    found = json.loads(Desk(daemon, VirtualClock(NS), {}).answer(message, Peer("cell", "operate")))
     assert found["schema"] == 1
     assert daemon.orders == []
     "".join(daemon.notes).encode()

@@ -91,6 +91,8 @@ def test_the_unit_says_what_the_daemon_does(unit: dict[str, list[str]]) -> None:
     assert unit["NotifyAccess"] == ["main"]
     assert int(unit["WatchdogSec"][0]) >= 6  # the ring holds the rows of six seconds of a supervisor that stands still
     assert unit["KillMode"] == ["mixed"]
+    assert int(unit["LimitNOFILE"][0]) > 2 * MOST_CONNECTIONS
+    assert {"MemoryMax", "TasksMax"} <= set(unit)
     assert unit["SuccessExitStatus"] == ["130"]
     assert unit["Restart"] == ["always"]
     assert unit["ExecReload"] == ["/bin/kill -HUP $MAINPID"]
