@@ -5,10 +5,8 @@ half a surrogate cannot be written at all. What is not printable is shown as its
 JSON that is cleaned means the same.
 """
 
+import json
 import unicodedata
-from typing import Final
-
-_SHORT: Final = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def clean(text: str) -> str:
@@ -24,7 +22,4 @@ def clean_lines(text: str) -> str:
 def _shown(character: str) -> str:
     if character.isprintable() or unicodedata.category(character) == "Zs":
         return character
-    if character in _SHORT:
-        return _SHORT[character]
-    units = character.encode("utf-16-be", "surrogatepass").hex()
-    return "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))
+    return json.dumps(character)[1:-1]

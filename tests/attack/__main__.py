@@ -5,9 +5,11 @@ not the machine's, memory that grows, a file that is neither read nor refused. D
 is for `make bench` on a quiet computer.
 """
 
+import itertools
 import json
 import os
 import random
+import re
 import resource
 import signal
 import subprocess
@@ -30,7 +32,7 @@ from rtec.errors import RtecError
 from rtec.log.reader import LogReader
 from rtec.loop.clock import RealClock
 from rtec.loop.orders import Order
-from tests import fuzz
+from tests import extremes, fuzz
 from tests.attack.clients import ATTACKS
 from tests.support import hil_rig, kill_rig, setups
 from tests.support.control_rig import free_place
@@ -43,6 +45,7 @@ EVERY_NS: Final = 200_000_000
 KILLS: Final = 50
 CYCLE_NS: Final = 1_000_000
 BATCH: Final = 50
+NUMBERS: Final = 5
 SLEW_UM_S, COUNTS_PER_UM = 50.0, 2.0
 ROUNDING: Final = 1e-9
 CLOCK: Final = RealClock()
@@ -236,25 +239,44 @@ def _largest_step(log: Path) -> float:
 
 
 def files(seconds: float) -> Iterator[Row]:
-    """Spoilt texts of every kind that is read from outside, in turns until the time is over."""
-    end_ns, row, seed, before = (
-        CLOCK.now_ns() + round(seconds * 1e9),
-        Row("spoilt files and requests", 0, 0),
-        0,
-        _peak_mb(),
-    )
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+    """Texts that are spoilt, numbers beyond reason, files that are larger inside than outside."""
+    with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore", SyntaxWarning)
-        kinds = fuzz.kinds(Path(folder))
-        while not row.tried or CLOCK.now_ns() < end_ns:
-            seed += 1
-            for read, seeds in kinds.values():
+        before = _peak_mb()
+        row = Row("spoilt files and requests", 0, 0)
+        readers = fuzz.kinds(Path(name))
+        for seed in _rounds(seconds / 2):
+            for read, seeds in readers.values():
                 found = fuzz.feed(read, seeds, BATCH, seed)
                 row.tried += BATCH
                 row.survived += found.read + found.refused
                 row.losses += [fault for _, fault in found.faults]
-    row.memory_mb = _peak_mb() - before
-    yield row
+        row.memory_mb = _peak_mb() - before
+        yield row
+        row, kinds = Row("numbers beyond reason", 0, 0), extremes.kinds(Path(name))
+        for seed in _rounds(seconds / 2):
+            for kind in kinds.values():
+                every = extremes.trials(kind)
+                some = random.Random(seed).sample(every, min(NUMBERS, len(every)))
+                outcome = extremes.attack(kind, Path(name), some)
+                row.tried += len(some)
+                row.survived += outcome.good + outcome.refused
+                row.losses += outcome.faults
+        yield row
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/metrology/test_file_bombs.py"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    counts = {word: int(number) for number, word in re.findall(r"(\d+) (passed|failed|error)", done.stdout)}
+    losses = [done.stdout[-400:]] if done.returncode else []
+    yield Row("file bombs", sum(counts.values()), counts.get("passed", 0), losses=losses)
+
+
+def _rounds(seconds: float) -> Iterator[int]:
+    """Seeds until the time is over, one at least."""
+    end_ns = CLOCK.now_ns() + round(seconds * 1e9)
+    for seed in itertools.count(1):
+        yield seed
+        if CLOCK.now_ns() > end_ns:
+            return
 
 
 def _peak_mb() -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from rtec.control.server import MOST_CONNECTIONS
 from rtec.loop.run_file import load_setup
 
 ROOT = Path(__file__).parents[2]
