@@ -69,7 +69,7 @@ def _show(story: "Story", page: Path, model_out: Path | None) -> None:
     from rich.table import Table
 
     from rtec.cli.screen import Console
-    from rtec.demo.page import error_rows, left_sentences
+    from rtec.demo.page import error_rows, limits_in_words
 
     console = Console()
     console.print(
@@ -93,7 +93,7 @@ def _show(story: "Story", page: Path, model_out: Path | None) -> None:
     for row in facts:
         rest.add_row(row["part"], f"{row['rms_um']:.2f}", f"{row['largest_um']:.2f}", row["why"])
     console.print(rest)
-    for sentence in left_sentences(story):
+    for sentence in limits_in_words(story):
         console.print(f"- {sentence}", markup=False, highlight=False)
     if story.later is not None:
         _show_later(console, story.later)

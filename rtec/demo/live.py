@@ -100,8 +100,8 @@ class MachineClock:
         elif instant_ns % NS == 0:
             # At a whole second the temperatures move on: look back at the second with those that it had.
             self._look_back(machine)
-            seen = machine.record_to(instant_ns, EVERY_NS)
-            self._book.write(seen, True, machine.inserted_counts)
+            recording = machine.record_to(instant_ns, EVERY_NS)
+            self._book.write(recording, True, machine.inserted_counts)
         else:
             machine.advance_to(instant_ns)
             if self.looked:
@@ -113,8 +113,8 @@ class MachineClock:
             return
         trace = np.stack([axes for _, axes, _ in self._kept])[:, :, [COMMAND, MOTOR, SLIDE, READING]]
         times = np.array([at for at, _, _ in self._kept])
-        seen = recording_of(machine.geometry, self._per_mm, trace, times)
-        self._book.write(seen, True, np.stack([inserted for _, _, inserted in self._kept]))
+        recording = recording_of(machine.geometry, self._per_mm, trace, times)
+        self._book.write(recording, True, np.stack([inserted for _, _, inserted in self._kept]))
         self._kept = []
 
 

@@ -1,4 +1,4 @@
-"""The demo's report: what the story found, in words, tables and figures; written whole or not at all."""
+"""The demo's report in words, tables and figures; written whole or not at all."""
 
 from pathlib import Path
 
@@ -30,25 +30,25 @@ def write_report(story: Story, folder: Path) -> Path:
 
 def page_of(story: Story) -> Page:
     """Put the report together."""
-    found = {row["error"]: row for row in story.figures()}
+    by_error = {row["error"]: row for row in story.figures()}
     return Page(
         title=TITLE,
         lead=(
             f"The same simulated day twice: {story.plan.warm_h:g} hours of work from cold, then "
             f"{story.plan.night_h:g} hours to cool. Largest error of "
-            f"a diameter {found['diameter']['off_largest_um']:.0f} µm without correction, "
-            f"{found['diameter']['on_largest_um']:.1f} µm with it."
+            f"a diameter {by_error['diameter']['off_largest_um']:.0f} µm without correction, "
+            f"{by_error['diameter']['on_largest_um']:.1f} µm with it."
         ),
         numbers=[
             (
-                f"{found[kind]['factor_largest']:.1f}\u00a0×",
-                f"smaller error of {kind}{nist_words(found[kind]['nist_factor'])}",
+                f"{by_error[kind]['factor_largest']:.1f}\u00a0×",
+                f"smaller error of {kind}{nist_words(by_error[kind]['nist_factor'])}",
             )
             for kind in ("diameter", "length", "straightness")
         ],
         sections=[
-            _sizes(story), _over_time(story), _straight(story), _profiles(story), _temperatures(story), _left(story),
-            _how(story), *(later_sections(story.later) if story.later else []),
+            _sizes(story), _over_time(story), _straight(story), _profiles(story), _temperatures(story),
+            _not_corrected(story), _how(story), *(later_sections(story.later) if story.later else []),
         ],
         foot=[
             f"rtec {__version__}, {command(story)}. A simulation: machine, heat and errors are made up "
@@ -60,7 +60,7 @@ def page_of(story: Story) -> Page:
 
 
 def command(story: Story) -> str:
-    """What tells the same story again."""
+    """The command that runs the same story again."""
     if story.later is None:
         return f"rtec demo --seed {story.seed} --no-hidden"
     return f"rtec demo --seed {story.seed} --hidden-seed {story.later.hidden_seed} --hidden {story.later.fault.name}"
@@ -89,13 +89,13 @@ ERROR_HEAD = (
 )  # fmt: skip
 
 
-def left_sentences(story: Story) -> list[str]:
-    """What no correction here could take away, and why, in sentences."""
+def limits_in_words(story: Story) -> list[str]:
+    """What no correction here can remove, and why, in sentences."""
     facts = story.facts()
     across, finer = facts["across"], facts["straightness_with_finer_encoder"]
     return [
-        f"Across the workpiece (Y) the tool is off by up to {across['largest_um']:.0f} µm, and stays so: no axis moves "
-        f"that way. On a diameter it counts for {across['on_diameter_um']:.3f} µm only.",
+        f"Across the workpiece (Y) the error is up to {across['largest_um']:.0f} µm and is not corrected: no axis "
+        f"moves that way. On a diameter it counts for {across['on_diameter_um']:.3f} µm only.",
         f"Straightness is held back by the encoder: position, direction and correction are known in "
         f"steps of {1e3 / story.model.machine.axes[0].counts_per_mm:g} µm only. With {FINER} counts for one and "
         f"nothing else changed, the first two parts go from {finer['off_um']:.1f} to {finer['on_um']:.1f} µm, "
@@ -187,14 +187,14 @@ def _temperatures(story: Story) -> Section:
     )
 
 
-def _left(story: Story) -> Section:
-    rows = story.left.sizes()
+def _not_corrected(story: Story) -> Section:
+    rows = story.sources.sizes()
     return Section(
         "What stays uncorrected, and why",
         [
-            *left_sentences(story),
-            "Only a simulation can take the rest apart, because it knows the truth. The parts below sum to the tip "
-            "error of the corrected day at every recorded instant.",
+            *limits_in_words(story),
+            "Only a simulation knows where the rest comes from. The parts below sum to the tip error of the corrected "
+            "day at every recorded instant.",
         ],
         Table(
             ("part", "rms, µm", "largest, µm", "why"),
@@ -216,8 +216,8 @@ def _how(story: Story) -> Section:
         [
             f"The model knows nothing of the day above. It was fitted to another day (seed {story.measuring_seed}) on "
             f"which a probe read {story.readings} tip errors with a noise of 0.3 µm: {len(model.effects)} effects, "
-            f"{len(model.parameter_values())} numbers. Readings of hours that were left out of a trial fit are met "
-            f"within {story.held_out_um:.2f} µm (rms), those in it within {story.inside_um:.2f} µm.",
+            f"{len(model.parameter_values())} numbers. The residual is {story.held_out_um:.2f} µm "
+            f"(root mean square) on held-out hours and {story.inside_um:.2f} µm on fitted ones.",
             f"The corrected day ran through the same loop and step as `rtec run`, at {RATE_HZ} cycles a second while "
             "cutting: counts and temperatures in, guard, ledger, inserted counts out; the simulated controller closes "
             f"its position loop on raw plus inserted counts. The guard held the correction in "

@@ -1,4 +1,4 @@
-"""What the correction leaves: where the tip error of the corrected day comes from, part by part.
+"""Where the tip error of the corrected day comes from, part by part.
 
 Only a simulation can say this, because it knows the truth. Along an axis, with `e` the tip error, `g` what it is
 beyond what the encoder shows, `r` reading and `w` command, mm, `k` inserted counts, `a` the applied and `q` the
@@ -47,7 +47,7 @@ WHY = {
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualSources:
     """Parts of the tip error of the corrected day.
 
     Attributes:
@@ -80,7 +80,9 @@ class Leftover:
         return 1e3 * e_mm**2 / self.radius_mm
 
 
-def leftover(track: Track, side: LoopSide, models: tuple[Model, Model], truth: Truth, seed: int) -> Leftover:
+def residual_sources(
+    track: Track, side: LoopSide, models: tuple[Model, Model], truth: Truth, seed: int
+) -> ResidualSources:
     """Take the corrected day apart.
 
     Args:
@@ -91,28 +93,28 @@ def leftover(track: Track, side: LoopSide, models: tuple[Model, Model], truth: T
     """
     model = models[0]
     machine = model.machine
-    seen = np.flatnonzero(track.surface >= 0)
-    axis_of = np.where(track.surface[seen] == CYLINDER, 0, 1)
+    cutting = np.flatnonzero(track.surface >= 0)
+    axis_of = np.where(track.surface[cutting] == CYLINDER, 0, 1)
     space_of = np.where(axis_of == 0, 0, 2)
     sensors, probe = _counterfactuals(track, side, models, truth)
     drift, play = _drift_um(track, model, truth, seed), side.play_um - _model_play_um(side, model)
     per_mm = np.array([a.counts_per_mm for a in machine.axes])
     put_um = -1e3 * track.inserted_counts / per_mm
-    applied, asked = side.commands.applied_um, side.commands.requested_um
+    applied, requested = side.commands.applied_um, side.commands.requested_um
     geometric, moved = track.geometric_um[:, [0, 2]], 1e3 * (track.reading_mm - track.commanded_mm)
     parts = [
-        moved - put_um, put_um - applied, applied - asked, sensors, probe, drift, play,
-        geometric + asked - sensors - probe - drift - play,
+        moved - put_um, put_um - applied, applied - requested, sensors, probe, drift, play,
+        geometric + requested - sensors - probe - drift - play,
     ]  # fmt: skip
-    chosen = [p[seen, axis_of] for p in parts]
-    cut, surface = track.part[seen], track.surface[seen]
-    place = track.commanded_mm[seen, 1 - axis_of]
+    chosen = [p[cutting, axis_of] for p in parts]
+    cut, surface = track.part[cutting], track.surface[cutting]
+    place = track.commanded_mm[cutting, 1 - axis_of]
     shape = _as_on_first_part(chosen.pop(), cut, surface, place)
     rows = [_from_first_part(p, cut, surface) for p in (*chosen, *shape)]
-    whole = _from_first_part(track.tip_um[seen, space_of], cut, surface)
+    whole = _from_first_part(track.tip_um[cutting, space_of], cut, surface)
     on_cylinder = track.surface == CYLINDER
     radius = float(machine.chain.tip[0] @ np.array([1.0, *track.commanded_mm[on_cylinder][0]]))
-    return Leftover(tuple(WHY), np.stack(rows), whole, cut, surface, track.tip_um[on_cylinder, 1], radius)
+    return ResidualSources(tuple(WHY), np.stack(rows), whole, cut, surface, track.tip_um[on_cylinder, 1], radius)
 
 
 def _counterfactuals(track: Track, side: LoopSide, models: tuple[Model, Model], truth: Truth) -> tuple[Floats, Floats]:

@@ -1,10 +1,8 @@
 """The second story: a machine with a fault that nobody knows, and a model that learns it.
 
-A fault is drawn. A first model is fitted to half a day of probing as ever, and corrects the machine; an error is left.
-`rtec diagnose` looks at the same readings, the effect that it names is added as `rtec add` does, and the same hours are
-lived through again with the new model, through the same loop.
-
-The second story in words: the lines of the terminal and the sections of the report.
+A fault is drawn. A first model is fitted to half a day of probing, as ever, and corrects the machine; an error remains.
+`rtec diagnose` searches the same readings, the effect that it names is added as `rtec add` does, and the same hours run
+again with the new model through the same loop. Then the story in words: lines of the terminal, sections of the report.
 """
 
 from collections.abc import Callable
@@ -24,7 +22,7 @@ from rtec.demo.live import corrected
 from rtec.diagnosis.extend.add import Added, add, new_effect
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.words import UNITS
+from rtec.diagnosis.words import UNITS, sentence
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.report.additions import added_page
@@ -33,7 +31,7 @@ from rtec.report.page import Figure, Section, Table
 from rtec.sim.truth import Truth, load_truth
 
 Stage = Callable[[str, int, int], None]
-Found = Literal["named", "among those alike", "not named", "wrongly named"]
+Verdict = Literal["named", "among those alike", "not named", "wrongly named"]
 
 LATER_PLAN = Plan(warm_h=1.5, night_h=0.0)
 APART = 1000
@@ -70,7 +68,7 @@ class Later:
     after: Track | None
 
     @property
-    def found(self) -> Found:
+    def found(self) -> Verdict:
         """Whether the fault was found; only a simulation can say."""
         if self.added is None:
             return "not named"
@@ -113,7 +111,7 @@ def tell_later(sound: Model, truth_file: Path, hidden_seed: int, name: str | Non
         hidden_seed: draws the fault.
         name: of a fault, where it is not to be drawn.
         seed: of the first story.
-        stage: told of progress.
+        stage: called with progress.
     """
     with TemporaryDirectory() as scratch:
         fault, file = draw(hidden_seed, name), Path(scratch) / "truth.toml"
@@ -140,12 +138,22 @@ def _tell(
     first = training.fit_day(day, name="first")
     healthy = live(sound, "without the fault", None)
     before = live(first, "with the first model")
-    found = diagnose(first, [measured], seed=hidden_seed, stage=stage)
-    best = found.findings[0] if found.findings else None
+    diagnosis = diagnose(first, [measured], seed=hidden_seed, stage=stage)
+    best = diagnosis.findings[0] if diagnosis.findings else None
     added = _add(first, best, measured, stage) if best is not None and best.accepted else None
     after = live(added.model, "with the new model") if added else None
     return Later(
-        hidden_seed, fault, later, day.readings, training.PROBE_NOISE_UM, first, found, added, healthy, before, after
+        hidden_seed,
+        fault,
+        later,
+        day.readings,
+        training.PROBE_NOISE_UM,
+        first,
+        diagnosis,
+        added,
+        healthy,
+        before,
+        after,
     )
 
 
@@ -191,17 +199,17 @@ def later_words(later: Later) -> list[str]:
     """The story in sentences."""
     out = [
         f"A fault was hidden in the machine (hidden seed {later.hidden_seed}). A model fitted to {later.readings} "
-        f"readings of a probe, which knows nothing of it, leaves {tip_rms_um(later.before):.2f} µm at the tool tip; "
-        f"without the fault it would be {tip_rms_um(later.healthy):.2f} µm.",
-        f"Diagnosis: {later.diagnosis.sentence}.",
+        f"readings of a probe does not know it: the error at the tool tip is {tip_rms_um(later.before):.2f} µm; "
+        f"without the fault it would be {tip_rms_um(later.healthy):.2f} µm (root mean square).",
+        f"Diagnosis: {sentence(later.diagnosis.sentence)}",
     ]
     if later.added is not None and later.after is not None:
         unit = UNITS[later.added.unit]
         out += [
-            f"Added {', '.join(later.added.labels)}: on readings left out of the fit the error goes from "
-            f"{later.added.before.held_out:.2f} to {later.added.after.held_out:.2f} {unit}, noise is "
+            f"Added {', '.join(later.added.labels)}: on held-out runs the residual falls from "
+            f"{later.added.before.held_out:.2f} to {later.added.after.held_out:.2f} {unit}; the noise floor is "
             f"{later.added.floor:.2f}.",
-            f"At the tool tip of the machine, through the same loop: from {tip_rms_um(later.before):.2f} to "
+            f"At the tool tip, through the same loop, the error falls from {tip_rms_um(later.before):.2f} to "
             f"{tip_rms_um(later.after):.2f} µm.",
         ]
     return [*out, f"What was hidden: {later.fault.words}. {VERDICTS[later.found]}"]
@@ -235,7 +243,7 @@ def later_sections(later: Later) -> list[Section]:
         )
     ]
     shown = diagnosis_page(later.diagnosis)
-    out += [_renamed(s, "What the diagnosis saw", "hidden-evidence.png") for s in shown.sections[:1] if s.figure]
+    out += [_renamed(s, "The evidence", "hidden-evidence.png") for s in shown.sections[:1] if s.figure]
     if later.added is not None:
         steps = [s for s in added_page(later.added).sections if s.figure]
         out += [_renamed(s, "Error on held-out readings before and after", "hidden-history.png") for s in steps]

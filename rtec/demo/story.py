@@ -13,7 +13,7 @@ from rtec.demo.background import Beside
 from rtec.demo.day import Plan, Track
 from rtec.demo.hidden import draw
 from rtec.demo.live import RATE_HZ, LoopSide, corrected, uncorrected
-from rtec.demo.residual_sources import WHY, Leftover, leftover
+from rtec.demo.residual_sources import WHY, ResidualSources, residual_sources
 from rtec.demo.second_story import Later, tell_later
 from rtec.demo.sizes import NIST_SIZE, NIST_STRAIGHT, Sizes, sizes_of
 from rtec.errors import ConfigError
@@ -22,7 +22,7 @@ from rtec.model import Model
 from rtec.sim.truth import load_truth
 
 Stage = Callable[[str, int, int], None]
-"""Told what is going on, how much of it is done, of how much."""
+"""Called with what is going on, how much of it is done, of how much."""
 
 MACHINE_FILE = Path("machines") / "turning-centre.toml"
 TRUTH_FILE = Path("sim") / "turning-centre.toml"
@@ -40,12 +40,12 @@ class Story:
         seed, measuring_seed: of the working day and of the day that the model was measured on.
         model: the fitted model.
         readings: numbers that the probe read.
-        inside_um, held_out_um: root mean square of readings minus prediction, in the fit and left out of it.
+        inside_um, held_out_um: root mean square residual of the readings in the fit and held out of it.
         off, on: the working day, uncorrected and corrected, as recorded.
         side: what the loop read and sent on the corrected day.
-        left: what the correction left, taken apart.
+        sources: where the error of the corrected day comes from.
         finer_um: straightness, worst over the first parts, with a finer encoder: uncorrected, corrected.
-        later: the second story; None where it was not told.
+        later: the second story; None where it was not run.
     """
 
     plan: Plan
@@ -58,7 +58,7 @@ class Story:
     off: Track
     on: Track
     side: LoopSide
-    left: Leftover
+    sources: ResidualSources
     finer_um: tuple[float, float]
     later: Later | None = None
 
@@ -109,11 +109,11 @@ class Story:
             "errors": self.figures(),
             "left_uncorrected": [
                 {"part": name, "rms_um": rms, "largest_um": most, "why": WHY.get(name, "")}
-                for name, rms, most in self.left.sizes()
+                for name, rms, most in self.sources.sizes()
             ],
             "across": {
-                "largest_um": float(np.abs(self.left.across_um).max()),
-                "on_diameter_um": self.left.across_on_diameter_um,
+                "largest_um": float(np.abs(self.sources.across_um).max()),
+                "on_diameter_um": self.sources.across_on_diameter_um,
                 "why": "no axis moves across the workpiece (Y)",
             },
             "straightness_with_finer_encoder": {
@@ -155,21 +155,21 @@ def tell_story(
     Args:
         seed: of the working day; the measuring day is the next seed's.
         configs: folder with machine and truth.
-        stage: told of progress.
+        stage: called with progress.
         plan: a shorter day.
-        hidden_seed: draws the fault of the second story; None: it is not told.
+        hidden_seed: draws the fault of the second story; None: it is not run.
         hidden: name of a fault, where it is not to be drawn.
     """
     plan = plan or Plan()
     if hidden_seed is not None:
-        draw(hidden_seed, hidden)  # a wrong name is told at once
+        draw(hidden_seed, hidden)  # a wrong name is an error before anything runs
     machine, truth = load_machine(configs / MACHINE_FILE), load_truth(configs / TRUTH_FILE)
     measuring_seed = seed + 1
     with Beside(_beside, seed, measuring_seed, configs, plan) as beside:
-        day = training.measure(machine, truth, measuring_seed, _told(stage, "measuring day"))
+        day = training.measure(machine, truth, measuring_seed, _progress(stage, "measuring day"))
         stage("fitting the model", 0, 1)
         model = training.fit_day(day)
-        on, side = corrected(model, configs / TRUTH_FILE, seed, plan, progress=_told(stage, "corrected day"))
+        on, side = corrected(model, configs / TRUTH_FILE, seed, plan, progress=_progress(stage, "corrected day"))
         stage("what a finer encoder would do", 0, 1)
         finer = _finer(model, configs, seed)
         later = None
@@ -178,8 +178,8 @@ def tell_story(
         stage("waiting for the uncorrected day", 0, 1)
         off, clean, rms = beside.result()
     stage("taking stock", 0, 1)
-    left = leftover(on, side, (model, clean), truth, seed)
-    return Story(plan, seed, measuring_seed, model, day.readings, *rms, off, on, side, left, finer, later)
+    sources = residual_sources(on, side, (model, clean), truth, seed)
+    return Story(plan, seed, measuring_seed, model, day.readings, *rms, off, on, side, sources, finer, later)
 
 
 def _beside(seed: int, measuring_seed: int, configs: Path, plan: Plan) -> tuple[Track, Model, tuple[float, float]]:
@@ -205,5 +205,5 @@ def _with_finer_encoder(machine: Machine) -> Machine:
     )
 
 
-def _told(stage: Stage, what: str) -> Callable[[int, int], None]:
+def _progress(stage: Stage, what: str) -> Callable[[int, int], None]:
     return lambda done, total: stage(what, done, total)

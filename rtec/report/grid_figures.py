@@ -88,32 +88,31 @@ def usual_magnification(pieces: Sequence[Piece]) -> float:
 
 def _draw(ax: "Axes", piece: Piece, colour: str, magnification: float, label: str) -> None:
     away = piece.beside_mm + piece.deviation_um * 1e-3 * magnification
-    smooth = _smoothed(away)
+    inner, smooth = _smoothed(away)
+    place = piece.place_mm[inner]
     straight = np.full(len(away), piece.beside_mm)
     line: dict[str, Any] = {"color": colour, "linewidth": 2.4, "linestyle": "-" if piece.way > 0 else (0, (5, 2))}
     if piece.along == 0:
         ax.plot(piece.place_mm, straight, color=GREY, linewidth=1.0)
         ax.plot(piece.place_mm, away, color=colour, linewidth=0.8, alpha=0.35)
-        ax.plot(piece.place_mm, smooth, label=label, **line)
+        ax.plot(place, smooth, label=label, **line)
     else:
         ax.plot(straight, piece.place_mm, color=GREY, linewidth=1.0)
         ax.plot(away, piece.place_mm, color=colour, linewidth=0.8, alpha=0.35)
-        ax.plot(smooth, piece.place_mm, label=label, **line)
-    n = len(away)
+        ax.plot(smooth, place, label=label, **line)
+    n = len(smooth)
     at = int(n * (0.62 if piece.way > 0 else 0.38)) + 4 * piece.family
     step = max(n // 30, 1) * piece.way
     ends = [min(max(at, 0), n - 1), min(max(at + step, 0), n - 1)]
-    points = [(piece.place_mm[k], smooth[k]) if piece.along == 0 else (smooth[k], piece.place_mm[k]) for k in ends]
+    points = [(place[k], smooth[k]) if piece.along == 0 else (smooth[k], place[k]) for k in ends]
     ax.annotate("", points[1], points[0], arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 28})
 
 
-def _smoothed(value: Floats) -> Floats:
-    """Mean over a stretch about each place, shorter towards the ends, where it stays in the middle of its stretch."""
-    n = len(value)
-    reach = np.minimum(np.minimum(np.arange(n), np.arange(n)[::-1]), max(1, n // SMOOTH))
-    total = np.concatenate([[0.0], np.cumsum(value)])
-    at = np.arange(n)
-    return np.asarray((total[at + reach + 1] - total[at - reach]) / (2 * reach + 1))
+def _smoothed(value: Floats) -> tuple[slice, Floats]:
+    """Which places have a whole stretch about them, and the mean over it."""
+    reach = min(max(1, len(value) // SMOOTH), (len(value) - 1) // 2)
+    size = 2 * reach + 1
+    return slice(reach, len(value) - reach), np.convolve(value, np.full(size, 1.0 / size), mode="valid")
 
 
 def _size(ax: "Axes", pieces: Sequence[Piece], magnification: float) -> None:

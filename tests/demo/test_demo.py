@@ -136,7 +136,7 @@ def test_loop_with_correction_off_is_the_uncorrected_day(told: Story, truth: Tru
 def test_parts_of_the_leftover_sum_to_the_whole(told: Story) -> None:
     """Oracle: the recorded tip error itself, counted from the first part's mean. Servo, counts, ledger and geometry
     come from different records, so the sum holds only if these agree."""
-    left, track = told.left, told.on
+    left, track = told.sources, told.on
     seen = track.surface >= 0
     tip = np.where(track.surface == CYLINDER, track.tip_um[:, 0], track.tip_um[:, 2])[seen]
     cylinder, first = track.surface[seen] == CYLINDER, track.part[seen] == 0
@@ -148,7 +148,7 @@ def test_parts_of_the_leftover_sum_to_the_whole(told: Story) -> None:
 
 def test_drift_of_the_leftover(told: Story, truth: Truth) -> None:
     """Oracle: the truth's sine of time, with the phase taken from two instants."""
-    left = told.left
+    left = told.sources
     drift = left.parts_um[left.names.index("unseen drift")]
     hours, radial = told.on.hours[told.on.surface >= 0], left.surface == CYLINDER
     omega = 2 * np.pi / truth.drift_um[0].period_h
