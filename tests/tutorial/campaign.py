@@ -12,6 +12,12 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rtec.report.figures import GREY, ON, as_png, stacked
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MplFigure
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "campaign.md"
@@ -65,28 +71,20 @@ def left_um(folder: Path) -> dict[str, float]:
     return out
 
 
-def draw(left: Mapping[str, float], to: Path) -> None:
+@as_png
+def bars(residuals_um: Mapping[str, float]) -> "MplFigure":
     """Bars, longest first."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    from rtec.report.figures import GREY, ON, STYLE
-
-    with rc_context(STYLE):
-        figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-        axes = figure.subplots()
-        names = sorted(left, key=lambda n: -left[n])
-        values = [left[n] for n in names]
-        colours = [ON if n == "all in one call" else GREY for n in names]
-        bars = axes.barh(names, values, color=colours)
-        axes.bar_label(bars, [f"{v:.2f} µm" for v in values], padding=6)
-        axes.invert_yaxis()
-        axes.grid(visible=False, axis="y")
-        axes.set_xlim(0.0, 1.15 * max(values))
-        axes.set_xlabel(f"tool-tip error that is left, rms, µm (the probing's own noise: {NOISE_UM:.2f} µm)")
-        axes.set_title("What each instrument's model leaves on another day, elsewhere")
-        to.mkdir(parents=True, exist_ok=True)
-        figure.savefig(to / FIGURE, dpi=110)
+    figure, (ax,) = stacked(4.6)
+    names = sorted(residuals_um, key=lambda n: -residuals_um[n])
+    values = [residuals_um[n] for n in names]
+    drawn = ax.barh(names, values, color=[ON if n == "all in one call" else GREY for n in names])
+    ax.bar_label(drawn, [f"{v:.2f} µm" for v in values], padding=6)
+    ax.invert_yaxis()
+    ax.grid(visible=False, axis="y")
+    ax.set_xlim(0.0, 1.15 * max(values))
+    ax.set_xlabel(f"residual at the tool tip, rms, µm (the probing's own noise: {NOISE_UM:.2f} µm)")
+    ax.set_title("Residual of each instrument's model on another day, elsewhere")
+    return figure
 
 
 def main() -> None:
@@ -96,7 +94,9 @@ def main() -> None:
         left = left_um(Path(folder))
     for name, value in left.items():
         sys.stdout.write(f"{name}: {value:.3f} µm\n")
-    draw(left, Path(sys.argv[1]))
+    to = Path(sys.argv[1])
+    to.mkdir(parents=True, exist_ok=True)
+    (to / FIGURE).write_bytes(bars(left))
 
 
 if __name__ == "__main__":
