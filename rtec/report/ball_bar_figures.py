@@ -1,4 +1,7 @@
-"""Figures of ball-bar tests: polar, against angle, cause by cause, harmonics. Only arrays come in, PNG goes out."""
+"""Figures of ball-bar tests. Only arrays come in, PNG goes out.
+
+On the circle; against the angle with the residual; each cause by itself; harmonics.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,10 +1,7 @@
-"""Figures of a comparison: the map of what is left, and what each effect adds.
+"""Figures of a comparison. Only arrays come in, PNG goes out.
 
-Figures of a comparison that are lines: over position with both directions, and over time with temperatures.
-
-Ball-bar readings in a comparison: a polar figure, and the angle on the circle to draw the others over.
-
-What the effects of a model add, one on top of the other, along the channel that shows most of it.
+Residuals over position with both directions, over time with the temperatures, on the circle of a ball bar, and as a
+map of two channels; and what each effect of the model adds, as bars and stacked along the channel that shows most.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,204 +28,10 @@ COLOURS, OTHERS = LINES[2:], "#A6A6A6"
 BINS, LEAST = 12, 3
 WIDE = 0.9
 """Of a bin that its bars fill."""
-
-
-@dataclass(frozen=True)
-class Stack:
-    """Means in stretches of a channel; where both directions were moved, each has bars of its own.
-
-    Attributes:
-        along: name of the channel, with its unit.
-        place, width: middle and width of each bar, (k,).
-        parts: mean of each effect there, largest effect first, µm or µrad, (k,) each.
-        measured: mean measured there, (k,).
-        shows: share of the mean square of what is predicted that these means hold.
-        ways: whether bars of both directions stand beside each other.
-    """
-
-    along: str
-    place: Floats
-    width: Floats
-    parts: Mapping[str, Floats]
-    measured: Floats
-    shows: float
-    ways: bool
-
-
-def stack_along(
-    channel: tuple[str, Floats], direction: Floats | None, parts: Mapping[str, Floats], measured: Floats
-) -> Stack | None:
-    """Means along one channel; None where it does not vary.
-
-    Args:
-        channel: name with unit, and value at each reading, (n,).
-        direction: -1 or +1, (n,), where bars of both are wanted.
-        parts: what each effect adds, (n,) each.
-        measured: (n,).
-    """
-    cut = cut_into("T_", channel[1], BINS)
-    if cut is None:
-        return None
-    ways = direction is not None and len(np.unique(direction)) == 2
-    side = (np.asarray(direction) > 0).astype(np.int64) if ways else np.zeros(len(measured), dtype=np.int64)
-    bars = 2 if ways else 1
-    code, size = bars * cut.code + side, bars * len(cut)
-    count = np.bincount(code, minlength=size)
-    full = count >= LEAST
-    if not full.any():
-        return None
-
-    def mean(values: Floats) -> Floats:
-        return np.asarray(np.bincount(code, weights=values, minlength=size)[full] / count[full])
-
-    predicted = np.sum(list(parts.values()), axis=0)
-    held = float(np.sum(mean(predicted) ** 2 * count[full])) / max(float(predicted @ predicted), 1e-30)
-    wide = np.repeat(cut.high - cut.low, bars) * WIDE / bars
-    middle = np.repeat(0.5 * (cut.low + cut.high), bars) + wide * (
-        np.tile(np.arange(bars), len(cut)) - 0.5 * (bars - 1)
-    )
-    return Stack(
-        channel[0], middle[full], wide[full], {k: mean(v) for k, v in parts.items()}, mean(measured),
-        held - full.sum() / len(measured), ways,
-    )  # fmt: skip
-
-
-def draw_stack(ax: "Axes", unit: str, stack: Stack) -> None:
-    """Stack the effects, those above and those below zero by themselves; dots are what was measured."""
-    above, below = np.zeros(len(stack.place)), np.zeros(len(stack.place))
-    for colour, values in zip(colours(len(stack.parts)), stack.parts.values(), strict=True):
-        foot = np.where(values > 0.0, above, below)
-        ax.bar(stack.place, values, stack.width, foot, color=colour, edgecolor="white", linewidth=0.5)
-        above, below = above + np.maximum(values, 0.0), below + np.minimum(values, 0.0)
-    ax.hlines(above + below, stack.place - 0.5 * stack.width, stack.place + 0.5 * stack.width, color="black",
-              linewidth=2.4, label="predicted: the bars' sum")  # fmt: skip
-    ax.plot(stack.place, stack.measured, linestyle="", marker="o", color="black", markersize=8, markeredgecolor="white",
-            label="measured")  # fmt: skip
-    ax.axhline(0.0, color="black", linewidth=1)
-    pairs = "; of two bars the left one moving −, the right one +" if stack.ways else ""
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high + 0.18 * (high - low))
-    ax.legend(loc="upper center", ncols=2, facecolor="white", edgecolor="none", framealpha=0.9, fontsize=13)
-    ax.set_ylabel(f"effects stacked,\nmean, {unit}")
-    ax.set_xlabel(f"{stack.along}{pairs}")
-
-
-def colours(count: int) -> Sequence[str]:
-    """A colour for each effect; grey where there are more than can be told apart."""
-    return [*COLOURS, *[OTHERS] * count][:count]
-
-
 MOST_BARS = 10
 STACK_IN = 4.8
 LONG = 22
 """Letters; longer names stand on two lines."""
-
-
-@as_png
-def residual_map(
-    title: str,
-    unit: str,
-    across: tuple[str, Floats],
-    up: tuple[str, Floats],
-    means: Sequence[tuple[str, Floats]],
-    floor: float,
-) -> "MplFigure":
-    """Mean residual in each cell: red above, blue below zero, hatched where there are few readings.
-
-    Args:
-        title: of the figure.
-        unit: of the readings.
-        across, up: name with unit, and edges of the cells, (k + 1,).
-        means: what each panel shows, and the means, (up, across); NaN where there are few readings.
-        floor: noise; colours are never stronger than it deserves.
-    """
-    figure, axes = stacked(*[5.6] * len(means))
-    most = max(floor, *(float(np.abs(mean[np.isfinite(mean)]).max(initial=0.0)) for _, mean in means), 1e-9)
-    for ax, (name, mean) in zip(axes, means, strict=True):
-        _panel(figure, ax, unit, across, up, mean, most)
-        ax.set_title(f"{title}{name}: mean residual in each cell, {unit}")
-    axes[-1].set_xlabel(f"{across[0]}   (hatched: fewer than 3 readings)")
-    return figure
-
-
-def _panel(
-    figure: "MplFigure",
-    ax: "Axes",
-    unit: str,
-    across: tuple[str, Floats],
-    up: tuple[str, Floats],
-    mean: Floats,
-    most: float,
-) -> None:
-    ax.set_facecolor("#F2F2F2")
-    ax.patch.set_hatch("///")
-    ax.patch.set_edgecolor("#CCCCCC")
-    ax.grid(visible=False)
-    shown = ax.pcolormesh(across[1], up[1], np.ma.masked_invalid(mean), cmap="RdBu_r", vmin=-most, vmax=most,
-                          edgecolors="white", linewidth=0.6)  # fmt: skip
-    x, y = (0.5 * (e[1:] + e[:-1]) for e in (across[1], up[1]))
-    for i, j in zip(*np.nonzero(np.isfinite(mean)), strict=True):
-        value = float(mean[i, j])
-        ax.text(x[j], y[i], _short(value), ha="center", va="center", fontsize=11,
-                color="white" if abs(value) > 0.6 * most else "black")  # fmt: skip
-    bar = figure.colorbar(shown, ax=ax, pad=0.02)
-    bar.set_label(f"mean residual, {unit}")
-    ax.set_ylabel(up[0])
-
-
-def _short(value: float) -> str:
-    text = f"{value:.1f}" if abs(value) < 99.95 else f"{value:.0f}"
-    return text.replace("-0.0", "0.0").replace("-", "−")
-
-
-@as_png
-def contributions(
-    title: str,
-    unit: str,
-    rows: Sequence[tuple[str, float, float]],
-    measured: float,
-    left: float,
-    floor: float,
-    stack: Stack | None = None,
-) -> "MplFigure":
-    """What each effect adds: bars between what was measured and the residual; below, one on top of the other.
-
-    Args:
-        title: of the figure.
-        unit: of the readings.
-        rows: label, root mean square, largest size; in falling order.
-        measured, left, floor: root mean squares.
-        stack: means along a channel, its effects in the order of `rows`.
-    """
-    shown = rows[:MOST_BARS]
-    effects = [(name, rms, colour, "") for (name, rms, _), colour in zip(shown, colours(len(shown)), strict=True)]
-    bars = [("measured", measured, GREY, ""), *effects, ("residual", left, OFF, "//")]
-    high = 0.7 * len(bars) + 1.6
-    figure, axes = stacked(high, STACK_IN) if stack else stacked(high)
-    if stack:
-        draw_stack(axes[1], unit, stack)
-    ax = axes[0]
-    most = max(b[1] for b in bars)
-    for place, (name, rms, colour, hatch) in enumerate(reversed(bars)):
-        ax.barh(place, rms, 0.7, color=colour, hatch=hatch, edgecolor="white")
-        ax.text(rms + 0.01 * most, place, f"{rms:.2f}", va="center", fontsize=14)
-        ax.text(-0.02, place, _broken(name), va="center", ha="right", transform=ax.get_yaxis_transform(),
-                linespacing=1.2)  # fmt: skip
-    ax.axvspan(0.0, floor, color="#BBBBBB", alpha=0.6, zorder=3, linewidth=0)
-    ax.set_yticks([])
-    ax.set_xlim(0, 1.15 * most)
-    # Over the names too: beside them there is not always room.
-    figure.suptitle(f"{title}: what each effect adds", x=0.01, ha="left", fontsize=17, fontweight="bold")
-    ax.set_xlabel(f"root mean square, {unit} (grey band: noise {floor:.2g} {unit})")
-    ax.grid(visible=False, axis="y")
-    return figure
-
-
-def _broken(name: str) -> str:
-    """A long label on two lines."""
-    return name.replace("(", "\n(", 1) if len(name) > LONG else name
-
-
 PLACES = 48
 MOST_DOTS = 6000
 
@@ -325,7 +128,7 @@ def over_time(
     unit: str,
     time_unit: str,
     time: Floats,
-    left: Floats,
+    residual: Floats,
     measured: Floats | None,
     floor: float,
     sensors: Sequence[tuple[str, Floats]],
@@ -336,7 +139,7 @@ def over_time(
         title: of the figure.
         unit: of the readings; `time_unit` that of the times.
         time: since the first reading, (n,).
-        left: measured minus predicted, (n,).
+        residual: measured minus predicted, (n,).
         measured: drawn, too, where given, (n,): for an instrument at one place.
         floor: noise, root mean square.
         sensors: name and temperature, °C, (n,).
@@ -344,10 +147,10 @@ def over_time(
     figure, axes = stacked(*[4.2] * (2 if sensors else 1))
     ax = axes[0]
     ax.axhspan(-floor, floor, color="#E4E4E4", zorder=0, label="noise of one reading")
-    thin = slice(None, None, max(1, len(left) // MOST_DOTS))
+    thin = slice(None, None, max(1, len(residual) // MOST_DOTS))
     if measured is not None:
         ax.plot(time[thin], measured[thin], color=GREY, linestyle="", marker="+", markersize=5, label="measured")
-    ax.plot(time[thin], left[thin], color=ON, linestyle="", marker="o", markersize=3.5, alpha=0.5, label="residual")
+    ax.plot(time[thin], residual[thin], color=ON, linestyle="", marker="o", markersize=3.5, alpha=0.5, label="residual")
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_title(title)
     ax.set_ylabel(f"{'residual' if measured is None else 'error'}, {unit}")
@@ -399,15 +202,15 @@ def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, 
 @as_png
 def _polar_pair(title: str, letters: tuple[str, str], trace: CircleTrace) -> "MplFigure":
     figure = canvas(0.56 * WIDTH_IN)
-    both, left = figure.subplots(1, 2)
+    both, rest = figure.subplots(1, 2)
     gain = frame(both, letters, max(float(np.abs(v).max()) for v in (trace.measured_um, trace.fitted_um)))
     around(both, trace.angle_rad, MIDDLE + gain * trace.measured_um, GREY, "-", 3.0, 0.5, "measured")
     around(both, trace.angle_rad, MIDDLE + gain * trace.fitted_um, ON, "-", 2.0, 1.0, "predicted")
     arrow(both, trace, MIDDLE + 1.1 * ROOM, GREY)
-    rest = trace.measured_um - trace.fitted_um
-    gain = frame(left, letters, float(np.abs(rest).max()))
-    around(left, trace.angle_rad, MIDDLE + gain * rest, OFF, "-", 1.4, 1.0, "residual")
-    for ax in (both, left):
+    residual = trace.measured_um - trace.fitted_um
+    gain = frame(rest, letters, float(np.abs(residual).max()))
+    around(rest, trace.angle_rad, MIDDLE + gain * residual, OFF, "-", 1.4, 1.0, "residual")
+    for ax in (both, rest):
         ax.legend(loc="upper left", frameon=False, fontsize=13)
     figure.suptitle(f"{title}: deviation from the circle, magnified", x=0.01, ha="left", fontweight="bold")
     return figure
@@ -416,3 +219,193 @@ def _polar_pair(title: str, letters: tuple[str, str], trace: CircleTrace) -> "Mp
 def _bar(readings: Readings, s: Series) -> BallBar | None:
     instrument = readings.measurements[s.source].instrument
     return instrument if isinstance(instrument, BallBar) else None
+
+
+@as_png
+def residual_map(
+    title: str,
+    unit: str,
+    across: tuple[str, Floats],
+    up: tuple[str, Floats],
+    means: Sequence[tuple[str, Floats]],
+    floor: float,
+) -> "MplFigure":
+    """Mean residual in each cell: red above, blue below zero, hatched where there are few readings.
+
+    Args:
+        title: of the figure.
+        unit: of the readings.
+        across, up: name with unit, and edges of the cells, (k + 1,).
+        means: what each panel shows, and the means, (up, across); NaN where there are few readings.
+        floor: noise; colours are never stronger than it deserves.
+    """
+    figure, axes = stacked(*[5.6] * len(means))
+    most = max(floor, *(float(np.abs(mean[np.isfinite(mean)]).max(initial=0.0)) for _, mean in means), 1e-9)
+    for ax, (name, mean) in zip(axes, means, strict=True):
+        _panel(figure, ax, unit, across, up, mean, most)
+        ax.set_title(f"{title}{name}: mean residual in each cell, {unit}")
+    axes[-1].set_xlabel(f"{across[0]}   (hatched: fewer than 3 readings)")
+    return figure
+
+
+def _panel(
+    figure: "MplFigure",
+    ax: "Axes",
+    unit: str,
+    across: tuple[str, Floats],
+    up: tuple[str, Floats],
+    mean: Floats,
+    most: float,
+) -> None:
+    ax.set_facecolor("#F2F2F2")
+    ax.patch.set_hatch("///")
+    ax.patch.set_edgecolor("#CCCCCC")
+    ax.grid(visible=False)
+    shown = ax.pcolormesh(across[1], up[1], np.ma.masked_invalid(mean), cmap="RdBu_r", vmin=-most, vmax=most,
+                          edgecolors="white", linewidth=0.6)  # fmt: skip
+    x, y = (0.5 * (e[1:] + e[:-1]) for e in (across[1], up[1]))
+    for i, j in zip(*np.nonzero(np.isfinite(mean)), strict=True):
+        value = float(mean[i, j])
+        ax.text(x[j], y[i], _short(value), ha="center", va="center", fontsize=11,
+                color="white" if abs(value) > 0.6 * most else "black")  # fmt: skip
+    bar = figure.colorbar(shown, ax=ax, pad=0.02)
+    bar.set_label(f"mean residual, {unit}")
+    ax.set_ylabel(up[0])
+
+
+def _short(value: float) -> str:
+    text = f"{value:.1f}" if abs(value) < 99.95 else f"{value:.0f}"
+    return text.replace("-0.0", "0.0").replace("-", "−")
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Means in stretches of a channel; where both directions were moved, each has bars of its own.
+
+    Attributes:
+        along: name of the channel, with its unit.
+        place, width: middle and width of each bar, (k,).
+        parts: mean of each effect there, largest effect first, µm or µrad, (k,) each.
+        measured: mean measured there, (k,).
+        shows: share of the mean square of what is predicted that these means hold.
+        ways: whether bars of both directions stand beside each other.
+    """
+
+    along: str
+    place: Floats
+    width: Floats
+    parts: Mapping[str, Floats]
+    measured: Floats
+    shows: float
+    ways: bool
+
+
+def stack_along(
+    channel: tuple[str, Floats], direction: Floats | None, parts: Mapping[str, Floats], measured: Floats
+) -> Stack | None:
+    """Means along one channel; None where it does not vary.
+
+    Args:
+        channel: name with unit, and value at each reading, (n,).
+        direction: -1 or +1, (n,), where bars of both are wanted.
+        parts: what each effect adds, (n,) each.
+        measured: (n,).
+    """
+    cut = cut_into("T_", channel[1], BINS)
+    if cut is None:
+        return None
+    ways = direction is not None and len(np.unique(direction)) == 2
+    side = (np.asarray(direction) > 0).astype(np.int64) if ways else np.zeros(len(measured), dtype=np.int64)
+    bars = 2 if ways else 1
+    code, size = bars * cut.code + side, bars * len(cut)
+    count = np.bincount(code, minlength=size)
+    full = count >= LEAST
+    if not full.any():
+        return None
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(np.bincount(code, weights=values, minlength=size)[full] / count[full])
+
+    predicted = np.sum(list(parts.values()), axis=0)
+    held = float(np.sum(mean(predicted) ** 2 * count[full])) / max(float(predicted @ predicted), 1e-30)
+    wide = np.repeat(cut.high - cut.low, bars) * WIDE / bars
+    middle = np.repeat(0.5 * (cut.low + cut.high), bars) + wide * (
+        np.tile(np.arange(bars), len(cut)) - 0.5 * (bars - 1)
+    )
+    return Stack(
+        channel[0], middle[full], wide[full], {k: mean(v) for k, v in parts.items()}, mean(measured),
+        held - full.sum() / len(measured), ways,
+    )  # fmt: skip
+
+
+def draw_stack(ax: "Axes", unit: str, stack: Stack) -> None:
+    """Stack the effects, those above and those below zero by themselves; dots are what was measured."""
+    above, below = np.zeros(len(stack.place)), np.zeros(len(stack.place))
+    for colour, values in zip(colours(len(stack.parts)), stack.parts.values(), strict=True):
+        foot = np.where(values > 0.0, above, below)
+        ax.bar(stack.place, values, stack.width, foot, color=colour, edgecolor="white", linewidth=0.5)
+        above, below = above + np.maximum(values, 0.0), below + np.minimum(values, 0.0)
+    ax.hlines(above + below, stack.place - 0.5 * stack.width, stack.place + 0.5 * stack.width, color="black",
+              linewidth=2.4, label="predicted: the bars' sum")  # fmt: skip
+    ax.plot(stack.place, stack.measured, linestyle="", marker="o", color="black", markersize=8, markeredgecolor="white",
+            label="measured")  # fmt: skip
+    ax.axhline(0.0, color="black", linewidth=1)
+    pairs = "; of two bars the left one moving −, the right one +" if stack.ways else ""
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.18 * (high - low))
+    ax.legend(loc="upper center", ncols=2, facecolor="white", edgecolor="none", framealpha=0.9, fontsize=13)
+    ax.set_ylabel(f"effects stacked,\nmean, {unit}")
+    ax.set_xlabel(f"{stack.along}{pairs}")
+
+
+def colours(count: int) -> Sequence[str]:
+    """A colour for each effect; grey where there are more than can be told apart."""
+    return [*COLOURS, *[OTHERS] * count][:count]
+
+
+@as_png
+def contributions(
+    title: str,
+    unit: str,
+    rows: Sequence[tuple[str, float, float]],
+    measured: float,
+    residual: float,
+    floor: float,
+    stack: Stack | None = None,
+) -> "MplFigure":
+    """What each effect adds: bars between what was measured and the residual; below, one on top of the other.
+
+    Args:
+        title: of the figure.
+        unit: of the readings.
+        rows: label, root mean square, largest size; in falling order.
+        measured, residual, floor: root mean squares.
+        stack: means along a channel, its effects in the order of `rows`.
+    """
+    shown = rows[:MOST_BARS]
+    effects = [(name, rms, colour, "") for (name, rms, _), colour in zip(shown, colours(len(shown)), strict=True)]
+    bars = [("measured", measured, GREY, ""), *effects, ("residual", residual, OFF, "//")]
+    high = 0.7 * len(bars) + 1.6
+    figure, axes = stacked(high, STACK_IN) if stack else stacked(high)
+    if stack:
+        draw_stack(axes[1], unit, stack)
+    ax = axes[0]
+    most = max(b[1] for b in bars)
+    for place, (name, rms, colour, hatch) in enumerate(reversed(bars)):
+        ax.barh(place, rms, 0.7, color=colour, hatch=hatch, edgecolor="white")
+        ax.text(rms + 0.01 * most, place, f"{rms:.2f}", va="center", fontsize=14)
+        ax.text(-0.02, place, _broken(name), va="center", ha="right", transform=ax.get_yaxis_transform(),
+                linespacing=1.2)  # fmt: skip
+    ax.axvspan(0.0, floor, color="#BBBBBB", alpha=0.6, zorder=3, linewidth=0)
+    ax.set_yticks([])
+    ax.set_xlim(0, 1.15 * most)
+    # Over the names too: beside them there is not always room.
+    figure.suptitle(f"{title}: what each effect adds", x=0.01, ha="left", fontsize=17, fontweight="bold")
+    ax.set_xlabel(f"root mean square, {unit} (grey band: noise {floor:.2g} {unit})")
+    ax.grid(visible=False, axis="y")
+    return figure
+
+
+def _broken(name: str) -> str:
+    """A long label on two lines."""
+    return name.replace("(", "\n(", 1) if len(name) > LONG else name

@@ -1,10 +1,7 @@
-"""Draws the shape of an effect: with braille dots for a terminal, as a PNG in the house style for a page.
+"""The shape of an effect, its error over what drives it: with braille dots for a terminal, as a PNG for a page.
 
-Curves after the first are dashed, so that they are told apart without colour.
-
-The shape of an effect: its error over what drives it, with usual sizes, on an example machine.
-
-Made from the effect's own basis functions, so a plug-in has a shape too.
+The shape is made of the effect's own basis functions with usual sizes on an example machine, so a plug-in has one too.
+Curves after the first are dashed, so that they differ without colour.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,7 +18,7 @@ from rtec.effects import Effect, State, all_effects
 from rtec.effects.base import Surroundings
 from rtec.errors import ConfigError, ModelError
 from rtec.machine import Axis, Link, Machine, Sensor
-from rtec.report.figures import GREY, LINES, as_png, stacked
+from rtec.report.figures import GREY, LINES, OFF, ON, as_png, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -331,7 +328,7 @@ def write_figure(name: str, path: Path) -> None:
 
 
 def _plot(ax: "Axes", shape: Shape) -> None:
-    for curve, colour, line in zip(shape.curves, LINES[1:], PLOT_LINES, strict=False):
+    for curve, colour, line in zip(shape.curves, (ON, OFF, LINES[3]), PLOT_LINES, strict=False):
         ax.plot(shape.x, curve.error, color=colour, linestyle=line, label=curve.held)
     ax.axhline(0.0, color="black", linewidth=1)
     ax.set_xlim(float(shape.x[0]), float(shape.x[-1]))

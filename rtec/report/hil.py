@@ -1,4 +1,4 @@
-"""Reports of `rtec hil`: accuracy beside the all-simulated run, timing, faults, checks; of a long run; the figure."""
+"""Reports of `rtec hil`: accuracy beside the all-simulated run, timing, faults, checks; and of its long run."""
 
 import dataclasses
 import math
