@@ -39,7 +39,7 @@ def over_time(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]], night
         ax.set_title(title)
         ax.set_ylabel("error, µm")
         _names(ax, hours, [v.reshape(len(hours), -1).mean(axis=1) for v in both])
-    axes[-1].set_xlabel("hours since the cold start")
+    axes[-1].set_xlabel("time since the cold start, hours")
     return figure
 
 
@@ -63,7 +63,7 @@ def straightness_bars(hours: Floats, panels: Sequence[tuple[str, Floats, Floats]
         ax.grid(visible=False, axis="x")
         ax.set_ylim(0, 1.25 * max(float(v.max()) for v in both))
         ax.legend(ncols=2, frameon=False, loc="upper right", borderaxespad=0.0)
-    axes[-1].set_xlabel("part cut at, hours since the cold start")
+    axes[-1].set_xlabel("part cut at, time since the cold start, hours")
     return figure
 
 
@@ -97,7 +97,7 @@ def temperatures(hours: Floats, degc: Mapping[str, Floats], night_from_h: float)
     ax.legend(loc="upper right", title="hottest first", frameon=True, facecolor="white", framealpha=1.0)
     ax.set_title("Temperatures that the sensors read")
     ax.set_ylabel("temperature, °C")
-    ax.set_xlabel("hours since the cold start")
+    ax.set_xlabel("time since the cold start, hours")
     return figure
 
 

@@ -50,9 +50,7 @@ def tip_errors(
         ax.set_ylabel("error, µm")
         ax.set_xlim(0.0, float(time_s[-1]))
         ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=12, loc="best")
-    axes[-1].set_xlabel(
-        "seconds since the machine began; yellow: a fault is on" if faults else "seconds since the machine began"
-    )
+    axes[-1].set_xlabel("time since the start, s; yellow: a fault is on" if faults else "time since the start, s")
     return figure
 
 
