@@ -131,19 +131,24 @@ def _changed(s: Mapping[str, Any]) -> str:
     return f"{s['name']}: {before} {unit} before, {after} {unit} after."
 
 
+def stairs(steps: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[float], float | None]:
+    """Steps of the staircase: names and residuals, and the noise floor.
+
+    Errors on other measurements cannot be compared, so it begins where the last measurements begin.
+    """
+    unit = steps[-1]["unit"]
+    same = [{**s, "error": e} for s, e in zip(steps, rescaled(steps), strict=True) if s["unit"] == unit]
+    begin = max((i for i, s in enumerate(same) if s["other_data"]), default=0)
+    names, errors = [s["name"] for s in same[begin:]], [s["error"] for s in same[begin:]]
+    before = same[begin]["before"]
+    if before is not None:
+        names, errors = ["before, same measurements" if begin else "as it was", *names], [before, *errors]
+    return names, errors, next((float(s["floor"]) for s in reversed(same) if s["floor"] is not None), None)
+
+
 def _staircase(steps: Sequence[Mapping[str, Any]]) -> Figure:
     from rtec.report.history_figures import staircase
 
     unit = steps[-1]["unit"]
-    same = [{**s, "error": e} for s, e in zip(steps, rescaled(steps), strict=True) if s["unit"] == unit]
-    names: list[str] = []
-    errors: list[float] = []
-    for i, s in enumerate(same):
-        if s["before"] is not None and (i == 0 or s["other_data"]):
-            names.append("as it was" if i == 0 else "on the new measurements")
-            errors.append(s["before"])
-        names.append(s["name"])
-        errors.append(s["error"])
-    floor = next((float(s["floor"]) for s in reversed(same) if s["floor"] is not None), None)
-    png = staircase(UNITS.get(unit, unit), names, errors, floor)
+    png = staircase(UNITS.get(unit, unit), *stairs(steps))
     return Figure("history.png", png, "The residual on held-out runs after each change, and the noise floor.")

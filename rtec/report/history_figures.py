@@ -69,4 +69,4 @@ def _broken(name: str) -> str:
     if len(head) > LONG and "_" in head:
         at = head.rindex("_") + 1
         head = f"{head[:at]}\n{head[at:]}"
-    return f"{head}\n{mark}{rest}" if mark else name.replace(" the ", " the\n", 1)
+    return f"{head}\n{mark}{rest}" if mark else name.replace(", ", ",\n", 1)

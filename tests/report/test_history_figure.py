@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation, Text
 
+from rtec.model import Model
+from rtec.report.history import stairs, steps_of
 from rtec.report.history_figures import staircase
+from tests.support.diagnosis_examples import small_machine
 from tests.support.figures import drawn, overlapping
 
 NAMES = ["as it was", "angular_reversal(EBX, X)", "axis_expansion_nonuniform(EXX, X, T_x_nut)"]
@@ -44,3 +47,25 @@ def test_an_arrow_for_each_fall_and_none_for_a_rise() -> None:
     (ax,) = drawn(staircase, "µm", ["a", "b", "c", "d"], [4.0, 2.0, 2.1, 1.0], None).axes
     arrows = [t for t in ax.texts if isinstance(t, Annotation) and t.arrow_patch is not None]
     assert [(a.xy, a.xyann) for a in arrows] == [((1, 2.0), (1, 4.0)), ((3, 1.0), (3, 2.1))]
+
+
+def entry(name: str, before: float | None, after: float, measurements: list[str]) -> dict[str, object]:
+    """As a model keeps it."""
+    out: dict[str, object] = {"effects": [name], "rms_after": after, "noise_floor": 0.25, "unit": "um",
+                              "measurements": measurements}  # fmt: skip
+    return out if before is None else {**out, "rms_before": before}
+
+
+def test_stairs_begin_anew_where_other_measurements_begin() -> None:
+    """Oracle: by hand: 1.62 µm of one laser and 3.32 µm of two cannot stand on one staircase."""
+    history = [
+        entry("fit", None, 1.62, ["x"]),
+        entry("angular_reversal", 3.32, 0.57, ["beside", "x"]),
+        entry("expansion", 0.57, 0.30, ["beside", "x"]),
+    ]
+    names, errors, floor = stairs(steps_of(Model(small_machine(), history=tuple(history))))
+    assert names == ["before, same measurements", "angular_reversal", "expansion"]
+    assert errors == pytest.approx([3.32, 0.57, 0.30])
+    assert floor == 0.25
+    names, errors, _ = stairs(steps_of(Model(small_machine(), history=tuple(history[:1]))))
+    assert (names, errors) == (["fit"], [1.62])
