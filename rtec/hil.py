@@ -40,7 +40,7 @@ class Accuracy:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class OffAndOn:
     """One way of running the machine, uncorrected and corrected.
 
     Attributes:
@@ -147,8 +147,8 @@ class HilResult:
     off_s: float
     on_s: float
     wiring: Mapping[str, str]
-    buses: Comparison
-    simulated: Comparison
+    buses: OffAndOn
+    simulated: OffAndOn
     off_timing: Mapping[str, Any]
     on_timing: Mapping[str, Any]
     faults: Sequence[FaultFound]

@@ -27,14 +27,14 @@ class Screen:
     """A live table on a terminal; where there is none, a line when the loop begins. And a line for every event."""
 
     def __init__(self, setup: "Setup", duration_s: float | None, log: Path | None, quiet: bool) -> None:
-        from rtec.daemon.process import Aloud
+        from rtec.daemon.process import LinePrinter
 
         self._setup, self._duration_s, self._log = setup, duration_s, log
         console = Console(stderr=True)
         self._live = Live(console=console, refresh_per_second=5, transient=True)
         self._on = console.is_terminal and not quiet
         self._shown_s = -1.0
-        self._aloud = Aloud(self._say)
+        self._aloud = LinePrinter(self._say)
 
     def __enter__(self) -> Self:
         self._aloud.__enter__()

@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 from rtec.control.messages import Request, RequestError, Role, answer, numbers, read_request
 from rtec.control.residual import Residual
 from rtec.daemon.status import Status
-from rtec.daemon.supervision import Parts
+from rtec.daemon.supervision import DaemonParts
 from rtec.errors import unforeseen
 from rtec.log.events import Event
 from rtec.loop.clock import Clock
@@ -35,7 +35,7 @@ class Daemon(Protocol):
         ...
 
     @property
-    def parts(self) -> Parts:
+    def parts(self) -> DaemonParts:
         """Keeps the control's thread alive."""
         ...
 

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from rtec.daemon.run_log import Keeper
-from rtec.daemon.supervision import KeptThread, Part
+from rtec.daemon.supervision import DaemonPart, KeptThread
 from rtec.log.events import Event, Events
 from rtec.log.recording import Begin, Recording
 from rtec.loop.records import Commands, Samples
@@ -58,7 +58,7 @@ class DiskThread:
         state: DiskState | None,
         newest: Callable[[], Saved | None],
         most_rows: int,
-        part: Part,
+        part: DaemonPart,
         keeper: Keeper | None = None,
     ) -> None:
         self.recording, self.dropped, self.state_trouble = recording, 0, ""

@@ -1,15 +1,14 @@
-"""Asks the system for real-time treatment of this process; what is not granted is said in one sentence.
+"""The daemon as a process of this computer: real-time treatment, signals, its service manager, lines for people.
 
-What the signals of a daemon mean while it runs, how a child is started deaf to them, and who started it.
-
-Tells the service manager how the daemon is: the protocol of `sd_notify(3)`, a datagram to a socket.
-
-READY is told after the first good cycle: one whose counts were fresh, and every temperature that the model reads.
-WATCHDOG is told only while the loop does cycles. Its rows are what is counted, so a loop that stands still, or a
-supervisor that no longer gets any, is found out by the service manager, which restarts the daemon. Where a part of the
-daemon is lost that it must not correct without, the service manager is told so at once.
-
-Says lines without ever waiting for whoever should hear them: a terminal that stands, a journal that is full.
+- `prepare_process` asks the system for real-time treatment; what is not granted is reported in one sentence.
+- `signals`, `signals_wait` and `starter`: what signals mean while the daemon runs, how a child is started deaf to
+  them, and who started it.
+- `Notifier` reports to the service manager: the protocol of `sd_notify(3)`, a datagram to a socket. READY follows the
+  first good cycle: one whose counts were fresh, and every temperature that the model reads. WATCHDOG is sent only
+  while the loop does cycles. Its rows are counted, so the service manager finds a loop that stands still, or a
+  supervisor that no longer gets any, and restarts the daemon. Where a part of the daemon is lost that it must not
+  correct without, it asks for that at once.
+- `LinePrinter` prints lines and never waits for a terminal that stands or a journal that is full.
 """
 
 import ctypes
@@ -217,7 +216,7 @@ WAITING: Final = 200
 END_S: Final = 1.0
 
 
-class Aloud:
+class LinePrinter:
     """Entering starts a thread that says what it is given; leaving lets it finish, for a moment.
 
     Args:

@@ -159,7 +159,7 @@ class Published:
             self._fd = -1
 
 
-class Reader:
+class PublishedReader:
     """The newest whole reading of a `Published`; keeps what it had where none can be had. Allocates nothing.
 
     Attributes:

@@ -4,7 +4,7 @@ What needs a new start is refused. So is what the loop could not take (too large
 correction that turns round, or that would move by much at once, is taken only where the order says so (`YES`): a sign
 that somebody turned in a file is a fault far more often than it is meant.
 
-A thread reads and judges (`Reader`); the supervisor hands on what came of it and sees that the loop has it
+A thread reads and judges (`ReloadReader`); the supervisor hands on what came of it and sees that the loop has it
 (`ReloadDesk`).
 """
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rtec.daemon.disk import DiskThread
 from rtec.daemon.ring import Ring
-from rtec.daemon.supervision import Part, fault
+from rtec.daemon.supervision import DaemonPart, fault
 from rtec.errors import RtecError
 from rtec.log.recording import Begin
 from rtec.loop.orders import YES, OrderRefused
@@ -243,7 +243,7 @@ def _plain(value: Any) -> Any:
     return {k: repr(v) for k, v in value.items()} if isinstance(value, Mapping) else value
 
 
-class Reader:
+class ReloadReader:
     """Reads again in a thread, one at a time; the supervisor goes on meanwhile.
 
     Args:
@@ -251,7 +251,7 @@ class Reader:
         part: counts the faults that nobody foresaw.
     """
 
-    def __init__(self, setup: Setup, part: Part) -> None:
+    def __init__(self, setup: Setup, part: DaemonPart) -> None:
         self._setup, self._part = setup, part
         self._results: queue.SimpleQueue[Reloaded | str] = queue.SimpleQueue()
         self.busy = False
@@ -304,10 +304,10 @@ class ReloadDesk:
         text: what came of the last order; "" before the first.
     """
 
-    def __init__(self, setup: Setup, memory: MemoryState, note: Note, part: Part) -> None:
+    def __init__(self, setup: Setup, memory: MemoryState, note: Note, part: DaemonPart) -> None:
         self.setup, self.text = setup, ""
         self._memory, self._note = memory, note
-        self._reader, self._generation = Reader(setup, part), 0
+        self._reader, self._generation = ReloadReader(setup, part), 0
         self._coming: Reloaded | None = None
 
     @property

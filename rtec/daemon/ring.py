@@ -2,7 +2,7 @@
 
 One slot a cycle, one producer, one consumer, each in a process of its own. Memory, in this order, each part on
 64-byte lines: constants, words that the producer writes, words that the consumer writes, orders among them
-(`rtec.loop.orders`), a note in words (`rtec.daemon.ring`), the names of axes and sensors (JSON), then each field
+(`rtec.loop.orders`), a note in words (`Note`), the names of axes and sensors (JSON), then each field
 of `Samples` and `Commands` as one array of `capacity` slots.
 
 No row is ever torn. The producer owns the slot of row `head` until `publish` moves `head`; so with head at h the
@@ -18,10 +18,9 @@ Nothing leaks: the owner removes the name on leaving. A name left by a killed ow
 the kernel releases with the process, and taken over by the next `create` of that name; where both sides are attached
 the owner may also call `unlink` at once, and then the memory goes with the last process, however that ends.
 
-A short text in shared memory that one process writes now and then and another reads, neither waiting.
-
-The writer makes the version odd, writes, and makes it even again; a reader that meets an odd version, or another one
-behind its copy than before it, looks again a few times and then keeps what it had.
+`Note` is a short text in shared memory that one process writes now and then and another reads, neither waiting. The
+writer makes the version odd, writes, and makes it even again. A reader that meets an odd version, or another one behind
+its copy than before it, looks again a few times and then keeps what it had.
 """
 
 import fcntl

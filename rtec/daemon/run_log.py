@@ -1,9 +1,7 @@
-"""Keeps the logs of a running daemon in order: a new file when one is large or old, tidying in a process of its own.
+"""The logs of a running daemon: where they go, what each file's header says, when a new one begins and old ones go.
 
-Called from the thread that writes the log. Nothing here waits: a new file is ordered (`Recording.cut`), and the
-process that packs and removes (`rtec.log.tidy`) is only started and looked at.
-
-Where the log of a run goes, and what stands at the beginning of each of its files.
+`Keeper` is called from the thread that writes the log. Nothing in it waits: a new file is ordered (`Recording.cut`),
+and the process that packs and removes (`rtec.log.tidy`) is only started and looked at.
 """
 
 import json

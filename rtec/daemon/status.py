@@ -1,10 +1,7 @@
-"""What a run tells of itself: while it goes on (`Status`) and at its end (`Report`). Plain data.
+"""What a run reports of itself: while it goes on (`Status`), at its end (`Report`), each alarm as an event (`Alarms`).
 
-Makes a status of the rows that pass, and remembers what the whole run came to.
-
-What kept the correction from being what it should be, and when: the beginning and end of every alarm as an event.
-
-A status says what is wrong now. Whoever comes in the morning wants to know what was wrong in the night.
+`RowWatch` makes the status of the rows that pass, and remembers what the whole run came to. A status says what is
+wrong now; whoever comes in the morning finds in the events what was wrong in the night, from when to when.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -104,7 +101,7 @@ NS = 1e-9
 MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
 
 
-class Watch:
+class RowWatch:
     """Looks at rows.
 
     Attributes:

@@ -29,7 +29,7 @@ Report = Callable[[str], None]
 """Told a sentence; from any thread, waits for nothing."""
 
 
-class Part:
+class DaemonPart:
     """One part: counts its faults, and says when it may begin again. Made by `Parts.add`.
 
     Attributes:
@@ -117,7 +117,7 @@ class KeptThread:
         stop: set by `end`.
     """
 
-    def __init__(self, part: Part, work: Callable[[], None]) -> None:
+    def __init__(self, part: DaemonPart, work: Callable[[], None]) -> None:
         self.stop = threading.Event()
         self._thread = threading.Thread(
             target=part.keep, args=(work, self.stop), name=f"rtec-{part.name}".replace(" ", "-"), daemon=True
@@ -135,7 +135,7 @@ class KeptThread:
         return not self._thread.is_alive()
 
 
-class Parts:
+class DaemonParts:
     """All parts of a daemon.
 
     Args:
@@ -145,10 +145,10 @@ class Parts:
 
     def __init__(self, clock: Clock, tell: Callable[[str, str], None]) -> None:
         self._clock, self._tell = clock, tell
-        self._parts: dict[str, Part] = {}
-        self._shown: list[Part] = []
+        self._parts: dict[str, DaemonPart] = {}
+        self._shown: list[DaemonPart] = []
 
-    def add(self, name: str, essential: bool = False, device: bool = False) -> Part:
+    def add(self, name: str, essential: bool = False, device: bool = False) -> DaemonPart:
         """Give a new part.
 
         Args:
@@ -163,7 +163,7 @@ class Parts:
             else:
                 self._tell("fault", f"{name}: {text}")
 
-        part = Part(name, self._clock, report, essential)
+        part = DaemonPart(name, self._clock, report, essential)
         self._parts[name] = part
         if not device:
             self._shown.append(part)

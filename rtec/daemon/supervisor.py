@@ -23,8 +23,8 @@ from rtec.daemon.reload import ReloadDesk
 from rtec.daemon.ring import Ring
 from rtec.daemon.run_log import Keeper, log_folder, new_log
 from rtec.daemon.sign_check import StepOrders
-from rtec.daemon.status import MODE_NAMES, Alarms, Report, Status, Watch
-from rtec.daemon.supervision import Parts
+from rtec.daemon.status import MODE_NAMES, Alarms, Report, RowWatch, Status
+from rtec.daemon.supervision import DaemonParts
 from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
 from rtec.log.events import Event, Events, events_path
@@ -86,10 +86,10 @@ class Supervisor:
         self._on_event = on_event or (lambda _: None)
         self._clock = RealClock()
         self._notifier = Notifier.from_environment(os.environ, self._clock)
-        self._watch = Watch(self.layout)
+        self._watch = RowWatch(self.layout)
         self._recording = Recording(log_path, self._clock, self._new_log, self.warnings)
         self.events = Events(events_path(log_path))
-        self.parts = Parts(self._clock, self.note)
+        self.parts = DaemonParts(self._clock, self.note)
         self._alarms, self._warnings_told = Alarms(self.note), 0
         folder = setup.file.run.state_folder or setup.file.run.log_folder
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())

@@ -1,18 +1,12 @@
 """Slow devices in processes of their own.
 
 A device that gives temperatures or the spindle speed and nothing else is opened, polled and closed by a worker
-(`rtec.daemon.workers`). It publishes what it reads (`rtec.daemon.published`); in the loop's process a small port
-object looks at that memory (`rtec.daemon.workers`). The supervisor starts the workers, starts those that died
-again, with growing waits, and ends those that hang (`rtec.daemon.workers`).
+(`work`). It publishes what it reads in shared memory (`rtec.daemon.published`). In the loop's process a small port
+(`WorkerPort`) looks at that memory. The supervisor starts the workers (`Workers`); `KeptWorker` starts one again that
+died, with growing waits, and ends one that hangs.
 
 Workers are spawned by the supervisor, never by the loop's process: that one has locked memory, threads and real-time
 priority, none of which a child should begin with.
-
-Who keeps one worker alive: starts it, starts it again after growing waits when it died, ends it when it hangs.
-
-The loop's port to a worker: a small object in the loop's process that looks at what the worker publishes.
-
-The worker: a process that opens one slow device, polls it, publishes what it reads, and closes it.
 """
 
 import ctypes
@@ -29,8 +23,8 @@ from typing import Any, Final, Self
 import numpy as np
 
 from rtec.daemon.process import SIGNALS, signals_wait, starter
-from rtec.daemon.published import FAILED, NEVER, OPEN, STARTING, Published, Reader
-from rtec.daemon.supervision import Part, Parts
+from rtec.daemon.published import FAILED, NEVER, OPEN, STARTING, Published, PublishedReader
+from rtec.daemon.supervision import DaemonPart, DaemonParts
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError, unforeseen
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import driver_class, make_device
@@ -38,6 +32,9 @@ from rtec.loop.ports import FloatArray, IntArray, Resumable
 from rtec.loop.run_file import Setup
 from rtec.machine import Machine
 
+POLL_NS: Final = 10_000_000
+"""A driver in a worker is asked so often; the instants of its readings are its own."""
+PR_SET_PDEATHSIG: Final = 1
 LOOK_NS: Final = 10_000_000
 """While the worker opens its device, it is looked at so often."""
 OPENS_NS: Final = 20_000_000_000
@@ -47,6 +44,98 @@ BEGINS_NS: Final = 120_000_000_000
 SILENT_NS: Final = 1_000_000_000
 """A worker that shows no life for so long is told as silent."""
 ERRORS: Final = {kind.__name__: kind for kind in (DriverError, DriverUnavailable, DriverTimeout, DriverFault)}
+STOP_TIMEOUT_S: Final = 3.0
+
+
+@dataclass(frozen=True)
+class WorkerTask:
+    """What a worker does; goes to its process as it stands.
+
+    Attributes:
+        name: of the device.
+        table: the device's table in the run file.
+        machine: whose sensors the readings follow.
+        path: of the run file.
+        temperatures, spindle: what is read from it.
+        memory: where it publishes.
+    """
+
+    name: str
+    table: Mapping[str, Any]
+    machine: Machine
+    path: Path
+    temperatures: bool
+    spindle: bool
+    memory: Published
+
+
+def work(task: WorkerTask) -> None:
+    """Be the worker, until the supervisor asks to end or is gone.
+
+    What cannot be opened, and what nobody foresaw, is told in the memory and ends the process.
+    """
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    # A worker that is stopped or hangs cannot look for its parent; the kernel can.
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    clock, memory = RealClock(), task.memory
+    memory.heartbeat_ns = clock.now_ns()
+    with ExitStack() as stack:
+        try:
+            device: Any = make_device(task.name, task.table, task.machine, clock, task.path)
+            stack.enter_context(device)
+            _Polling(task, device, clock).serve()
+        except RtecError as e:
+            _last_words(memory, str(e))
+        except Exception as e:
+            _last_words(memory, unforeseen(e))
+            raise
+
+
+def _last_words(memory: Published, text: str) -> None:
+    memory.told.write({"open": [text]})
+    memory.state = FAILED
+
+
+class _Polling:
+    """Asks one device and publishes."""
+
+    def __init__(self, task: WorkerTask, device: Any, clock: Clock) -> None:
+        self._task, self._device, self._clock = task, device, clock
+        sensors = len(task.machine.sensor_names)
+        self._degc, self._time_ns, self._rpm = np.full(sensors, np.nan), np.full(sensors, NEVER), float("nan")
+        self._resumes = task.memory.resumes
+
+    def serve(self) -> None:
+        """Do it until told otherwise."""
+        memory, parent = self._task.memory, starter()
+        while not memory.stop_requested and os.getppid() == parent:
+            now_ns = self._clock.now_ns()
+            self._once()
+            memory.heartbeat_ns, memory.state = now_ns, OPEN
+            self._clock.sleep_until_ns(now_ns + POLL_NS)
+
+    def _once(self) -> None:
+        memory, device, wrong = self._task.memory, self._device, dict[str, list[str]]()
+        if isinstance(device, Resumable):
+            if memory.resumes != self._resumes:
+                self._resumes = memory.resumes
+                device.resume()
+            if device.must_resume:
+                wrong["resume"] = [device.must_resume]
+        if self._task.temperatures:
+            try:
+                device.read_temperatures(self._degc, self._time_ns)
+            except DriverError as e:  # what is good is in the arrays all the same
+                wrong["temperatures"] = [type(e).__name__, str(e)]
+        if self._task.spindle:
+            try:
+                self._rpm = device.read_spindle()
+            except DriverError as e:
+                self._rpm = float("nan")
+                wrong["spindle"] = [type(e).__name__, str(e)]
+        memory.publish(self._degc, self._time_ns, self._rpm)
+        memory.told.write(wrong)
 
 
 class WorkerPort:
@@ -61,7 +150,7 @@ class WorkerPort:
 
     def __init__(self, name: str, memory: Published, sensors: int, clock: Clock) -> None:
         self._name, self._memory, self._clock = name, memory, clock
-        self._reader = Reader(memory, sensors)
+        self._reader = PublishedReader(memory, sensors)
 
     def __enter__(self) -> Self:
         """Wait until the worker has opened its device.
@@ -126,6 +215,11 @@ class WorkerPort:
             raise ERRORS.get(wrong[0], DriverFault)(wrong[1])
 
 
+def worker_ports(memories: Mapping[str, Published], machine: Machine, clock: Clock) -> dict[str, WorkerPort]:
+    """The loop's ports, by device."""
+    return {name: WorkerPort(name, m, len(machine.sensor_names), clock) for name, m in memories.items()}
+
+
 def late(memory: Published, begun_ns: int, clock: Clock) -> bool:
     """Has a worker shown no life for longer than it may? It was started, or waited for, at `begun_ns`."""
     if not memory.heartbeat_ns:
@@ -133,114 +227,10 @@ def late(memory: Published, begun_ns: int, clock: Clock) -> bool:
     return clock.now_ns() - memory.heartbeat_ns > OPENS_NS
 
 
-def worker_ports(memories: Mapping[str, Published], machine: Machine, clock: Clock) -> dict[str, WorkerPort]:
-    """The loop's ports, by device."""
-    return {name: WorkerPort(name, m, len(machine.sensor_names), clock) for name, m in memories.items()}
-
-
-POLL_NS: Final = 10_000_000
-"""A driver in a worker is asked so often; the instants of its readings are its own."""
-PR_SET_PDEATHSIG: Final = 1
-
-
-@dataclass(frozen=True)
-class Task:
-    """What a worker does; goes to its process as it stands.
-
-    Attributes:
-        name: of the device.
-        table: the device's table in the run file.
-        machine: whose sensors the readings follow.
-        path: of the run file.
-        temperatures, spindle: what is read from it.
-        memory: where it publishes.
-    """
-
-    name: str
-    table: Mapping[str, Any]
-    machine: Machine
-    path: Path
-    temperatures: bool
-    spindle: bool
-    memory: Published
-
-
-def work(task: Task) -> None:
-    """Be the worker, until the supervisor asks to end or is gone.
-
-    What cannot be opened, and what nobody foresaw, is told in the memory and ends the process.
-    """
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    # A worker that is stopped or hangs cannot look for its parent; the kernel can.
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    clock, memory = RealClock(), task.memory
-    memory.heartbeat_ns = clock.now_ns()
-    with ExitStack() as stack:
-        try:
-            device: Any = make_device(task.name, task.table, task.machine, clock, task.path)
-            stack.enter_context(device)
-            _Desk(task, device, clock).serve()
-        except RtecError as e:
-            _last_words(memory, str(e))
-        except Exception as e:
-            _last_words(memory, unforeseen(e))
-            raise
-
-
-def _last_words(memory: Published, text: str) -> None:
-    memory.told.write({"open": [text]})
-    memory.state = FAILED
-
-
-class _Desk:
-    """Asks one device and publishes."""
-
-    def __init__(self, task: Task, device: Any, clock: Clock) -> None:
-        self._task, self._device, self._clock = task, device, clock
-        sensors = len(task.machine.sensor_names)
-        self._degc, self._time_ns, self._rpm = np.full(sensors, np.nan), np.full(sensors, NEVER), float("nan")
-        self._resumes = task.memory.resumes
-
-    def serve(self) -> None:
-        """Do it until told otherwise."""
-        memory, parent = self._task.memory, starter()
-        while not memory.stop_requested and os.getppid() == parent:
-            now_ns = self._clock.now_ns()
-            self._once()
-            memory.heartbeat_ns, memory.state = now_ns, OPEN
-            self._clock.sleep_until_ns(now_ns + POLL_NS)
-
-    def _once(self) -> None:
-        memory, device, wrong = self._task.memory, self._device, dict[str, list[str]]()
-        if isinstance(device, Resumable):
-            if memory.resumes != self._resumes:
-                self._resumes = memory.resumes
-                device.resume()
-            if device.must_resume:
-                wrong["resume"] = [device.must_resume]
-        if self._task.temperatures:
-            try:
-                device.read_temperatures(self._degc, self._time_ns)
-            except DriverError as e:  # what is good is in the arrays all the same
-                wrong["temperatures"] = [type(e).__name__, str(e)]
-        if self._task.spindle:
-            try:
-                self._rpm = device.read_spindle()
-            except DriverError as e:
-                self._rpm = float("nan")
-                wrong["spindle"] = [type(e).__name__, str(e)]
-        memory.publish(self._degc, self._time_ns, self._rpm)
-        memory.told.write(wrong)
-
-
-STOP_TIMEOUT_S: Final = 3.0
-
-
-class Kept:
+class KeptWorker:
     """One worker and its restarts."""
 
-    def __init__(self, task: Task, clock: Clock, part: Part) -> None:
+    def __init__(self, task: WorkerTask, clock: Clock, part: DaemonPart) -> None:
         self._task, self._clock, self._part = task, clock, part
         self._process: Any = None
         self._begun_ns = 0
@@ -335,16 +325,17 @@ class Workers:
         memories: by device, for the loop's process.
     """
 
-    def __init__(self, setup: Setup, clock: Clock, parts: Parts) -> None:
+    def __init__(self, setup: Setup, clock: Clock, parts: DaemonParts) -> None:
         role, machine = setup.file.role, setup.machine
         self.memories: dict[str, Published] = {}
-        self._kept: Sequence[Kept] = []
+        self._kept: Sequence[KeptWorker] = []
         kept = []
         for name in names_for_workers(setup):
             memory = self.memories[name] = Published.create(len(machine.sensor_names))
             does = (name in role.temperatures, name == role.spindle)
             part = parts.add(f"device {name}", device=True)
-            kept.append(Kept(Task(name, setup.file.device[name], machine, setup.path, *does, memory), clock, part))
+            task = WorkerTask(name, setup.file.device[name], machine, setup.path, *does, memory)
+            kept.append(KeptWorker(task, clock, part))
         self._kept = kept
 
     def __enter__(self) -> Self:

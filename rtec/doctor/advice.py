@@ -1,9 +1,9 @@
-"""Ways to mend what is wrong with a device, from its options and from what this computer says of its ports.
+"""What is wrong with a device that was read for a while, and ways to mend it.
 
-The driver says what is wrong; what can be done about it is the same for every driver on the same kind of line, so it
-is found here, from the options that such drivers share: `port`, `usb_serial`, `baud`, `host`, `interface`, `channel`.
-
-What is wrong with a device that was read for a while, beside the errors that its driver raises.
+The driver says what it raises; here is what only its readings show (too slow, too old, standing still). What can be
+done about either is the same for every driver on the same kind of line. So it follows from the options that such
+drivers share (`port`, `usb_serial`, `baud`, `host`, `interface`, `channel`) and from what this computer says of its
+ports.
 """
 
 import os
@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from rtec.correction.sinks import PulseSink
-from rtec.doctor.found import DeviceFound, Fault, Patient
+from rtec.doctor.found import DeviceFault, DeviceFound, Patient
 from rtec.doctor.ports import (
     ROOT,
     can_interfaces,
@@ -27,7 +27,7 @@ from rtec.doctor.ports import (
     sees_all_processes,
     serial_ports,
 )
-from rtec.doctor.readings import Ability, Readings
+from rtec.doctor.readings import Ability, DeviceReadings
 from rtec.errors import DriverError, DriverFault
 from rtec.loop.driver_info import CAN_BE
 
@@ -200,19 +200,19 @@ ROOM = 1.5
 """A cycle should be longer than the reading by this factor: the rest of the cycle needs time too."""
 
 
-def unfit(patient: Patient, found: DeviceFound, device: Any) -> list[Fault]:
+def unfit(patient: Patient, found: DeviceFound, device: Any) -> list[DeviceFault]:
     """Roles that its driver cannot play, outputs that it does not take."""
     can = {role: isinstance(device, port) for role, port in CAN_BE.items()}
     is_ = ", ".join(role for role, so in can.items() if so)
     out = [
-        Fault(f"[role] {role} names it, but driver {found.driver!r} cannot do this", (f"it can be: {is_}",))
+        DeviceFault(f"[role] {role} names it, but driver {found.driver!r} cannot do this", (f"it can be: {is_}",))
         for role in found.roles
         if not can[role]
     ]
     if "actuator" in found.roles and can["actuator"]:
         for axis in (a for a in patient.machine.axes if a.compensate):
             why = device.refuses(patient.file.output.get(axis.name, PulseSink()))
-            out += [Fault(f"[output.{axis.name}] {why}")] if why else []
+            out += [DeviceFault(f"[output.{axis.name}] {why}")] if why else []
     return out
 
 
@@ -229,7 +229,7 @@ def reasons(patient: Patient, device: Any, ability: Ability, error: DriverError)
     return [f"{', '.join(names)}: {why}" if names else why for why, names in sensors.items()] or [str(error)]
 
 
-def count_faults(patient: Patient, readings: Readings, ability: Ability) -> tuple[list[Fault], list[str]]:
+def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -> tuple[list[DeviceFault], list[str]]:
     """Counts that come too slowly or too late for the loop; and what else is to be told."""
     took = ability.took_ms()
     if took is None or len(readings.counts_age_s) < FEW:
@@ -237,15 +237,17 @@ def count_faults(patient: Patient, readings: Readings, ability: Ability) -> tupl
     cycle_ms, faults = 1e3 / patient.file.run.rate_hz, []
     text = f"reading counts takes {took[0]:.2f} ms, at most {took[1]:.2f} ms, of a cycle of {cycle_ms:g} ms"
     if took[0] > cycle_ms:
-        faults.append(Fault(text, (f"a lower [run] rate_hz, {1e3 / took[0] / ROOM:.0f} or less, or a faster line",)))
+        faults.append(
+            DeviceFault(text, (f"a lower [run] rate_hz, {1e3 / took[0] / ROOM:.0f} or less, or a faster line",))
+        )
     age_s, allowed_s = float(np.median(readings.counts_age_s)), patient.file.guard.counts_max_age_s
     if age_s > allowed_s:
         what = f"counts are {age_s * 1e3:.1f} ms old when they are read; the correction would hold"
-        faults.append(Fault(what, (f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?",)))
+        faults.append(DeviceFault(what, (f"[guard] counts_max_age_s is {allowed_s:g} s: is that meant?",)))
     return faults, [] if took[0] > cycle_ms else [text]
 
 
-def temperature_faults(patient: Patient, readings: Readings, now_ns: int) -> list[Fault]:
+def temperature_faults(patient: Patient, readings: DeviceReadings, now_ns: int) -> list[DeviceFault]:
     """Temperatures that the machine cannot have, or that are too old for the loop."""
     ranges = {s.name: s.range_degc for s in patient.machine.sensors}
     allowed_s, out = patient.file.guard.temperature_max_age_s, []
@@ -253,8 +255,8 @@ def temperature_faults(patient: Patient, readings: Readings, now_ns: int) -> lis
         low, high = ranges[value.name]
         if not low <= value.value <= high:
             what = f"{value.name}: {value.value:.1f} °C; the machine file's range_degc is {low:g} to {high:g} °C"
-            out.append(Fault(what, ("look at the sensor, its type and its wires; is it the right sensor?",)))
+            out.append(DeviceFault(what, ("look at the sensor, its type and its wires; is it the right sensor?",)))
         if value.age_s is not None and value.age_s > allowed_s:
             what = f"{value.name}: {value.age_s:.0f} s old; the correction would hold"
-            out.append(Fault(what, (f"[guard] temperature_max_age_s is {allowed_s:g} s: is that meant?",)))
+            out.append(DeviceFault(what, (f"[guard] temperature_max_age_s is {allowed_s:g} s: is that meant?",)))
     return out

@@ -1,8 +1,7 @@
-"""Looks at every device of a run file, all at once: opens it, reads it, tells what is wrong and how to mend it.
+"""Looks at every device of a run file, all at once: opens it, reads it, reports what is wrong and how to mend it.
 
-No device is told to apply anything. One that hangs holds up no other: each has a deadline, and what hangs is told.
-
-One device, in a thread of its own: made, opened, read for a while, closed. It is never told to apply anything.
+Each device has a thread of its own (`Look`) that makes, opens, reads and closes it, and a deadline: one that hangs is
+reported and holds up no other. No device is commanded anything.
 """
 
 import os
@@ -15,9 +14,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from rtec.doctor.advice import count_faults, reasons, serial_places, shared_ports, temperature_faults, unfit, ways
-from rtec.doctor.found import DeviceFound, Examination, Fault, Patient, Value
+from rtec.doctor.found import DeviceFault, DeviceFound, Examination, Patient, Value
 from rtec.doctor.ports import ROOT
-from rtec.doctor.readings import NS, Ability, Readings
+from rtec.doctor.readings import NS, Ability, DeviceReadings
 from rtec.errors import DriverError, DriverTimeout, RtecError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import device_options, make_device
@@ -53,7 +52,7 @@ class Look:
         self.stop = threading.Event()
         self._device: Any = None
         self.options: BaseModel | None = None
-        self._readings: Readings | None = None
+        self._readings: DeviceReadings | None = None
 
     @property
     def sensors(self) -> set[str]:
@@ -72,7 +71,7 @@ class Look:
         except RtecError as e:
             self._wrong(e)
         except Exception as e:  # noqa: BLE001 - a driver of another package may fail in any way, the others go on
-            self.found.wrong.append(Fault(f"its driver fails: {type(e).__name__}: {e}", ("tell its author",)))
+            self.found.wrong.append(DeviceFault(f"its driver fails: {type(e).__name__}: {e}", ("tell its author",)))
         self.found.doing = "done"
 
     def _look(self) -> None:
@@ -83,14 +82,14 @@ class Look:
         self.found.wrong += unfit(patient, self.found, self._device)
         self.found.doing = "is opened"
         with self._device:
-            self._readings = readings = Readings(self._device, patient, self._clock)
+            self._readings = readings = DeviceReadings(self._device, patient, self._clock)
             self.found.doing = "is read"
             abilities = self._read(readings)
             self.found.values = readings.values()
             self._tell(readings, abilities)
             self.found.doing = "is closed"
 
-    def _read(self, readings: Readings) -> list[Ability]:
+    def _read(self, readings: DeviceReadings) -> list[Ability]:
         """Read as the loop will, until the time is over."""
         abilities = self._abilities(readings)
         fast = [a for a in abilities if a.does == "counts"]
@@ -106,12 +105,12 @@ class Look:
             self._clock.sleep_until_ns(due_ns)
         return abilities
 
-    def _abilities(self, readings: Readings) -> list[Ability]:
+    def _abilities(self, readings: DeviceReadings) -> list[Ability]:
         by_role = readings.by_role
         asked = [r for r in self.found.roles if r in by_role and isinstance(self._device, CAN_BE[r])]
         return [Ability(role, by_role[role], self._clock) for role in asked]
 
-    def _tell(self, readings: Readings, abilities: list[Ability]) -> None:
+    def _tell(self, readings: DeviceReadings, abilities: list[Ability]) -> None:
         if "actuator" in self.found.roles and isinstance(self._device, CAN_BE["actuator"]):
             try:
                 self.found.values += readings.output_values()
@@ -124,7 +123,7 @@ class Look:
         if self.options is not None:
             self.found.told += shared_ports(self.options, self._patient.root)
 
-    def _tell_of(self, ability: Ability, readings: Readings) -> None:
+    def _tell_of(self, ability: Ability, readings: DeviceReadings) -> None:
         error = ability.failing()
         if error is not None:
             for text in reasons(self._patient, self._device, ability, error):
@@ -144,7 +143,7 @@ class Look:
     def _tell_hiccups(self, ability: Ability) -> None:
         text, often = ability.hiccups()
         if often:
-            self.found.wrong.append(Fault(text))
+            self.found.wrong.append(DeviceFault(text))
         elif text:
             self.found.told.append(text)
 
@@ -155,7 +154,7 @@ class Look:
         mend = ways(self.options, error, heard, self._patient.root)
         place = f"{self._patient.path}: [device.{self.found.name}]"
         *first, last = (line.removeprefix(place).lstrip(": ") for line in str(error).splitlines() or [repr(error)])
-        faults = [*map(Fault, first), Fault(last, (*mend, more) if more else mend)]
+        faults = [*map(DeviceFault, first), DeviceFault(last, (*mend, more) if more else mend)]
         self.found.wrong += [f for f in faults if f not in self.found.wrong]
 
 
@@ -166,7 +165,7 @@ SHOW_NS = 100_000_000
 Shown = Callable[[list[DeviceFound]], None]
 
 
-def load_patient(path: Path, root: Path = ROOT) -> tuple[Patient, list[Fault], tuple[str, ...] | None]:
+def load_patient(path: Path, root: Path = ROOT) -> tuple[Patient, list[DeviceFault], tuple[str, ...] | None]:
     """Read a run file as far as its devices need it: a machine that has no model yet can have its devices looked at.
 
     Returns:
@@ -181,7 +180,7 @@ def load_patient(path: Path, root: Path = ROOT) -> tuple[Patient, list[Fault], t
     try:
         model = load_setup(path).model
     except RtecError as e:
-        return patient, [Fault(line) for line in str(e).splitlines()], None
+        return patient, [DeviceFault(line) for line in str(e).splitlines()], None
     return patient, [], tuple(n for n in machine.sensor_names if n in model.channels)
 
 
@@ -221,7 +220,7 @@ def examine(
         if thread.is_alive():
             what = f"hangs while it {look.found.doing}: no end within {open_s:g} s"
             look.found.wrong.append(
-                Fault(what, ("unplug the device and plug it in again; then start rtec doctor again",))
+                DeviceFault(what, ("unplug the device and plug it in again; then start rtec doctor again",))
             )
     wrong += _one_port(looks, root) + _missing(patient, looks, needed)
     return Examination(patient.machine.name, seconds, [look.found for look in looks], wrong)
@@ -233,20 +232,20 @@ def _wait(looks: list[Look], threads: list[threading.Thread], shown: Shown, cloc
         clock.sleep_until_ns(clock.now_ns() + SHOW_NS)
 
 
-def _one_port(looks: list[Look], root: Path) -> list[Fault]:
+def _one_port(looks: list[Look], root: Path) -> list[DeviceFault]:
     """Serial ports that several devices of the run file name; each would get a part of the bytes, or none."""
     users: dict[str, list[str]] = {}
     for look in looks:
         for place in serial_places(look.options) if look.options is not None else []:
             users.setdefault(os.path.realpath(place.device(root) or place.usb_serial), []).append(look.found.name)
     return [
-        Fault(f"{', '.join(names)} name the same serial port, {port}", ("one device, one port",))
+        DeviceFault(f"{', '.join(names)} name the same serial port, {port}", ("one device, one port",))
         for port, names in users.items()
         if len(names) > 1
     ]
 
 
-def _missing(patient: Patient, looks: list[Look], needed: tuple[str, ...] | None) -> list[Fault]:
+def _missing(patient: Patient, looks: list[Look], needed: tuple[str, ...] | None) -> list[DeviceFault]:
     """Sensors that the model reads, or without a model the machine file names, and no device gave."""
     given = set().union(*(look.sensors for look in looks))
     lacking = [n for n in (patient.machine.sensor_names if needed is None else needed) if n not in given]
@@ -255,4 +254,4 @@ def _missing(patient: Patient, looks: list[Look], needed: tuple[str, ...] | None
     who = "the machine file names them" if needed is None else "the model reads them, so the correction would hold"
     sources = ", ".join(patient.file.role.temperatures)
     where = f"[role] temperatures names {sources}" if sources else "[role] temperatures names no device"
-    return [Fault(f"no device gave {', '.join(lacking)}: {who}", (where,))]
+    return [DeviceFault(f"no device gave {', '.join(lacking)}: {who}", (where,))]

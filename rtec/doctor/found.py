@@ -1,7 +1,4 @@
-"""What the doctor is given, and what it finds of devices, as data.
-
-What is found of this computer: is it fit for a loop that must never be late?
-"""
+"""What the doctor finds, as data: of each device of a run file, and of this computer."""
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -40,7 +37,7 @@ class Patient:
 
 
 @dataclass(frozen=True)
-class Fault:
+class DeviceFault:
     """Something that must be mended.
 
     Attributes:
@@ -91,7 +88,7 @@ class DeviceFound:
     roles: tuple[str, ...] = ()
     doing: str = "waits"
     values: list[Value] = field(default_factory=list)
-    wrong: list[Fault] = field(default_factory=list)
+    wrong: list[DeviceFault] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
 
 
@@ -109,7 +106,7 @@ class Examination:
     machine: str
     seconds: float
     devices: list[DeviceFound]
-    wrong: list[Fault]
+    wrong: list[DeviceFault]
 
     @property
     def well(self) -> bool:
@@ -126,7 +123,7 @@ State = Literal["good", "better", "wrong", "unknown"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class PcFinding:
     """One thing that matters for real time.
 
     Attributes:
@@ -158,7 +155,7 @@ class PcFound:
         findings: one thing each.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[PcFinding, ...]
 
     @property
     def well(self) -> bool:

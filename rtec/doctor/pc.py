@@ -1,12 +1,11 @@
 """Is this computer fit for real time? What it lacks, and how to get that.
 
-The kernel, what the computer is, its clock, swap.
+In this order: the kernel, what the computer is, its clock, swap; the processor that the loop runs on (is it its own,
+how deeply it sleeps, its speed, its firmware); what this user may ask of the kernel (real-time priority, locked
+memory).
 
-The processor that the loop runs on: is it its own, how deeply it sleeps, its speed, its firmware.
-
-What this user may ask of the kernel: a real-time priority, locked memory.
-
-Reads /proc and /sys below a root folder: `/` in life, a made-up tree in tests. What is not there reads as None.
+All of it is read from /proc and /sys below a root folder: `/` in life, a made-up tree in tests. What is not there
+reads as None.
 """
 
 import os
@@ -16,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtec.doctor.found import Finding, PcFound
+from rtec.doctor.found import PcFinding, PcFound
 from rtec.doctor.wakeup import WakeUps, judged, measured
 from rtec.errors import DriverUnavailable
 from rtec.loop.run_file import Realtime, RunFile
@@ -151,62 +150,62 @@ RT_PACKAGE = {
 }
 
 
-def kernel(pc: Pc) -> Finding:
+def kernel(pc: Pc) -> PcFinding:
     """PREEMPT_RT or not."""
     version = pc.text("proc/version")
     if version is None:
-        return Finding("kernel", "/proc/version cannot be read", "unknown")
+        return PcFinding("kernel", "/proc/version cannot be read", "unknown")
     release = pc.text("proc/sys/kernel/osrelease") or version.split(" ")[2 if version.count(" ") > 2 else 0]
     if "PREEMPT_RT" in version or pc.text("sys/kernel/realtime") == "1":
-        return Finding("kernel", f"{release}, PREEMPT_RT", "good")
+        return PcFinding("kernel", f"{release}, PREEMPT_RT", "good")
     kind = next((k for k in ("PREEMPT_DYNAMIC", "PREEMPT") if k in version), "no PREEMPT_RT")
     why = "an ordinary kernel is good for 1 kHz on most PCs; PREEMPT_RT has the shorter worst case"
     known = re.findall(r"^ID(?:_LIKE)?=\"?([^\"\n]*)", pc.text("etc/os-release") or "", re.MULTILINE)
     names = [name for line in known for name in line.split()]
     how = next((RT_PACKAGE[n] for n in names if n in RT_PACKAGE), "install the PREEMPT_RT kernel of your distribution")
-    return Finding("kernel", f"{release}, {kind}", "better", why, commands=(how,))
+    return PcFinding("kernel", f"{release}, {kind}", "better", why, commands=(how,))
 
 
-def host(pc: Pc) -> Finding:
+def host(pc: Pc) -> PcFinding:
     """A real computer, a virtual one, a container."""
     cpuinfo = pc.text("proc/cpuinfo")
     if cpuinfo is None:
-        return Finding("computer", "/proc/cpuinfo cannot be read", "unknown")
+        return PcFinding("computer", "/proc/cpuinfo cannot be read", "unknown")
     model = re.search(r"^(?:model name|Model|Hardware)\s*:\s*(.+)$", cpuinfo, re.MULTILINE)
     name = model[1].strip() if model else "processor of unknown kind"
     virtual = bool(re.search(r"^flags\s*:.*\bhypervisor\b", cpuinfo, re.MULTILINE))
     inside = (["a container"] if _container(pc) else []) + (["a virtual machine"] if virtual else [])
     if not inside:
-        return Finding("computer", name, "good")
+        return PcFinding("computer", name, "good")
     why = "a virtual machine runs when its host lets it" if virtual else "limits and devices are what it was given"
-    return Finding("computer", f"{name}; {' in '.join(inside)}", "better", why)
+    return PcFinding("computer", f"{name}; {' in '.join(inside)}", "better", why)
 
 
-def clock_source(pc: Pc) -> Finding:
+def clock_source(pc: Pc) -> PcFinding:
     """Which counter the kernel's clock reads."""
     place = "sys/devices/system/clocksource/clocksource0"
     current = pc.text(f"{place}/current_clocksource")
     if current is None:
-        return Finding("clock source", "not to be read here", "unknown")
+        return PcFinding("clock source", "not to be read here", "unknown")
     if current in GOOD_CLOCKS:
-        return Finding("clock source", current, "good")
+        return PcFinding("clock source", current, "good")
     why = f"reading {current} takes microseconds each time; the kernel prefers tsc where it trusts it"
-    return Finding("clock source", current, "better", why, commands=("sudo dmesg | grep -i tsc   # why not tsc?",))
+    return PcFinding("clock source", current, "better", why, commands=("sudo dmesg | grep -i tsc   # why not tsc?",))
 
 
-def swap(pc: Pc, memory_is_locked: bool) -> Finding:
+def swap(pc: Pc, memory_is_locked: bool) -> PcFinding:
     """Memory on a disk is late."""
     text = pc.text("proc/swaps")
     if text is None:
-        return Finding("swap", "/proc/swaps cannot be read", "unknown")
+        return PcFinding("swap", "/proc/swaps cannot be read", "unknown")
     places = [line.split()[0] for line in text.splitlines()[1:] if line.strip()]
     if not places:
-        return Finding("swap", "none", "good")
+        return PcFinding("swap", "none", "good")
     if memory_is_locked:
-        return Finding("swap", f"{', '.join(places)}; the loop's memory is locked, so it is not swapped", "good")
+        return PcFinding("swap", f"{', '.join(places)}; the loop's memory is locked, so it is not swapped", "good")
     why = "memory that was swapped out is read back from the disk in the middle of a cycle"
     off = ("sudo swapoff -a   # and its lines out of /etc/fstab",)
-    return Finding("swap", ", ".join(places), "better", why, commands=off)
+    return PcFinding("swap", ", ".join(places), "better", why, commands=off)
 
 
 def _container(pc: Pc) -> bool:
@@ -228,33 +227,33 @@ def loops_processor(pc: Pc, wanted: Realtime) -> int | None:
     return allowed[-1] if allowed else None
 
 
-def isolation(pc: Pc, wanted: Realtime) -> Finding:
+def isolation(pc: Pc, wanted: Realtime) -> PcFinding:
     """Does the loop have a processor of its own?"""
     topic, ours = "own processor", loops_processor(pc, wanted)
     online, isolated = pc.processors(f"{CPU}/online"), pc.processors(f"{CPU}/isolated")
     if ours is None or online is None or isolated is None:
-        return Finding(topic, "not to be read here", "unknown")
+        return PcFinding(topic, "not to be read here", "unknown")
     if ours not in online:
         how = (f"[realtime] cpu: one of {as_list(online)}",)
-        return Finding(topic, f"there is no processor {ours}; there are {as_list(online)}", "wrong", commands=how)
+        return PcFinding(topic, f"there is no processor {ours}; there are {as_list(online)}", "wrong", commands=how)
     if ours in isolated:
-        return Finding(topic, f"{ours}, isolated", "good")
+        return PcFinding(topic, f"{ours}, isolated", "good")
     if len(online) == 1:
-        return Finding(topic, "there is only one processor", "better", "everything else runs on the loop's processor")
+        return PcFinding(topic, "there is only one processor", "better", "everything else runs on the loop's processor")
     why = "other programs and interrupts run on the loop's processor"
     if isolated:
         how = (f"[realtime] cpu = {isolated[-1]} in the run file",)
-        return Finding(topic, f"{as_list(isolated)} isolated, but the loop takes {ours}", "better", why, commands=how)
+        return PcFinding(topic, f"{as_list(isolated)} isolated, but the loop takes {ours}", "better", why, commands=how)
     last = online[-1]
     others = as_list([n for n in online if n != last])
     words = (f"isolcpus=managed_irq,domain,{last}", f"nohz_full={last}", f"rcu_nocbs={last}", f"irqaffinity={others}")
     how = (f"[realtime] cpu = {last} in the run file",)
-    return Finding(
+    return PcFinding(
         topic, f"{ours} of {as_list(online)}, shared with all others", "better", why, kernel=words, commands=how
     )
 
 
-def idle_states(pc: Pc, wanted: Realtime) -> Finding:
+def idle_states(pc: Pc, wanted: Realtime) -> PcFinding:
     """How deeply may the loop's processor sleep?"""
     topic, ours = "idle states", loops_processor(pc, wanted)
     states = []
@@ -264,11 +263,11 @@ def idle_states(pc: Pc, wanted: Realtime) -> Finding:
         if latency_us is not None and not off:
             states.append((latency_us, pc.text(f"{place}/name") or folder.name))
     if not states:
-        return Finding(topic, "not to be read here", "unknown")
+        return PcFinding(topic, "not to be read here", "unknown")
     deepest_us, name = max(states)
     if deepest_us <= SHALLOW_US:
-        return Finding(topic, f"deepest {name}, {deepest_us} µs to wake up", "good")
-    return Finding(
+        return PcFinding(topic, f"deepest {name}, {deepest_us} µs to wake up", "good")
+    return PcFinding(
         topic,
         f"deepest {name}, {deepest_us} µs to wake up",
         "better",
@@ -278,30 +277,30 @@ def idle_states(pc: Pc, wanted: Realtime) -> Finding:
     )
 
 
-def governor(pc: Pc, wanted: Realtime) -> Finding:
+def governor(pc: Pc, wanted: Realtime) -> PcFinding:
     """Does the processor run at full speed?"""
     topic, ours = "speed governor", loops_processor(pc, wanted)
     found = pc.text(f"{CPU}/cpu{ours}/cpufreq/scaling_governor")
     if found is None:
-        return Finding(topic, "not to be read here", "unknown")
+        return PcFinding(topic, "not to be read here", "unknown")
     if found == "performance":
-        return Finding(topic, found, "good")
+        return PcFinding(topic, found, "good")
     how = ("sudo cpupower frequency-set -g performance   # Debian: package linux-cpupower",)
-    return Finding(topic, found, "better", "after an idle moment the processor first runs slowly", commands=how)
+    return PcFinding(topic, found, "better", "after an idle moment the processor first runs slowly", commands=how)
 
 
-def firmware(pc: Pc, before: int | None, after: int | None, seconds: float) -> Finding:
+def firmware(pc: Pc, before: int | None, after: int | None, seconds: float) -> PcFinding:
     """System management interrupts while the wake-ups were measured."""
     topic = "firmware (SMI)"
     if before is None or after is None:
         why = "" if _intel(pc) else "only Intel processors count them"
         how = "sudo modprobe msr, then sudo rtec doctor" if _intel(pc) else ""
-        return Finding(topic, "count not to be read here", "unknown", why, commands=(how,) if how else ())
+        return PcFinding(topic, "count not to be read here", "unknown", why, commands=(how,) if how else ())
     if after == before:
-        return Finding(topic, f"no interrupt in {seconds:g} s", "good")
+        return PcFinding(topic, f"no interrupt in {seconds:g} s", "good")
     why = "the firmware stops all processors without the kernel knowing, for up to milliseconds"
     how = "firmware set-up (BIOS): legacy USB support, power and fan management off; then measure again"
-    return Finding(topic, f"{after - before} interrupts in {seconds:g} s", "better", why, commands=(how,))
+    return PcFinding(topic, f"{after - before} interrupts in {seconds:g} s", "better", why, commands=(how,))
 
 
 def _intel(pc: Pc) -> bool:
@@ -314,25 +313,25 @@ ENOUGH_BYTES = 4 * 2**30
 LOG_IN = "log out and in again, or restart the service; `ulimit -r -l` shows the limits"
 
 
-def priority(pc: Pc, wanted: Realtime, user: str) -> Finding:
+def priority(pc: Pc, wanted: Realtime, user: str) -> PcFinding:
     """May this user have a SCHED_FIFO priority?"""
     topic = "real-time priority"
     if not wanted.priority:
-        return Finding(
+        return PcFinding(
             topic, "[realtime] priority = 0: not asked for", "better", "any other program may hold up the loop"
         )
     throttle = pc.number("proc/sys/kernel/sched_rt_runtime_us")
     if throttle == 0:
         how = ("sudo sysctl kernel.sched_rt_runtime_us=950000",)
-        return Finding(topic, "kernel.sched_rt_runtime_us is 0: none for anybody", "wrong", commands=how)
+        return PcFinding(topic, "kernel.sched_rt_runtime_us is 0: none for anybody", "wrong", commands=how)
     if pc.capable(CAP_SYS_NICE):
-        return Finding(topic, f"{wanted.priority} allowed (CAP_SYS_NICE)", "good")
+        return PcFinding(topic, f"{wanted.priority} allowed (CAP_SYS_NICE)", "good")
     limit = pc.limit("Max realtime priority")
     if limit is None:
-        return Finding(topic, "/proc/self/limits cannot be read", "unknown")
+        return PcFinding(topic, "/proc/self/limits cannot be read", "unknown")
     if limit == UNLIMITED or limit >= wanted.priority:
-        return Finding(topic, f"{wanted.priority} allowed (limit {limit if limit != UNLIMITED else 'none'})", "good")
-    return Finding(
+        return PcFinding(topic, f"{wanted.priority} allowed (limit {limit if limit != UNLIMITED else 'none'})", "good")
+    return PcFinding(
         topic,
         f"not allowed: limit {limit}, the loop asks for {wanted.priority}",
         "wrong",
@@ -343,22 +342,22 @@ def priority(pc: Pc, wanted: Realtime, user: str) -> Finding:
     )
 
 
-def locked_memory(pc: Pc, wanted: Realtime, user: str) -> Finding:
+def locked_memory(pc: Pc, wanted: Realtime, user: str) -> PcFinding:
     """May this user keep memory from being swapped?"""
     topic = "locked memory"
     if not wanted.lock_memory:
         why = "a page that is not in memory is fetched in the middle of a cycle"
-        return Finding(topic, "[realtime] lock_memory = false: not asked for", "better", why)
+        return PcFinding(topic, "[realtime] lock_memory = false: not asked for", "better", why)
     if pc.capable(CAP_IPC_LOCK):
-        return Finding(topic, "allowed (CAP_IPC_LOCK)", "good")
+        return PcFinding(topic, "allowed (CAP_IPC_LOCK)", "good")
     limit = pc.limit("Max locked memory")
     if limit is None:
-        return Finding(topic, "/proc/self/limits cannot be read", "unknown")
+        return PcFinding(topic, "/proc/self/limits cannot be read", "unknown")
     if limit == UNLIMITED or limit >= ENOUGH_BYTES:
-        return Finding(
+        return PcFinding(
             topic, "allowed (no limit)" if limit == UNLIMITED else f"allowed up to {limit / 2**30:.1f} GiB", "good"
         )
-    return Finding(
+    return PcFinding(
         topic,
         f"not allowed: limit {limit / 2**20:.0f} MiB, too little for all of the loop's memory",
         "wrong",
@@ -428,11 +427,11 @@ def look_at(
     )
 
 
-def _wake_ups(measure: Measure, wanted: Realtime, rate_hz: float, seconds: float, tell: Tell) -> Finding:
+def _wake_ups(measure: Measure, wanted: Realtime, rate_hz: float, seconds: float, tell: Tell) -> PcFinding:
     try:
         return judged(measure(wanted, rate_hz, seconds, tell), rate_hz)
     except DriverUnavailable as e:
-        return Finding("wake-ups", str(e), "unknown")
+        return PcFinding("wake-ups", str(e), "unknown")
 
 
 def _user() -> str:

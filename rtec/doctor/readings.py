@@ -1,7 +1,4 @@
-"""What one device has given so far: newest values, their age, how often new ones come.
-
-Bookkeeping of one thing that a device is asked for again and again: how often it fails, how new it is.
-"""
+"""What one device has given so far: newest values, their age, how often new ones come, how often a reading failed."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -113,7 +110,7 @@ class Ability:
         return float(np.median(self._took_ns)) * 1e-6, max(self._took_ns) * 1e-6
 
 
-class Readings:
+class DeviceReadings:
     """Keeps what a device gives.
 
     Args:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from rtec.daemon.process import prepare_process
-from rtec.doctor.found import Finding, State
+from rtec.doctor.found import PcFinding, State
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.run_file import Realtime
@@ -96,7 +96,7 @@ def measured(wanted: Realtime, rate_hz: float, seconds: float, tell: Callable[[i
     return WakeUps(**json.loads(outcome))
 
 
-def judged(found: WakeUps, rate_hz: float) -> Finding:
+def judged(found: WakeUps, rate_hz: float) -> PcFinding:
     """Are they early enough for the loop?"""
     cycle_us = 1e6 / rate_hz
     text = (
@@ -116,7 +116,7 @@ def judged(found: WakeUps, rate_hz: float) -> Finding:
         )
     if found.refused:
         why = "; ".join(t for t in (why, f"measured without: {found.refused}") if t)
-    return Finding("wake-ups", text, state, why)
+    return PcFinding("wake-ups", text, state, why)
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ _NAME: Final = re.compile(r"(?P<stem>.*?)(-(?P<run>\d{6,}))?-(?P<date>\d{8}T\d{6
 
 
 @dataclass(frozen=True, order=True)
-class Place:
+class LogPlace:
     """Where a file stands among the others.
 
     Attributes:
@@ -42,13 +42,13 @@ class Place:
     file: int
 
 
-def place_of(path: Path) -> Place:
+def place_of(path: Path) -> LogPlace:
     """Read a file's place from its name."""
     found = _NAME.fullmatch(path.stem)
     if found is None:
-        return Place(0, path.stem, 1)
+        return LogPlace(0, path.stem, 1)
     run, name = int(found["run"] or 0), path.stem[: found.end("date")]
-    return Place(run, name, int(found["file"] or 1))
+    return LogPlace(run, name, int(found["file"] or 1))
 
 
 def log_files(folder: Path) -> list[Path]:

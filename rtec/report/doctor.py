@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from rtec.doctor.found import DeviceFound, Examination, Fault, Finding, PcFound, Value
+from rtec.doctor.found import DeviceFault, DeviceFound, Examination, PcFinding, PcFound, Value
 from rtec.report.page import Page, Section, Table
 from rtec.wording import significant
 
@@ -48,7 +48,7 @@ def _age(age_s: float | None) -> str:
     return f"{age_s * 1e3:.1f} ms" if age_s < 0.1 else f"{age_s:.1f} s"
 
 
-def _fault_lines(faults: Sequence[Fault]) -> list[str]:
+def _fault_lines(faults: Sequence[DeviceFault]) -> list[str]:
     """What is wrong, each with the ways to mend it below."""
     return ["\n    → ".join((f.what, *f.mend)) for f in faults]
 
@@ -80,7 +80,7 @@ def pc_page(found: PcFound) -> Page:
     return Page("This computer", lead, (), sections)
 
 
-def _verdict(wrong: list[Finding], better: list[Finding]) -> str:
+def _verdict(wrong: list[PcFinding], better: list[PcFinding]) -> str:
     if wrong:
         return f"not fit for real time yet: {', '.join(f.topic for f in wrong)}."
     return (

@@ -3,7 +3,7 @@
 import threading
 
 from rtec.correction.guard import REASONS, Flag
-from rtec.daemon.process import WAITING, Aloud
+from rtec.daemon.process import WAITING, LinePrinter
 from rtec.daemon.status import QUIET_NS, START_NS, Alarms
 
 S = 1_000_000_000
@@ -54,7 +54,7 @@ def test_whoever_does_not_listen_keeps_nobody_waiting() -> None:
         assert go.wait(60)
         said.append(line)
 
-    with Aloud(say) as aloud:
+    with LinePrinter(say) as aloud:
         for k in range(10 * WAITING):
             aloud.line(str(k))
         go.set()

@@ -169,9 +169,8 @@ def test_the_mode_on_disk_is_told_and_what_is_not_there_is_not(run: Run, tmp_pat
     writer, place = StateWriter(image, step, MODE_ON), tmp_path / "run.state"
 
     def newest_one() -> Saved | None:
-        rows = Samples.empty(step.layout, 1)
-        rows.mode[0] = kept[0]
-        writer.keep(rows, step.output_of(step.state), 0)
+        writer.order = kept[0]
+        writer.keep(Samples.empty(step.layout, 1), step.output_of(step.state), 0)
         return newest(image.tobytes())
 
     with DiskThread(run.log, DiskState(place), newest_one, most_rows=1000, part=part()) as thread:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.daemon.published import FAILED, NEVER, OPEN, Published, Reader
+from rtec.daemon.published import FAILED, NEVER, OPEN, Published, PublishedReader
 from rtec.daemon.workers import BEGINS_NS, OPENS_NS, WorkerPort, late
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
@@ -36,7 +36,7 @@ def _hammer(memory: Published, pipe: Any) -> None:
 
 def test_no_reading_is_ever_torn() -> None:
     memory = Published.create(SENSORS)
-    reader, last, new = Reader(memory, SENSORS), 0, 0
+    reader, last, new = PublishedReader(memory, SENSORS), 0, 0
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     process = context.Process(target=_hammer, args=(memory, there), daemon=True)
@@ -65,7 +65,7 @@ def test_no_reading_is_ever_torn() -> None:
 def test_a_reading_that_is_overtaken_while_it_is_copied_is_taken_anew() -> None:
     """The writer comes between the copy and the second look at the version; the first copy counts for nothing."""
     memory = Published.create(2)
-    reader, barrier = Reader(memory, 2), memory.barrier
+    reader, barrier = PublishedReader(memory, 2), memory.barrier
     memory.publish(np.full(2, 20.0), np.full(2, 5), 100.0)
     turns = iter([False, True])
 
@@ -82,7 +82,7 @@ def test_a_reading_that_is_overtaken_while_it_is_copied_is_taken_anew() -> None:
 def test_half_written_is_not_read_and_not_waited_for() -> None:
     """A writer killed in the middle leaves an odd version; the next one makes it good."""
     memory = Published.create(2)
-    reader = Reader(memory, 2)
+    reader = PublishedReader(memory, 2)
     memory.publish(np.array([20.0, 21.0]), np.array([5, NEVER]), 100.0)
     assert reader.look()
     memory.version += 1

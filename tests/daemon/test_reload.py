@@ -15,7 +15,7 @@ import pytest
 import tomli_w
 
 from rtec.correction.guard import Flag, Limits
-from rtec.daemon.reload import MOST_BYTES, Now, Reader, read_again
+from rtec.daemon.reload import MOST_BYTES, Now, ReloadReader, read_again
 from rtec.effects import EFFECTS
 from rtec.errors import RtecError
 from rtec.loop.orders import OrderRefused
@@ -240,7 +240,7 @@ def test_an_older_model_file_is_refused_and_the_reader_tells(setup: Setup) -> No
     """Through the thread that the supervisor uses: a text that says that the old one stays."""
     path = setup.base / "model.toml"
     path.write_text(path.read_text(encoding="utf-8").replace("[model]", "[model]\nformat = 0"), encoding="utf-8")
-    reader = Reader(setup, part())
+    reader = ReloadReader(setup, part())
     reader.begin(setup)
     with pytest.raises(OrderRefused, match="an earlier order"):
         reader.begin(setup)
@@ -261,7 +261,7 @@ def test_a_fault_that_nobody_foresaw_is_an_answer_too(
     """The order is answered with it, it is counted, and the next order is read."""
     told: list[str] = []
     reads = part(told.append)
-    reader = Reader(setup, reads)
+    reader = ReloadReader(setup, reads)
 
     def wrong(_: Path) -> Setup:
         raise error

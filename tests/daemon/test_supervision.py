@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rtec.daemon.supervision import LOST_AFTER, KeptThread, Parts, fault
+from rtec.daemon.supervision import LOST_AFTER, DaemonParts, KeptThread, fault
 from rtec.errors import RtecError
 from rtec.loop.clock import VirtualClock
 
@@ -51,7 +51,7 @@ def failing(times: int) -> Callable[[], None]:
 
 def test_waits_grow_and_each_fault_is_told_and_counted(clock: VirtualClock) -> None:
     told = Told()
-    parts, stop = Parts(clock, told), Stop(clock)
+    parts, stop = DaemonParts(clock, told), Stop(clock)
     part = parts.add("disk", essential=True)
     part.keep(failing(9), stop)
     assert stop.waits == pytest.approx([0.5, 1, 2, 4, 8, 16, 30, 30, 30])
@@ -67,7 +67,7 @@ def test_waits_grow_and_each_fault_is_told_and_counted(clock: VirtualClock) -> N
 
 @pytest.mark.parametrize("essential", [True, False])
 def test_a_part_that_cannot_begin_again_is_lost_and_found_again(clock: VirtualClock, essential: bool) -> None:
-    parts = Parts(clock, Told())
+    parts = DaemonParts(clock, Told())
     part = parts.add("control", essential)
     for k in range(LOST_AFTER):
         assert parts.lost == []
@@ -85,7 +85,7 @@ def test_a_part_that_cannot_begin_again_is_lost_and_found_again(clock: VirtualCl
 
 
 def test_a_part_in_trouble_is_told_until_it_begins_again(clock: VirtualClock) -> None:
-    parts = Parts(clock, Told())
+    parts = DaemonParts(clock, Told())
     part = parts.add("disk")
     assert (part.due, parts.troubles, parts.faults) == (True, {}, {})
     part.failed("no such thing")
@@ -103,13 +103,13 @@ def test_a_part_that_is_to_end_is_begun_once_more_at_most(clock: VirtualClock) -
         begun.append(1)
         raise ValueError
 
-    Parts(clock, Told()).add("disk").keep(work, stop)
+    DaemonParts(clock, Told()).add("disk").keep(work, stop)
     assert len(begun) == 1
 
 
 def test_a_thread_goes_on_behind_a_fault_and_ends_when_it_is_asked_to() -> None:
     clock, told, worked = VirtualClock(10**12), Told(), threading.Event()
-    part = Parts(clock, told).add("disk")
+    part = DaemonParts(clock, told).add("disk")
     fails = failing(1)
 
     def work() -> None:
@@ -125,7 +125,7 @@ def test_a_thread_goes_on_behind_a_fault_and_ends_when_it_is_asked_to() -> None:
 
 
 def test_a_thread_that_was_never_started_has_ended() -> None:
-    assert KeptThread(Parts(VirtualClock(), Told()).add("disk"), lambda: None).end(0.0)
+    assert KeptThread(DaemonParts(VirtualClock(), Told()).add("disk"), lambda: None).end(0.0)
 
 
 def test_what_a_user_can_mend_is_told_as_it_stands() -> None:

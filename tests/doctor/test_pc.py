@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rtec.doctor.found import Finding, PcFound
+from rtec.doctor.found import PcFinding, PcFound
 from rtec.doctor.pc import UNLIMITED, Pc, as_list, look_at, processor_list, wanted_of
 from rtec.doctor.wakeup import WakeUps
 from rtec.errors import DriverUnavailable
@@ -77,7 +77,7 @@ def found_in(pc: Pc, wanted: Realtime | None = None, wake_ups: WakeUps = WELL) -
     return look_at(wanted or Realtime(), 1000.0, 3.0, pc=pc, measure=lambda *_: wake_ups)
 
 
-def by_topic(found: PcFound) -> dict[str, Finding]:
+def by_topic(found: PcFound) -> dict[str, PcFinding]:
     return {f.topic: f for f in found.findings}
 
 

@@ -16,7 +16,7 @@ import pytest
 from rtec.correction.guard import Flag
 from rtec.daemon.status import Status
 from rtec.errors import ConfigError
-from rtec.hil import Accuracy, Comparison, FaultOrder, load_bench, parse_fault
+from rtec.hil import Accuracy, FaultOrder, OffAndOn, load_bench, parse_fault
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Layout, Samples
@@ -36,11 +36,11 @@ from rtec_drivers.hil.findings import (
 )
 from rtec_drivers.hil.injector import can_switches, modbus_switches
 from rtec_drivers.hil.logbook import Logbook, held_spans, read_logbook
-from rtec_drivers.hil.resources import Resources, Series, Step
+from rtec_drivers.hil.resources import Resources, ResourceSeries, TimeStretch
 from rtec_drivers.hil.slaves import crc, slave_line
 from rtec_drivers.hil.soak import RECOVER_S, draw_faults
-from rtec_drivers.hil.track import Track, accuracy
-from rtec_drivers.hil.watch import AFTER_S, Watch
+from rtec_drivers.hil.track import TipTrack, accuracy
+from rtec_drivers.hil.watch import AFTER_S, FaultWatch
 from rtec_drivers.hil.wiring import read_wiring
 from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.modbus.frame import HOLDING, INPUT, Request, find_rtu
@@ -241,10 +241,10 @@ def _logbook(held: "list[tuple[float, float]]", seconds: float = 30.0) -> Logboo
     return Logbook(time_ns, flags, age_s, 1.0, commanded, {"X": 0, "Z": 0})
 
 
-def _track(logbook: Logbook, error_um: float = 1.0) -> Track:
+def _track(logbook: Logbook, error_um: float = 1.0) -> TipTrack:
     every = np.arange(5, len(logbook.time_ns), 10)
     tip = np.full((len(every), 3), error_um, np.float64)
-    return Track(
+    return TipTrack(
         logbook.time_ns[every].astype(np.float64) * 1e-9,
         np.zeros((len(every), 2)),
         tip,
@@ -252,8 +252,8 @@ def _track(logbook: Logbook, error_um: float = 1.0) -> Track:
     )
 
 
-def _watch(faults: list[FaultOrder], clock: Any = None) -> Watch:
-    return Watch(faults, {"box": "box", "tc": "modbus"}, clock or VirtualClock(), lambda _: None)
+def _watch(faults: list[FaultOrder], clock: Any = None) -> FaultWatch:
+    return FaultWatch(faults, {"box": "box", "tc": "modbus"}, clock or VirtualClock(), lambda _: None)
 
 
 def test_what_a_fault_did() -> None:
@@ -329,8 +329,8 @@ def test_accuracy_is_the_root_mean_square_of_the_directions() -> None:
 
 @pytest.mark.parametrize(("on_um", "passed"), [(1.0, True), (1.09, True), (0.92, True), (1.12, False), (0.9, False)])
 def test_the_improvement_must_be_that_of_the_simulation(on_um: float, passed: bool) -> None:
-    def comparison(rms_um: float) -> Comparison:
-        return Comparison(Accuracy(10.0, 0.0, {}), Accuracy(rms_um, 0.0, {}))
+    def comparison(rms_um: float) -> OffAndOn:
+        return OffAndOn(Accuracy(10.0, 0.0, {}), Accuracy(rms_um, 0.0, {}))
 
     assert improvement_check(comparison(on_um), comparison(1.0), [(4.0, 30.0)]).passed is passed
     short = improvement_check(comparison(9.0), comparison(1.0), [(4.0, 8.0)])
@@ -419,11 +419,11 @@ def test_lost_deadlines_are_put_down_to_their_cause() -> None:
         resources._workers.add(50_000)
     usual_ns, usual_wait_ns = 20 * 200_000, 20 * 50_000
     resources._lost = [
-        Step(20, 3, usual_ns + 3_000_000, 0, 0, 0),
-        Step(20, 5, usual_ns, 5_000_000, 0, 0),
-        Step(20, 7, usual_ns, 0, usual_wait_ns + 4_000_000, 0),
-        Step(20, 11, usual_ns, 0, usual_wait_ns, 0),
-        Step(20, 13, usual_ns + 40_000_000, 0, 0, 40_000_000),
+        TimeStretch(20, 3, usual_ns + 3_000_000, 0, 0, 0),
+        TimeStretch(20, 5, usual_ns, 5_000_000, 0, 0),
+        TimeStretch(20, 7, usual_ns, 0, usual_wait_ns + 4_000_000, 0),
+        TimeStretch(20, 11, usual_ns, 0, usual_wait_ns, 0),
+        TimeStretch(20, 13, usual_ns + 40_000_000, 0, 0, 40_000_000),
     ]
     found = resources.deadlines(1e6)
     assert (found.lost, found.own, found.taken_away, found.behind_worker) == (39, 3, 18, 7)
@@ -435,7 +435,7 @@ def test_lost_deadlines_are_put_down_to_their_cause() -> None:
     assert told.words.startswith("not judged, as this PC is shared: ")
 
 
-def _series(values: list[float]) -> Series:
-    out = Series()
+def _series(values: list[float]) -> ResourceSeries:
+    out = ResourceSeries()
     out.values.extend(values)
     return out

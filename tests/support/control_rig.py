@@ -10,7 +10,7 @@ from rtec.control.messages import SCHEMA
 from rtec.control.places import socket_path
 from rtec.correction.guard import Flag
 from rtec.daemon.status import Status
-from rtec.daemon.supervision import Parts
+from rtec.daemon.supervision import DaemonParts
 from rtec.log.events import Event, Events
 from rtec.loop.clock import RealClock
 from rtec.loop.orders import Order, OrderRefused
@@ -24,7 +24,7 @@ class FakeDaemon:
 
     def __init__(self, setup: Setup) -> None:
         self.setup, self.orders, self._events = setup, list[tuple[Order, str, str]](), Events(None)
-        self.parts = Parts(RealClock(), self.note)
+        self.parts = DaemonParts(RealClock(), self.note)
         self.status = Status(
             time_s=7200.0,
             time_ns=1,

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from rtec.daemon.supervision import Part
+from rtec.daemon.supervision import DaemonPart
 from rtec.loop.clock import VirtualClock
 
 
-def part(report: Callable[[str], None] = lambda _: None) -> Part:
+def part(report: Callable[[str], None] = lambda _: None) -> DaemonPart:
     """One that waits for half a second of real time behind its first fault."""
-    return Part("part", VirtualClock(10**12), report)
+    return DaemonPart("part", VirtualClock(10**12), report)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtec.errors import ConfigError
-from rtec.hil import Comparison, Course, FaultOrder, HilOrder, HilResult, SoakOrder, SoakResult, Tell
+from rtec.hil import Course, FaultOrder, HilOrder, HilResult, OffAndOn, SoakOrder, SoakResult, Tell
 from rtec.loop.records import MODE_OFF, MODE_ON
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS, Bus
@@ -24,7 +24,7 @@ from rtec_drivers.hil.findings import (
 from rtec_drivers.hil.logbook import held_spans
 from rtec_drivers.hil.reference import simulated_run
 from rtec_drivers.hil.soak import RECOVER_S, soak
-from rtec_drivers.hil.track import Track, accuracy, directions, errors_um
+from rtec_drivers.hil.track import TipTrack, accuracy, directions, errors_um
 from rtec_drivers.hil.wiring import Wiring, read_wiring
 
 WORDS: Mapping[Bus, str] = {
@@ -85,15 +85,17 @@ def _check_length(off_s: float, on_s: float, wiring: Wiring) -> None:
         )
 
 
-def _result(wiring: Wiring, order: HilOrder, off: BusRun, on: BusRun, simulated: tuple[Track, Track]) -> HilResult:
+def _result(
+    wiring: Wiring, order: HilOrder, off: BusRun, on: BusRun, simulated: tuple[TipTrack, TipTrack]
+) -> HilResult:
     names = directions(on.setup.machine)
     settle_s = wiring.options.settle_s
     off_s, on_s = (run.report.summary["cycles"] / run.setup.file.run.rate_hz for run in (off, on))
     found = faults_found(order.faults, on.logbook, on.track, on.watch, on_s, names)
     calm = [(settle_s, off_s)]
     quiet = unheld_spans(quiet_spans(found, settle_s, on_s), held_spans(on.logbook, on.start_ns))
-    buses = Comparison(accuracy(off.track, names, calm), accuracy(on.track, names, quiet))
-    alike = Comparison(accuracy(simulated[0], names, calm), accuracy(simulated[1], names, quiet))
+    buses = OffAndOn(accuracy(off.track, names, calm), accuracy(on.track, names, quiet))
+    alike = OffAndOn(accuracy(simulated[0], names, calm), accuracy(simulated[1], names, quiet))
     return HilResult(
         machine=on.setup.machine.name,
         rate_hz=on.setup.file.run.rate_hz,
@@ -123,7 +125,7 @@ def _timing(run: BusRun) -> dict[str, Any]:
     return {**{k: summary[k] for k in keys}, "devices": summary.get("devices", {})}
 
 
-def _course(off: Track, on: Track, names: tuple[str, ...]) -> Course:
+def _course(off: TipTrack, on: TipTrack, names: tuple[str, ...]) -> Course:
     """Both on the corrected run's instants, as far as the uncorrected one goes."""
     off_um = np.full((len(on.time_s), len(names)), np.nan)
     for k, column in enumerate(errors_um(off, names).T):

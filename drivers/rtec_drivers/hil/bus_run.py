@@ -8,8 +8,8 @@ from typing import Any
 from rtec.daemon.status import Report
 from rtec.loop.run_file import Setup
 from rtec_drivers.hil.logbook import Logbook
-from rtec_drivers.hil.track import Track
-from rtec_drivers.hil.watch import Watch
+from rtec_drivers.hil.track import TipTrack
+from rtec_drivers.hil.watch import FaultWatch
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class BusRun:
     setup: Setup
     report: Report
     start_ns: int
-    track: Track
+    track: TipTrack
     logbook: Logbook
     log: Path
     found: Mapping[str, Mapping[str, Any]]
-    watch: Watch
+    watch: FaultWatch
     warnings: Sequence[str]

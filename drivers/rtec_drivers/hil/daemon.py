@@ -16,8 +16,8 @@ from rtec.loop.state_files import state_places
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.far_sides import FarSides
 from rtec_drivers.hil.logbook import read_logbook
-from rtec_drivers.hil.track import Track
-from rtec_drivers.hil.watch import Watch
+from rtec_drivers.hil.track import TipTrack
+from rtec_drivers.hil.watch import FaultWatch
 from rtec_drivers.hil.wiring import TRACK, Wiring
 
 LEAST_MS, MOST_ROWS = 10, 200_000
@@ -64,7 +64,7 @@ def run_on_buses(
     tell(words, 0, 0)
     with _no_state_left(config), FarSides(config, folder, every_ms) as far:
         tenths = round(duration_s * 10)
-        watch = Watch(faults, wiring.buses, clock, lambda s: tell(words, round(s * 10), tenths))
+        watch = FaultWatch(faults, wiring.buses, clock, lambda s: tell(words, round(s * 10), tenths))
 
         def begin() -> None:
             watch.start_ns = clock.now_ns()
@@ -84,7 +84,7 @@ def run_on_buses(
             setup,
             report,
             watch.start_ns,
-            Track.load(folder / TRACK),
+            TipTrack.load(folder / TRACK),
             read_logbook(log, setup),
             log,
             found,

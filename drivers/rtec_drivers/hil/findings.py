@@ -5,13 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtec.hil import WITHIN, Check, Comparison, FaultFound, FaultOrder
+from rtec.hil import WITHIN, Check, FaultFound, FaultOrder, OffAndOn
 from rtec.replay.replay import replay_log
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS
 from rtec_drivers.hil.logbook import Logbook, held_spans
-from rtec_drivers.hil.track import Track, errors_um, inside
-from rtec_drivers.hil.watch import Watch
+from rtec_drivers.hil.track import TipTrack, errors_um, inside
+from rtec_drivers.hil.watch import FaultWatch
 
 AT_END_S = 0.05
 """Held so near to the end is held for good, as far as this run can tell."""
@@ -35,7 +35,12 @@ Spans = Sequence[tuple[float, float]]
 
 
 def faults_found(
-    faults: Sequence[FaultOrder], logbook: Logbook, track: Track, watch: Watch, on_s: float, names: Sequence[str]
+    faults: Sequence[FaultOrder],
+    logbook: Logbook,
+    track: TipTrack,
+    watch: FaultWatch,
+    on_s: float,
+    names: Sequence[str],
 ) -> list[FaultFound]:
     """What each of them did until the next one behind its end; those that overlap share what was held."""
     seconds, error = logbook.seconds(watch.start_ns), np.abs(errors_um(track, names))
@@ -174,7 +179,7 @@ def given_astray(run: BusRun) -> tuple[int, int]:
     return int(np.count_nonzero(~good)), len(row)
 
 
-def improvement_check(buses: Comparison, simulated: Comparison, quiet: Spans, judged: bool = True) -> Check:
+def improvement_check(buses: OffAndOn, simulated: OffAndOn, quiet: Spans, judged: bool = True) -> Check:
     """Is the correction as good behind real buses as without any?"""
     name = f"improvement within {100.0 * WITHIN:.0f} % of the all-simulated run"
     quiet_s = sum(high - low for low, high in quiet)

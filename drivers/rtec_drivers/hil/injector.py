@@ -19,7 +19,7 @@ Switch = Callable[[bool], None]
 
 
 @dataclass(frozen=True)
-class Event:
+class FaultSwitch:
     """A fault begins, or ends."""
 
     at_ns: int
@@ -43,7 +43,7 @@ class Injector:
     def start(self, start_ns: int, faults: Sequence[tuple[str, float, float]]) -> None:
         """Begin: faults are name, begin and end, s after `start_ns`. Those of other processes are left to them."""
         events = [
-            Event(start_ns + round(at_s * 1e9), name, begins)
+            FaultSwitch(start_ns + round(at_s * 1e9), name, begins)
             for name, begin_s, end_s in faults
             if name in self._switches
             for at_s, begins in ((begin_s, True), (end_s, False))
@@ -58,7 +58,7 @@ class Injector:
         if self._thread is not None:
             self._thread.join()
 
-    def _run(self, events: list[Event]) -> None:
+    def _run(self, events: list[FaultSwitch]) -> None:
         for event in events:
             if self._stop.wait(max(0.0, (event.at_ns - self._clock.now_ns()) * 1e-9)):
                 return

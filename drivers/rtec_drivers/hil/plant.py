@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rtec.sim.controller import COMMAND, MOTOR, READING, SLIDE
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.recording import recording_of
-from rtec_drivers.hil.track import Track
+from rtec_drivers.hil.track import TipTrack
 
 TRACED = [COMMAND, MOTOR, SLIDE, READING]
 Floats = NDArray[np.float64]
@@ -46,7 +46,7 @@ class Recorder:
         self._inserted.append(machine.inserted_counts)
         self._seconds.append(second)
 
-    def track(self) -> Track:
+    def track(self) -> TipTrack:
         """What the tip did. The machine's geometry is left at the last instant's temperatures."""
         geometry, axes = self._machine.geometry, self._machine.machine.axes
         per_mm = np.array([a.counts_per_mm for a in axes], np.float64)
@@ -57,7 +57,7 @@ class Recorder:
             mine = seconds == second
             geometry.set_temperatures(body_degc, float(second))
             tip_um[mine] = recording_of(geometry, per_mm, states[mine], times[mine]).tip_error_um
-        return Track((times - self._start_ns) * 1e-9, states[:, :, 0].copy(), tip_um, np.stack(self._inserted))
+        return TipTrack((times - self._start_ns) * 1e-9, states[:, :, 0].copy(), tip_um, np.stack(self._inserted))
 
 
 class Sensed:

@@ -11,13 +11,15 @@ from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import load_setup
 from rtec.loop.step import Step
 from rtec_drivers.hil.plant import Recorder
-from rtec_drivers.hil.track import Track
+from rtec_drivers.hil.track import TipTrack
 from rtec_drivers.sim import SimDriver
 
 TOLD_CYCLES = 1000
 
 
-def simulated_run(config: Path, duration_s: float, mode: int, every_ms: int, tell: Callable[[int, int], None]) -> Track:
+def simulated_run(
+    config: Path, duration_s: float, mode: int, every_ms: int, tell: Callable[[int, int], None]
+) -> TipTrack:
     """Live through so long a time.
 
     Args:

@@ -28,7 +28,7 @@ UNITS = {"memory": "MiB", "files": "", "threads": ""}
 
 
 @dataclass(frozen=True)
-class Step:
+class TimeStretch:
     """What the loop's process did between two looks.
 
     Attributes:
@@ -53,7 +53,7 @@ class Step:
 
 
 @dataclass
-class Series:
+class ResourceSeries:
     """One figure of one process over time, eight bytes a look: who watches memory must not grow himself."""
 
     values: "array[float]" = field(default_factory=lambda: array("d"))
@@ -72,11 +72,11 @@ class Resources:
     """
 
     def __init__(self) -> None:
-        self._series: dict[tuple[str, str], Series] = {}
+        self._series: dict[tuple[str, str], ResourceSeries] = {}
         self._next_s = 0.0
         self._loop: int | None = None
         self._before: tuple[int, int, int, int, int, int] | None = None
-        self._lost: list[Step] = []
+        self._lost: list[TimeStretch] = []
         self._cycles = 0
         self._cpu, self._workers = Histogram(), Histogram()
 
@@ -90,7 +90,7 @@ class Resources:
         self._next_s = status.time_s + PERIOD_S
         for name, pid in (("supervisor", os.getpid()), ("loop", self._loop)):
             for what, value in _figures(pid).items():
-                self._series.setdefault((name, what), Series()).values.append(value)
+                self._series.setdefault((name, what), ResourceSeries()).values.append(value)
 
     def found(self) -> list[Resource]:
         """Every figure: in the first, the second and the last third of the run."""
@@ -154,7 +154,7 @@ class Resources:
             self._before = now
         if now[0] == self._before[0]:
             return
-        step = Step(*(new - old for new, old in zip(now, self._before, strict=True)))
+        step = TimeStretch(*(new - old for new, old in zip(now, self._before, strict=True)))
         self._before = now
         self._cycles += step.cycles
         self._cpu.add(step.cpu_ns // step.cycles)
@@ -189,7 +189,7 @@ def _figures(pid: int | None) -> dict[str, float]:
     return {"memory": int(words["RssAnon"]) / 1024.0, "files": files, "threads": int(words["Threads"])}
 
 
-def _flat(what: str, series: Series) -> bool:
+def _flat(what: str, series: ResourceSeries) -> bool:
     """No larger in the last third than in the second."""
     _, middle, last = series.thirds()
     return last <= middle + (MEMORY_SLACK if what == "memory" else 0.0)

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Track:
+class TipTrack:
     """One row an instant.
 
     Attributes:
@@ -34,7 +34,7 @@ class Track:
         np.savez(path, **vars(self))
 
     @classmethod
-    def load(cls, path: Path) -> "Track":
+    def load(cls, path: Path) -> "TipTrack":
         """Read what `save` wrote."""
         with np.load(path, allow_pickle=False) as arrays:
             return cls(**{name: arrays[name] for name in cls.__dataclass_fields__})
@@ -45,7 +45,7 @@ def directions(machine: Machine) -> tuple[str, ...]:
     return tuple(d for d in "XYZ" if any(a.direction == d and a.compensate for a in machine.axes))
 
 
-def errors_um(track: Track, names: Sequence[str]) -> Floats:
+def errors_um(track: TipTrack, names: Sequence[str]) -> Floats:
     """Tip errors in some directions, (n, directions)."""
     return track.tip_um[:, ["XYZ".index(d) for d in names]]
 
@@ -58,7 +58,7 @@ def inside(time_s: Floats, spans: Sequence[tuple[float, float]]) -> NDArray[np.b
     return out
 
 
-def accuracy(track: Track, names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Accuracy:
+def accuracy(track: TipTrack, names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Accuracy:
     """How accurate the tip was in these spans of time."""
     error = errors_um(track, names)[inside(track.time_s, spans)]
     if not len(error):

@@ -28,7 +28,7 @@ class Told:
     texts: dict[str, str] = field(default_factory=dict)
 
 
-class Watch:
+class FaultWatch:
     """Looks at every status.
 
     Args:
