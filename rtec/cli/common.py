@@ -195,7 +195,7 @@ def _records(table: "Table", width: int) -> str:
         out.append(_folded(first or "-", width))
         lines = (f"{name}: {cell}" if name else cell for name, cell in zip(table.head[1:], rest, strict=True) if cell)
         out += [_folded(line, width, "  ", "    ") for line in lines]
-    return "\n".join(out)
+    return "\n".join([*out, ""])
 
 
 def _widths(table: "Table", width: int | None) -> "Sequence[int | None] | None":

@@ -137,10 +137,10 @@ def _one_of(d: Diagnosis) -> str:
         forms = "; its form cannot be determined from these data" if len(group) > 1 else ""
         return f"{first.label} is missing{forms}{more}: add it, then diagnose again"
     test = next((a.separating_test for a in rivals if a.separating_test), "")
-    way = f"; to separate them: {test}" if test else ""
+    way = f". To separate them: {test}" if test else ""
     return (
-        f"one of {', '.join(names[:4])} is missing, or more than one; they cannot be distinguished from these data "
-        f"(confounded){way}{more}"
+        f"one of {', '.join(names[:4])} is missing, or more than one; these data cannot distinguish them "
+        f"(confounded){more}{way}"
     )
 
 

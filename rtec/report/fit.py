@@ -29,7 +29,7 @@ def fit_page(r: Characterisation, figures: bool = True, files: Sequence[Path] = 
     """
     unit = UNITS[r.unit]
     warnings = [f"{w.text}. What to do: {w.remedy}." for w in r.warnings]
-    first = f" {counted(len(warnings), 'warning')}; the first: {r.warnings[0].text}." if warnings else ""
+    first = f" {counted(len(warnings), 'warning')}; the first: {r.warnings[0].text.split(';')[0]}." if warnings else ""
     return Page(
         title=f"Model of {r.model.machine.name}",
         lead=f"{counted(len(r.model.effects), 'effect')}, {counted(len(r.coefficients), 'coefficient')}: the residual "

@@ -72,7 +72,7 @@ def test_ch5_is_called_ambiguous() -> None:
     d = spindle("ch5")
     assert d.verdict == "ambiguous"
     assert len(d.group) > 1
-    assert "cannot be distinguished" in d.sentence
+    assert "cannot distinguish" in d.sentence
 
 
 def resolver() -> tuple[Measurement, tuple[Floats, Floats, Floats, Floats]]:

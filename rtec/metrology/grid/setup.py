@@ -256,7 +256,7 @@ def _edge_items(setup: GridSetup, along: int, letter: str, edges: Sequence[Edge]
     line, line_se = mean_curve([e.own for e in edges]).line_um
     out = [
         Item(
-            f"E{letter}{axis}", f"{axis} goes too far (plus) or not far enough over this travel", where, line, "µm",
+            f"E{letter}{axis}", f"linear deviation of {axis}, positive where it moves too far", where, line, "µm",
             COVERAGE * float(np.hypot(line_se, plate)),
         )
     ]  # fmt: skip
