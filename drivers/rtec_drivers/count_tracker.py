@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtec.errors import DriverFault
-from rtec.wording import significant
 
 NS = 1e-9
 SLACK_COUNTS = 2
@@ -83,8 +82,8 @@ class CountTracker:
         for axis, fastest in zip(self._axes, self._fastest, strict=True):
             if fastest * gap_s >= 2 ** (self.bits - 1):
                 self.lost = (
-                    f"axis {axis} was not read for {significant(gap_s)} s, in which a counter of {self.bits} bits may "
-                    "have gone round unseen: the position is not known"
+                    f"axis {axis} was not read for {gap_s:.3g} s, in which a counter of {self.bits} bits may have gone "
+                    "round unseen: the position is not known"
                 )
                 raise DriverFault(self.lost)
 
@@ -93,7 +92,7 @@ class CountTracker:
         for axis, fastest, old, new in zip(self._axes, self._fastest, before.values, after.values, strict=True):
             if abs(new - old) > fastest * span_s + SLACK_COUNTS:
                 return (
-                    f"axis {axis} jumped by {new - old} counts in {significant(span_s * 1e3)} ms, "
+                    f"axis {axis} jumped by {new - old} counts in {span_s * 1e3:.3g} ms, "
                     f"more than its highest speed allows ({fastest * span_s:.0f})"
                 )
         return ""

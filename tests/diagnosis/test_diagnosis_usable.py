@@ -169,7 +169,7 @@ def test_what_was_passed_over_is_told() -> None:
     first = result.steps[0]
     rivals = [r.label for r in first.passed_over]
     assert any("angular_reversal" in label for label in rivals)
-    assert "cannot tell it from" in first.notes[0]
+    assert "cannot distinguish it from" in first.notes[0]
     told = first.model.history[-1]["passed_over"]
     assert [r["effect"] for r in told] == rivals
     assert any(r.get("separating_test") for r in told)
