@@ -64,7 +64,7 @@ def rows() -> list[Row]:
 
 def _box() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     """Times of round trips, µs."""
-    with tempfile.TemporaryDirectory() as folder, _process(["-m", "rtec_drivers.box.process", f"{folder}/box"]):
+    with tempfile.TemporaryDirectory() as folder, _process(["-m", "rtec_drivers.box.simulator", f"{folder}/box"]):
         table = {"port": f"{folder}/box", "max_speed_mm_s": {"X": 400.0, "Z": 400.0}, "timeout_ms": 20.0}
         clock, machine = RealClock(), turning_centre()
         counts, output = np.zeros(2, np.int64), np.zeros(2, np.int64)

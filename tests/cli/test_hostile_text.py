@@ -44,7 +44,7 @@ from rtec.model import save_model
 from rtec.report.page import Page, Section, render, write_page
 from rtec.report.page import Table as PageTable
 from rtec.text import clean, clean_lines
-from rtec_drivers.zmq.commands import CommandAccount
+from rtec_drivers.zmq.driver import CommandAccount
 from rtec_drivers.zmq.message import read_answer
 from tests.support import setups
 from tests.support.control_rig import FakeDaemon

@@ -17,8 +17,7 @@ from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, Dr
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec.tomlfile import validated
 from rtec_drivers.ascii.driver import AsciiLinesDriver
-from rtec_drivers.ascii.options import AsciiOptions
-from rtec_drivers.ascii.text import LineParser, LineReader
+from rtec_drivers.ascii.text import AsciiOptions, LineParser, LineReader
 from rtec_drivers.pty_peer import PtyPeer
 from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files, soon
 

@@ -16,9 +16,8 @@ from typing import Any
 import pytest
 
 from rtec.tomlfile import validated
-from rtec_drivers.ascii.options import AsciiOptions
-from rtec_drivers.ascii.readings import ReadingBook
-from rtec_drivers.ascii.text import LineParser
+from rtec_drivers.ascii.driver import ReadingBook
+from rtec_drivers.ascii.text import AsciiOptions, LineParser
 from rtec_drivers.box import protocol as box
 from rtec_drivers.can import box_session as can_box_frames
 from rtec_drivers.can.signals import Dbc, ObjectType, SignalOptions

@@ -20,13 +20,13 @@ from rtec.correction.sinks import FollowingErrorSink, PulseSink
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import RealClock
 from rtec.tomlfile import validated
-from rtec_drivers.clock_offset import ClockOffset
 from rtec_drivers.registry import DRIVERS
-from rtec_drivers.zmq import sockets as zmq_sockets
+from rtec_drivers.zmq import link as zmq_link
 from rtec_drivers.zmq.driver import ZmqLinkDriver
+from rtec_drivers.zmq.link import ZmqOptions, leaves_computer
 from rtec_drivers.zmq.message import KEYS, Answer, StateMessage, read_answer, read_state
 from rtec_drivers.zmq.message import command as command_text
-from rtec_drivers.zmq.options import ZmqOptions, leaves_computer
+from rtec_drivers.zmq.states import ClockOffset
 from tests.support.box_rig import SPEED
 from tests.support.conformance import CONFIGS, MACHINE, DriverLaws, Rig, gives_back, open_files, soon
 from tests.support.zmq_rig import Cell, ipc_cell
@@ -366,7 +366,7 @@ def test_no_leak_over_1000_openings(tmp_path: Path) -> None:
 
 def test_a_far_end_that_comes_and_goes_a_thousand_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It vanishes and comes back as it was; nobody opens anything here. Oracle: files and threads of this process."""
-    monkeypatch.setattr(zmq_sockets, "RECONNECT_MS", 1)
+    monkeypatch.setattr(zmq_link, "RECONNECT_MS", 1)
     cell = ipc_cell(tmp_path)
     with driver(addresses(tmp_path, at_start="later", open_timeout_s=0.02)) as link:
 

@@ -44,8 +44,7 @@ from rtec_drivers.hil.watch import AFTER_S, FaultWatch
 from rtec_drivers.hil.wiring import read_wiring
 from rtec_drivers.modbus.driver import ModbusOptions
 from rtec_drivers.modbus.frame import HOLDING, INPUT, Request, find_rtu
-from rtec_drivers.pty_peer import PtyPeer
-from rtec_drivers.wire_faults import WireFaults
+from rtec_drivers.pty_peer import PtyPeer, WireFaults
 from tests.support import hil_rig, setups
 
 KNOWN = load_bench().faults()

@@ -15,8 +15,7 @@ from rtec_drivers.box import driver as serial_box
 from rtec_drivers.box.driver import SerialBoxDriver
 from rtec_drivers.box.options import BoxOptions
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant
-from rtec_drivers.pty_peer import PtyPeer
-from rtec_drivers.wire_faults import WireFaults
+from rtec_drivers.pty_peer import PtyPeer, WireFaults
 from tests.support.conformance import MACHINE
 
 MS = 1_000_000

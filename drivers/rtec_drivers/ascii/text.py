@@ -1,12 +1,103 @@
-"""From bytes to lines, and from lines to readings."""
+"""What a run file may say of a device that prints lines, and whether it fits the machine.
+
+From bytes to lines, and from lines to readings.
+"""
 
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, Literal, Self
 
+from pydantic import Field, model_validator
+
+from rtec.errors import ConfigError
 from rtec.machine import Machine
-from rtec_drivers.ascii.options import LINE_ENDS, AsciiOptions, compiled
+from rtec.quantities import MillimetresPerSecond, SecondsPositive
+from rtec.tomlfile import nearest
+from rtec_drivers.serial_line import PortOptions
+
+SPINDLE = "spindle_rpm"
+LINE_ENDS = {"lf": b"\n", "cr": b"\r", "crlf": b"\n"}
+"""The byte that ends a line; white space around it is stripped."""
+TEMPERATURE_UNITS = ("degc", "degf", "kelvin", "0.1degc", "0.01degc")
+LENGTH_UNITS = ("counts", "mm", "um", "inch")
+
+
+class AsciiOptions(PortOptions):
+    r"""Options of a readout or thermocouple board that prints lines of text.
+
+    Attributes:
+        patterns: regular expressions, each for one kind of whole line. A named group gives a reading: the name of one
+            of the machine's sensors, of one of its axes (a position; one line must then hold all of them), or
+            `spindle_rpm`.
+        units: of the groups: degc (not set: this), degf, kelvin, 0.1degc, 0.01degc for sensors; counts (not set:
+            this), mm, um, inch for axes.
+        max_speed_mm_s: highest speed of each axis, where a pattern names the axes; faster positions are refused.
+        decimal: the decimal sign.
+        line_end: how lines end.
+        encoding: of the text.
+        request: is sent to have a line printed, for devices that do not speak unasked. `\r` and `\n` as in TOML.
+        request_period_s: how often.
+        silent_reopen_s: after so long without any line that fits, the port is closed and opened again.
+        stuck_after_s: a reading that has not changed in its last digit for so long counts as a broken sensor. Not set:
+            never. Set it longer than the device's resolution lets a sound reading stand still.
+        longest_line: longer lines are garbage.
+    """
+
+    baud: Annotated[int, Field(ge=50, le=20_000_000)] = 9600
+    at_start: Literal["required", "later"] = "later"
+    patterns: Annotated[tuple[str, ...], Field(min_length=1)]
+    units: dict[str, str] = Field(default_factory=dict)
+    max_speed_mm_s: dict[str, MillimetresPerSecond] = Field(default_factory=dict)
+    decimal: Literal[".", ","] = "."
+    line_end: Literal["lf", "cr", "crlf"] = "lf"
+    encoding: Literal["ascii", "latin-1", "utf-8"] = "latin-1"
+    request: str | None = None
+    request_period_s: Annotated[float, Field(ge=0.001, le=3600)] = 1.0
+    silent_reopen_s: Annotated[float, Field(ge=1e-3, le=3600)] = 10.0
+    stuck_after_s: SecondsPositive | None = None
+    longest_line: Annotated[int, Field(ge=1, le=4096)] = 256
+
+    @model_validator(mode="after")
+    def _patterns_compile(self) -> Self:
+        for pattern in self.patterns:
+            try:
+                groups = re.compile(pattern).groupindex
+            except re.error as e:
+                raise ValueError(f"patterns: {pattern!r} is no regular expression: {e}") from e
+            if not groups:
+                raise ValueError(f"patterns: {pattern!r} has no named group, as in '(?P<T_bed>\\S+)'")
+        return self
+
+
+def compiled(options: AsciiOptions, machine: Machine) -> tuple[re.Pattern[str], ...]:
+    """The patterns, checked against the machine.
+
+    Raises:
+        ConfigError: groups or units that the machine or the driver does not know.
+    """
+    patterns = tuple(re.compile(p) for p in options.patterns)
+    axes, sensors = machine.axis_names, machine.sensor_names
+    groups = {name for p in patterns for name in p.groupindex}
+    known = (*sensors, *axes, SPINDLE)
+    faults = [
+        f"patterns: group {g!r} is no sensor or axis of machine {machine.name!r}{nearest(g, known)}"
+        for g in sorted(groups - set(known))
+    ]
+    for p in patterns:
+        some = [a for a in axes if a in p.groupindex]
+        if some and len(some) < len(axes):
+            faults.append(f"patterns: {p.pattern!r} gives axis {some[0]}; one line must give all: {', '.join(axes)}")
+    faults += [f"units: no group {n!r}{nearest(n, groups)}" for n in options.units if n not in groups]
+    for name, unit in options.units.items():
+        allowed = LENGTH_UNITS if name in axes else TEMPERATURE_UNITS if name in sensors else ("1/min",)
+        if unit not in allowed:
+            faults.append(f"units: {name} = {unit!r}{nearest(unit, allowed)}")
+    if faults:
+        raise ConfigError("\n".join(faults))
+    return patterns
+
 
 TO_DEGC = {
     "degc": (1.0, 0.0),

@@ -138,4 +138,4 @@ def _block(slave: int, code: int, group: list[tuple[str, Register]]) -> Block:
 
 
 def _folder() -> resources.abc.Traversable:
-    return resources.files("rtec_drivers") / "profiles"
+    return resources.files("rtec_drivers.modbus") / "profiles"
