@@ -1,6 +1,6 @@
-"""What happens to bytes on a wire, for tests and hardware in the loop.
+"""A simulated device behind a real serial port of the system, for tests and hardware in the loop.
 
-A simulated device behind a real serial port of the system: a pseudo terminal, a thread, and a cable to pull.
+A pseudo terminal, a thread, a cable to pull, and a wire that loses, doubles and damages bytes.
 """
 
 import os

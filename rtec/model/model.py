@@ -1,7 +1,4 @@
-"""The model: a machine plus fitted effects.
-
-How far a model's correction jumps when an axis turns round.
-"""
+"""The model: a machine plus fitted effects, and how far its correction jumps when an axis turns round."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field

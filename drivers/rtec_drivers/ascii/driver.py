@@ -1,7 +1,4 @@
-"""What a device that prints lines has said so far.
-
-Readouts and thermocouple boards that print lines of text on a serial port.
-"""
+"""Readouts and thermocouple boards that print lines of text on a serial port: counts, temperatures, spindle speed."""
 
 from pathlib import Path
 from types import TracebackType

@@ -1,7 +1,4 @@
-"""What a run file may say of a device that prints lines, and whether it fits the machine.
-
-From bytes to lines, and from lines to readings.
-"""
+"""From the bytes of a device that prints lines to readings, by the patterns and units that its run file names."""
 
 import math
 import re

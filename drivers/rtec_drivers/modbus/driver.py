@@ -1,7 +1,4 @@
-"""Temperatures over Modbus RTU and TCP, from modules with a shipped register map or one written in the run file.
-
-What a run file may say of a Modbus line and of the slaves on it.
-"""
+"""Temperatures over Modbus RTU and TCP, from modules with a shipped register map or one written in the run file."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

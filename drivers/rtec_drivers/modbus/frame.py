@@ -1,11 +1,9 @@
-"""Modbus frames: requests built, answers found, on a serial line (RTU) and over TCP.
+"""Modbus frames: requests built, answers found, and one request with its answer, on a serial line (RTU) and over TCP.
 
 Sources: MODBUS Application Protocol 1.1b3 and MODBUS over Serial Line 1.02 (modbus.org). Requests, answers and the
 checksum are pymodbus'. Finding the answer is done here, because an RTU answer carries no number of its request: only
 a frame of exactly the shape that was asked for, from the slave that was asked, with a good CRC, is an answer; whatever
-noise stands before or behind it.
-
-One request and its answer on an open Modbus line, in either framing.
+noise is before or behind it.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,7 +1,4 @@
-"""Commands to another process: what it has, what it answers, and whether it may be commanded at all.
-
-Counts and temperatures from another process, and commands to it, by ZeroMQ (`docs/zmq-link.md`).
-"""
+"""Counts and temperatures from another process, and commands to it, by ZeroMQ (`docs/zmq-link.md`)."""
 
 import math
 from collections.abc import Mapping, Sequence

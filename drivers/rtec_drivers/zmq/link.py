@@ -1,7 +1,4 @@
-"""What a run file may say of a ZeroMQ link, and its keys.
-
-The two sockets of the ZeroMQ link; nothing here waits, but for `wait`.
-"""
+"""The two sockets of a ZeroMQ link and the keys that protect them; nothing here waits, but for `wait`."""
 
 import ipaddress
 import re

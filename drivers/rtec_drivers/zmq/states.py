@@ -1,6 +1,6 @@
-"""How far another computer's clock is off, from messages that carry their instant of sending.
+"""The newest of everything that another process published, with instants of our clock.
 
-The newest of everything that another process published, with instants of our clock.
+How far the other computer's clock is off follows from messages that carry their instant of sending.
 """
 
 from dataclasses import dataclass

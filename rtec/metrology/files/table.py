@@ -1,8 +1,7 @@
 """Numbers out of CSV and Parquet. The quick reader takes what is plain; the exact one says what is wrong and where.
 
-One cell: a number, or what is wrong with it and what to do.
-
-How the text of a table is written: hash, encoding, byte order mark; nothing is guessed that could be wrong.
+The text itself is looked over first, in one pass: hash, encoding, byte order mark, length of its lines; nothing is
+guessed that could be wrong.
 """
 
 import codecs
