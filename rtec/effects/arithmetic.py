@@ -1,16 +1,14 @@
-"""Arithmetic written as text: parsed, walked, and let through only where it is on the list.
+"""Arithmetic written as text: what is let through, which of its parameters are coefficients, and their units.
 
-Numbers, names, `+ - * / **` and a few functions; nothing in the text is ever run as code.
+Numbers, names, `+ - * / **` and a few functions are let through; nothing in the text is ever run as code. A parameter
+in which the text is linear is a coefficient; `A sin(w + φ)` is written as sine and cosine, so that its phase is
+linear, too.
 
-Which parameters of an expression are coefficients, which are phases; and `A sin(w + φ)` as sine and cosine.
-
-Units of the parameters of an expression, worked out from the units of its channels as far as they follow.
-
-Each part of the expression has a unit, a product of powers; a parameter's is unknown at first. What is added up, or
-compared by `min` and `max`, has one unit; what stands in `sin`, `exp` and their like has none; the time constant of
-`lag` is in seconds; the whole is in the unit of the component. These equations are solved one unknown at a time;
-where all have several unknowns, as in `A*(x/p)**2`, the coefficient is taken to be in the component's unit.
-Numbers have no unit of their own: in a sum they take the other's, in a product they have none.
+Units follow from those of the channels. What is added, or compared by `min` and `max`, has one unit; what is in
+`sin`, `exp` and their like has none; the time constant of `lag` is in seconds; the whole is in the unit of the
+component. These equations are solved one unknown at a time; where all have several unknowns, as in `A*(x/p)**2`, the
+coefficient is taken to be in the component's unit. Numbers have no unit of their own: in a sum they take the other's,
+in a product none.
 """
 
 import ast

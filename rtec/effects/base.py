@@ -1,7 +1,4 @@
-"""What an effect is: arguments, parameters with units, and basis functions of the state.
-
-What a set of measurements offers to an effect that looks for its arguments, and what it lacks.
-"""
+"""What an effect is: arguments, parameters with units, basis functions of the state; and what readings must offer."""
 
 import itertools
 from abc import ABC, abstractmethod

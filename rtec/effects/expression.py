@@ -1,10 +1,9 @@
 """An effect of the user's own, written as an expression over channels (arithmetic.py says what is let through).
 
-An expression typed on the command line becomes an effect: `--expr "A*sin(2*pi*y/p + phi)" --param p=37:3..200`.
-
-Names that are neither channels nor declared are fitted: those in which the expression is linear as coefficients. An
-amplitude with a phase, `A*sin(w + phi)`, becomes `A_sin*sin(w) + A_cos*cos(w)`, which is linear and finds its phase
-wherever it is: `A = hypot(A_sin, A_cos)`, `phi = atan2(A_cos, A_sin)` (for a cosine, `phi = atan2(-A_sin, A_cos)`).
+On the command line: `--expr "A*sin(2*pi*y/p + phi)" --param p=37:3..200`. Names that are neither channels nor
+declared are fitted: those in which the expression is linear as coefficients. An amplitude with a phase, `A*sin(w +
+phi)`, becomes `A_sin*sin(w) + A_cos*cos(w)`, which is linear and finds its phase wherever it is: `A = hypot(A_sin,
+A_cos)`, `phi = atan2(A_cos, A_sin)` (for a cosine, `phi = atan2(-A_sin, A_cos)`).
 """
 
 import ast

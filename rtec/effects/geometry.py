@@ -1,8 +1,4 @@
-"""Position errors along an axis: quasi-static geometry (catalogue A1).
-
-Symbols: `q` axis position, mm; `u` position scaled to -1 … +1 over the travel; `e` the component error, µm or µrad.
-
-Lines of travel: straightness, angles, squareness; quasi-static geometry (catalogue A1).
+"""Quasi-static geometry (catalogue A1): position errors along an axis, straightness, angles and squareness of its line.
 
 Symbols: `q` axis position, mm; `u` position scaled to -1 … +1 over the travel; `e` the component error, µm or µrad.
 """

@@ -1,9 +1,8 @@
 """The registry: every effect by name, literally; and those of installed plug-ins.
 
-Effects of other packages, found by the entry point `rtec.effects`: name of the effect -> its class.
-
-They are loaded when the first name that is not built in is asked for. A plug-in that cannot be loaded takes nothing
-else with it: what is wrong is kept as text, told by `rtec effects`, and told again where its effect is wanted.
+Plug-ins come by the entry point `rtec.effects`: name of the effect -> its class. They are loaded when the first name
+that is not built in is asked for. A plug-in that cannot be loaded takes nothing else with it: what is wrong is kept
+as text, shown by `rtec effects`, and shown again where its effect is asked for.
 """
 
 import functools

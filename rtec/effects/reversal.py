@@ -1,8 +1,4 @@
-"""Play: effects of the direction of motion (catalogue A2).
-
-Symbols: `d` last non-zero direction of motion, -1 or +1, 0 before the first motion; `u` position scaled to -1 … +1.
-
-Reversal errors beyond play: tipping, and what fades with distance or feed (catalogue A2).
+"""Effects of the direction of motion (catalogue A2): play, tipping, and what fades after a reversal.
 
 Symbols: `d` last non-zero direction of motion, -1 or +1, 0 before the first motion; `u` position scaled to -1 … +1.
 """

@@ -1,17 +1,7 @@
-"""Thermal effects along an axis, and what effects of one temperature share (catalogue A4).
+"""Thermal effects (catalogue A4): along an axis, bending by a difference, shifts of what carries tool and part.
 
-Symbols: `ΔT` temperature above the model's reference, K; `q` position, mm; `L[·]` first-order lag with time
-constant τ, `τ L' + L = u`; `n` spindle speed, 1/min. Coefficients are in the component's unit, µm or µrad.
-
-Parts that bend or tilt by a temperature difference (catalogue A4).
-
-Symbols: `ΔT` temperature above the model's reference, K; `q` position, mm; `L[·]` first-order lag with time
-constant τ, `τ L' + L = u`; `n` spindle speed, 1/min. Coefficients are in the component's unit, µm or µrad.
-
-Thermal shifts of whatever carries tool and work piece (catalogue A4).
-
-Symbols: `ΔT` temperature above the model's reference, K; `q` position, mm; `L[·]` first-order lag with time
-constant τ, `τ L' + L = u`; `n` spindle speed, 1/min. Coefficients are in the component's unit, µm or µrad.
+Symbols: `ΔT` temperature above the model's reference, K; `q` position, mm; `L[·]` first-order lag with time constant
+τ, `τ L' + L = u`; `n` spindle speed, 1/min. Coefficients are in the component's unit, µm or µrad.
 """
 
 import itertools

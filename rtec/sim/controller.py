@@ -8,11 +8,10 @@ Each tick, per axis (positions mm, h the servo period, all in the order below):
     motor    first-order drive with time constant τ, exact over h
     play     the slide follows the motor within ± half the backlash
     reading  = base + a1 sin(ωb + φ1) + a2 sin(2ωb + φ2) + table(b),  b = motor, or the slide where there is a scale
-    counts   = floor(reading · c + ½)      (the zero mark stands in the middle of count 0)
+    counts   = floor(reading · c + ½)      (the zero mark is in the middle of count 0)
 
-`counts + inserted` is what the controller sees, so +k inserted counts stop the slide k counts sooner.
-
-Numbers that the compiled controller runs on, from the truth.
+`counts + inserted` is what the controller sees, so +k inserted counts stop the slide k counts sooner. The numbers come
+from the truth.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The true errors of every link at a position, at the temperatures of one second.
+"""The true errors of every link at a position, at the temperatures of one second, and where the tool tip really is.
 
 Symbols: `r` what the encoder shows, `m` motor (screw) position, `p` the same after the play, `s` where the slide
 is; all mm along the axis, positive as programmed. `g` is the positioning error of screw or scale, µm.
@@ -8,9 +8,8 @@ is; all mm along the axis, positive as programmed. `g` is the positioning error 
 
 Everything along the axis reaches the chain as `s - r`, which is what `EXX` of the axis is [ISO 230-1].
 
-Where the tool tip really is: the product of homogeneous transforms along both sides of the machine, in full.
-
-Written apart from `rtec.machine` on purpose: the simulated truth must not lean on what it is there to test.
+The tool tip is the product of homogeneous transforms along both sides of the machine, in full; written apart from
+`rtec.machine` on purpose: the simulated truth must not lean on what it is there to test.
 
     tool side:  T = Trans(offset + q·(d + ε0 × d)) · E(ε, δ)           work side:  Trans(offset - …) · E(-ε, -δ)
     fixed link: T = Trans(offset) · E(ε, δ), its own displacement in machine coordinates, on either side

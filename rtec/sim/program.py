@@ -1,13 +1,12 @@
-"""A small reader of part programs: G0 G1 G2 G3 G4, G17-G19, S, M3 M4 M5; the rest of the language is not needed.
+"""A small reader of part programs, and the table of moves that the controller's interpolator works on.
 
-One block a line. Axis words are absolute, mm (X is a radius, not a diameter); F is mm/min; arcs give their centre
-by I J K relative to the start; G4 waits P seconds. Comments: `( … )` and `; …`. `M2` and `M30` end the program.
+G0 G1 G2 G3 G4, G17-G19, S, M3 M4 M5; the rest of the language is not needed. One block a line. Axis words are
+absolute, mm (X is a radius, not a diameter); F is mm/min; arcs give their centre by I J K relative to the start; G4
+waits P seconds. Comments: `( … )` and `; …`. `M2` and `M30` end the program.
 
-Moves as rows of one table, and where a row is at a time: what the interpolator of the controller works on.
-
-Every move starts and ends at rest with constant acceleration between (trapezoidal speed along the path).
-A row's columns are named below; the last `2 · axes` are start and displacement of every axis. Times are in
-servo ticks, whole numbers, so that a program repeats without a remainder.
+Every move starts and ends at rest with constant acceleration between (trapezoidal speed along the path). A row's
+columns are named below; the last `2 · axes` are start and displacement of every axis. Times are in servo ticks, whole
+numbers, so that a program repeats without a remainder.
 """
 
 import math

@@ -1,8 +1,8 @@
 """An encoder box in software, for tests and hardware in the loop: bytes in, bytes out.
 
-Written from `docs/rtec-box-link.md` alone, byte by byte as firmware would be; it shares no code with the driver, so that
-each checks the other. `pty_peer` puts it behind a serial port; `python -m rtec_drivers.box.simulator LINK` is one in a
-process of its own, until its input ends.
+Written from `docs/rtec-box-link.md` alone, byte by byte as firmware would be. It shares no code with the driver, so
+each checks the other. `pty_peer` puts it behind a serial port; `python -m rtec_drivers.box.simulator LINK` is one in
+a process of its own, until its input ends.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """The columns that a measurement file may have, and what is wrong with those that it may not.
 
-Ball-bar tables: angles become positions, and what the circle says about the axes becomes channels.
+In a ball-bar table angles become positions, and what the circle says about the axes becomes channels.
 """
 
 import difflib

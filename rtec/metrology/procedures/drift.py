@@ -1,13 +1,11 @@
 """Spindle thermal drift [G 3.5]: constant speed for hours, then off overnight, at several speeds.
 
-The record is cut into phases of constant speed; each phase is a first-order approach to a new state,
-`y = start + change · (1 - exp(-t/τ))`. Radial, axial, and tilt = (radial 1 - radial 2) / distance of the probes.
+The record is cut into phases of constant speed; each phase is a first-order approach to a new state, `y = start +
+change · (1 - exp(-t/τ))`. Radial, axial, and tilt = (radial 1 - radial 2) / distance of the probes.
 
-First-order approach to a new state, with an interval for its time constant that does not flatter.
-
-`y = start + change · (1 - exp(-t/τ))`: for each τ of a grid the two others follow by linear least squares (variable
-projection); the interval holds every τ whose residual an F test does not refuse. Readings in a row are not independent,
-so they count as n / correlation time. Where one time constant leaves a shape behind, two are tried.
+For each τ of a grid start and change follow by linear least squares (variable projection); the interval of τ holds
+every value whose residual an F test does not refuse. Readings in a row are not independent, so they count as n /
+correlation time. Where one time constant leaves a shape in the residual, two are tried.
 """
 
 from collections.abc import Mapping, Sequence

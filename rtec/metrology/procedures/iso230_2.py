@@ -3,13 +3,9 @@
 x_ij: actual minus target position at target i (m of them) in cycle j (n of them); ↑ approached in the positive
 direction, ↓ in the negative one. All in µm. Figures that need both directions are None where only one was measured.
 
-Drift between the cycles of a positioning test, told apart from repeatability.
-
-ISO 230-2 takes all scatter at a target as repeatability. When the axis warms up during the test, the cycles as a whole
-move, and that is no scatter: the same cycle is off in the same way at every target. A two-way layout separates them:
-`x_ij - x̄_i = zero of cycle j + stretch of cycle j × position + rest`.
-
-From the rows of a positioning measurement to the visits of each target.
+The standard takes all scatter at a target as repeatability. When the axis warms up during the test, the cycles as a
+whole move, and that is no scatter: the same cycle is off in the same way at every target. A two-way layout separates
+them: `x_ij - x̄_i = zero of cycle j + stretch of cycle j × position + rest`.
 """
 
 from collections.abc import Sequence

@@ -1,14 +1,14 @@
-"""Straightness with an artefact and its reversal [G 3.1-3.3], by a pair of probes, and on a turned face [G 3.6-3.8].
+"""Straightness [G 3.1-3.3, 3.6-3.8] and parallelism to the spindle [G 3.4-3.5], with probes on an arbor or a face.
 
-Probes read positive as the gap closes; probe 1 stands on the positive side of the arbor, probe 2 on the negative one.
-Straightness is that of the probes' motion relative to the artefact, positive in the positive direction of the machine
-coordinate. With probes that read positive as the gap opens, give the readings with the other sign.
+Straightness: an artefact and its reversal, a pair of probes, or a turned face. Probes read positive as the gap
+closes; probe 1 is on the positive side of the arbor, probe 2 on the negative one. The result is that of the probes'
+motion relative to the artefact, positive in the positive direction of the machine coordinate. With probes that read
+positive as the gap opens, give the readings with the other sign.
 
-Parallelism of a motion to the axis of the spindle by best-fit circles [G 3.4-3.5].
-
-Two probes 180° apart read a turning arbor at two or more places along the motion. Its mean over a turn frees a reading
-from the arbor's eccentricity; the difference of the probes frees it from the arbor's taper. The straightness of the
-motion at the places measured stays in (the text of [G 3.4] hopes otherwise): more places average it.
+Parallelism: two probes 180° apart read a turning arbor at two or more places along the motion. Its mean over a turn
+frees a reading from the arbor's eccentricity; the difference of the probes frees it from the arbor's taper. The
+straightness of the motion at the places measured remains (the text of [G 3.4] hopes otherwise): more places average
+it.
 """
 
 from dataclasses import dataclass

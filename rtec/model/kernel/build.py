@@ -1,9 +1,8 @@
 """Turns kernel source into functions: numba where it is there, kept on disk; plain Python where it is not.
 
-Sine and cosine of the kernel: quicker than two library calls, and the same to the last bit on every machine.
-
-Reduction by π/2 in three parts (Cody and Waite), then the Taylor series on -π/4 … π/4; the first term left out is
-below 5e-17, so the result is within an ulp or so of the library's.
+Sine and cosine are the kernel's own: quicker than two library calls, and the same to the last bit on every machine.
+Reduction by π/2 in three parts (Cody and Waite), then the Taylor series on -π/4 … π/4; the first term omitted is below
+5e-17, so the result is within an ulp or so of the library's.
 """
 
 import hashlib

@@ -1,13 +1,11 @@
-"""Symbols that record the arithmetic done on them, so that effects written for numpy become kernel source.
+"""What the kernel has to compute, and when: effects written for numpy are run on symbols, and the result is sorted.
 
-Nodes are interned: the same arithmetic on the same inputs is one node, which is how effects that share `u²` share
-its computation. Constants fold, `0·x`, `1·x` and `0+x` vanish.
+The symbols record the arithmetic done on them. Nodes are interned: the same arithmetic on the same inputs is one
+node, which is how effects that share `u²` share its computation. Constants fold, `0·x`, `1·x` and `0+x` vanish.
 
-What the kernel has to compute, and when: sorts a model's arithmetic into slow and fast.
-
-Slow is what depends on temperatures, spindle speed, load, force and parameters only: worked out anew when a sensor
-has a new reading. Fast is what depends on the motion of an axis: worked out every cycle. Each term `coefficient ·
-basis` is split into a slow and a fast factor, and all terms of a component with the same fast factor become one:
+Slow is what depends on temperatures, spindle speed, load, force and parameters only: computed when a sensor has a new
+reading. Fast is what depends on the motion of an axis: computed every cycle. Each term `coefficient · basis` is split
+into a slow and a fast factor, and all terms of a component with the same fast factor become one:
 
     component = Σ_F (Σ coefficient · slow) · F        F: product of fast nodes, 1 for none
 
