@@ -39,7 +39,7 @@ class Backoff:
         self._next_ns = self._first_ns
 
 
-class Link(Protocol):
+class OpenLink(Protocol):
     """What a worker opens."""
 
     def close(self) -> None:
@@ -47,7 +47,7 @@ class Link(Protocol):
         ...
 
 
-L = TypeVar("L", bound=Link)
+L = TypeVar("L", bound=OpenLink)
 
 
 class Worker(Generic[L]):

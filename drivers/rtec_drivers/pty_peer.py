@@ -77,7 +77,7 @@ class WireFaults:
         return message
 
 
-class Peer(Protocol):
+class SimulatedPeer(Protocol):
     """A device as its line sees it."""
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
@@ -103,7 +103,7 @@ class PtyPeer:
         lock: held while the device works; take it to look at the device or to change it.
     """
 
-    def __init__(self, peer: Peer, clock: Clock, link: Path, period_s: float = 0.01) -> None:
+    def __init__(self, peer: SimulatedPeer, clock: Clock, link: Path, period_s: float = 0.01) -> None:
         self.peer, self.link, self.faults, self.lock = peer, link, WireFaults(), threading.Lock()
         self._clock, self._period_s = clock, period_s
         self._master = self._slave = -1

@@ -145,7 +145,7 @@ class _Snapshot:
     time_ns: IntArray
 
 
-class Readings:
+class TemperatureReadings:
     """Newest believed temperature of each sensor of one device, and what is wrong with the others.
 
     Args:

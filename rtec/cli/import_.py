@@ -10,7 +10,7 @@ from rtec.cli.common import Json, print_json
 if TYPE_CHECKING:
     from rtec.metrology.importing import Imported
     from rtec.metrology.measurement import Measurement
-    from rtec.metrology.readers import Source, Table
+    from rtec.metrology.readers import ForeignTable, SourceOptions
 
 
 def import_(
@@ -100,7 +100,7 @@ def _show(done: "Imported", measurement: "Measurement | None", table: Path, *, a
 def _look(file: Path, map_: Path | None, reader: str | None, *, as_json: bool) -> None:
     from rtec.errors import MeasurementError
     from rtec.metrology.importing import starter_map
-    from rtec.metrology.readers import Source as Told
+    from rtec.metrology.readers import SourceOptions as Told
     from rtec.metrology.readers import read_tables
     from rtec.tomlfile import read_toml, validated
 
@@ -116,14 +116,14 @@ def _look(file: Path, map_: Path | None, reader: str | None, *, as_json: bool) -
     typer.echo(starter_map(name, tables).replace("[source]\n", f"[source]\n{_as_told(how)}", 1))
 
 
-def _as_told(how: "Source") -> str:
+def _as_told(how: "SourceOptions") -> str:
     """What the user's map says of the file, for the map that is shown."""
     import tomli_w
 
     return tomli_w.dumps(how.model_dump(mode="json", exclude_defaults=True, exclude={"reader", "table"}))
 
 
-def _facts(table: "Table") -> dict[str, object]:
+def _facts(table: "ForeignTable") -> dict[str, object]:
     return {
         "name": table.name,
         "rows": len(table),

@@ -91,11 +91,11 @@ def simulate(
     --effect scale,component=EXX,axis=X,k=12 -o out/laser-x --seed 3`
     """
     from rtec.machine import load_machine
-    from rtec.sim.campaign.request import Order, settings_of, table_path
+    from rtec.sim.campaign.request import SimulationOrder, settings_of, table_path
     from rtec.sim.campaign.truth import truth_of
 
     described = load_machine(machine)
-    made = Order(instrument, axis, component, setup or ()).make(described)
+    made = SimulationOrder(instrument, axis, component, setup or ()).make(described)
     true = truth_of(described, truth, effect or ())
     ways = False if one_way else None
     targets = {"range_mm": span, "step_mm": step, "keep_step": keep_step or None, "dwell_s": dwell}

@@ -19,7 +19,7 @@ from rtec.machine import Machine
 from rtec.model import Model
 from rtec.sim.controller import COMMAND, MOTOR, READING, SLIDE
 from rtec.sim.machine import SimulatedMachine
-from rtec.sim.recording import Recording, recording_of
+from rtec.sim.recording import MotionRecording, recording_of
 from rtec.sim.truth import Truth
 
 Progress = Callable[[int, int], None]
@@ -38,7 +38,7 @@ class Book:
         self._pieces: list[dict[str, Any]] = []
         self.part = -1
 
-    def write(self, seen: Recording, cutting: bool, inserted: Any) -> None:
+    def write(self, seen: MotionRecording, cutting: bool, inserted: Any) -> None:
         """Take what was seen; temperatures are those of now."""
         n = len(seen.time_ns)
         surface = surface_of(seen.commanded_mm) if cutting else np.full(n, OTHER, np.int64)
@@ -56,7 +56,7 @@ class Book:
         sim, none = self._machine, np.full((1, 3), np.nan)
         counts, here = sim.raw_counts[None], sim.commanded_mm[None]
         reading = counts.astype(np.float64) + 0.5
-        standing = Recording(np.array([sim.time_ns]), here, here, counts, reading, none, none)
+        standing = MotionRecording(np.array([sim.time_ns]), here, here, counts, reading, none, none)
         self.write(standing, False, sim.inserted_counts)
 
     def track(self) -> Track:

@@ -28,7 +28,7 @@ from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model import Model
 from rtec.model.kernel import build as elementary
 from rtec.model.kernel.build import build_module
-from rtec.model.kernel.trace import Plan, plan_model
+from rtec.model.kernel.trace import KernelPlan, plan_model
 from rtec.model.kernel.write import EXTRA_ARRAYS, LAG_SLOTS, write_kernel
 from rtec.quantities import Kilograms, Newtons
 from rtec.tomlfile import Strict
@@ -360,7 +360,7 @@ def _apart(a_s: float, b_s: float) -> float:
     return abs(math.log(a_s / b_s)) if min(a_s, b_s) > 0.0 else math.inf
 
 
-def _text(plan: Plan, n: int, values: Sequence[float]) -> str:
+def _text(plan: KernelPlan, n: int, values: Sequence[float]) -> str:
     node = plan.graph.nodes[n]
     if node.op == "param":
         return repr(values[int(node.key or 0)])

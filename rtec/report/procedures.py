@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec import __version__
-from rtec.metrology.procedures.drift import Approach, Drift, Phase, PhaseFit, Trace
+from rtec.metrology.procedures.drift import Approach, Drift, PhaseFit, SpeedPhase, Trace
 from rtec.metrology.procedures.iso230_2 import Positioning
-from rtec.metrology.procedures.straightness import Parallelism, Straightness
+from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
 from rtec.report import procedures_figures as draw
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.wording import number
@@ -133,7 +133,7 @@ def _section(r: Drift, trace: Trace) -> Section:
     return Section(f"{trace.name}, {trace.unit}", [], Table(HEAD, rows, words=(9,)))
 
 
-def _row(phase: Phase, fit: PhaseFit) -> list[str]:
+def _row(phase: SpeedPhase, fit: PhaseFit) -> list[str]:
     start = [f"{phase.rpm:.0f}", f"{phase.hours:.1f}", f"{phase.start_h:.1f}", number(fit.measured, 1)]
     if fit.approach is None:
         return [*start, "–", "–", "–", "–", "–", fit.why]
@@ -211,7 +211,7 @@ STRAIGHTNESS_FORMULAS = {
 }
 
 
-def straightness_page(name: str, axis: str, r: Straightness, figures: bool = True) -> Page:
+def straightness_page(name: str, axis: str, r: StraightnessResult, figures: bool = True) -> Page:
     """The page for one straightness; without figures it is what the terminal shows."""
     se = f" ± {2 * r.point_se_um:.2f} µm a point" if np.isfinite(r.point_se_um) else ""
     numbers = [(f"{r.peak_to_valley_um:.2f}\u00a0µm", "straightness, largest minus smallest")]
@@ -243,7 +243,7 @@ def straightness_page(name: str, axis: str, r: Straightness, figures: bool = Tru
     )
 
 
-def _straightness_figure(axis: str, r: Straightness) -> Figure:
+def _straightness_figure(axis: str, r: StraightnessResult) -> Figure:
     below = "Tilt of the face, e" if r.method == "face" else "Profile of the arbor, best-fit line taken out"
     title = f"Straightness of {axis}: {r.peak_to_valley_um:.2f} µm"
     png = draw.straightness(
@@ -252,7 +252,7 @@ def _straightness_figure(axis: str, r: Straightness) -> Figure:
     return Figure("straightness.png", png, f"{title}, over position, and below it what the artefact adds.")
 
 
-def parallelism_page(name: str, axis: str, r: Parallelism, figures: bool = True) -> Page:
+def parallelism_page(name: str, axis: str, r: ParallelismResult, figures: bool = True) -> Page:
     """The page for one parallelism; without figures it is what the terminal shows."""
     rows = [
         ["α_p: spindle's axis seen from the motion [G 3.5]", number(r.alpha_urad), "µrad"],

@@ -38,7 +38,7 @@ from rtec.sim.program import (
     SPEED,
     START,
     SWEEP,
-    Reader,
+    ProgramReader,
     table_of,
 )
 from rtec.sim.truth import Truth
@@ -225,7 +225,7 @@ def at_rest(machine: Machine, geometry: Geometry, start_mm: ArrayLike) -> tuple[
     return axes, counts
 
 
-def program_table(reader: Reader, truth: Truth, text: str, repeat: bool) -> Floats:
+def program_table(reader: ProgramReader, truth: Truth, text: str, repeat: bool) -> Floats:
     """A part program as rows of `rtec.sim.program`; one that repeats ends with a rapid move back to its start.
 
     Raises:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.machine import Axis, Machine
-from rtec.sim.truth import AxisTruth, Drift, Growth, Truth
+from rtec.sim.truth import AxisTruth, Growth, Truth, UnseenDrift
 
 Floats = NDArray[np.float64]
 DIRECTIONS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
@@ -250,7 +250,7 @@ class Geometry:
             errors[:, row, self._along[a]] += 1e3 * (slide_mm[:, a] - reading_mm[:, a])
         return self.chain.tip_mm(reading_mm, errors[:, :, :3] * 1e-3, errors[:, :, 3:] * 1e-6, self._square * 1e-6)
 
-    def _slot(self, machine: Machine, item: Growth | Drift) -> tuple[int, int, bool]:
+    def _slot(self, machine: Machine, item: Growth | UnseenDrift) -> tuple[int, int, bool]:
         if item.motion.endswith("0"):
             return machine.axis_names.index(item.link), "ABC".index(item.motion[0]), True
         return self.chain.links.index(item.link), LETTERS.index(item.motion), False

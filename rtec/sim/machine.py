@@ -12,8 +12,8 @@ from rtec.sim import controller as c
 from rtec.sim.controller import at_rest, program_table, servo_parameters, table_nodes_mm
 from rtec.sim.geometry import Geometry
 from rtec.sim.lines import lines_between
-from rtec.sim.program import END, POSITIONS, Reader
-from rtec.sim.recording import Recording, recording_of
+from rtec.sim.program import END, POSITIONS, ProgramReader
+from rtec.sim.recording import MotionRecording, recording_of
 from rtec.sim.thermal import ThermalNetwork
 from rtec.sim.truth import Truth, check_truth
 
@@ -82,13 +82,13 @@ class SimulatedMachine:
         self._spindle[c.SPINDLE_RPM] = spindle_rpm
         self._warm()
 
-    def record_to(self, time_ns: int, every_ns: int = 1_000_000) -> Recording:
+    def record_to(self, time_ns: int, every_ns: int = 1_000_000) -> MotionRecording:
         """As `advance_to`, and give what happened at every multiple of `every_ns` on the way."""
         stride = max(1, every_ns // self._period_ns)
         pieces = [self._run_recorded(ticks, stride) for ticks in iter(lambda: self._ticks_to(time_ns), 0)]
-        names = Recording.__dataclass_fields__
+        names = MotionRecording.__dataclass_fields__
         empty = self._recording(self._no_trace, np.zeros(0, np.int64))
-        return Recording(**{k: np.concatenate([getattr(p, k) for p in (empty, *pieces)]) for k in names})
+        return MotionRecording(**{k: np.concatenate([getattr(p, k) for p in (empty, *pieces)]) for k in names})
 
     def load_program(self, text: str, repeat: bool = False) -> None:
         """Start a part program (`rtec.sim.program`) here and now.
@@ -100,7 +100,7 @@ class SimulatedMachine:
         """
         start = tuple(float(v) for v in self.commanded_mm)
         travel = tuple(a.travel_mm for a in self.machine.axes)
-        reader = Reader(self.machine.axis_names, travel, start, self.truth.servo.rapid_mm_s, self.spindle_rpm)
+        reader = ProgramReader(self.machine.axis_names, travel, start, self.truth.servo.rapid_mm_s, self.spindle_rpm)
         self._blocks = program_table(reader, self.truth, text, repeat)
         self._clock[c.PROGRAM_TICK :] = self._clock[c.TICK], 0, int(repeat)
 
@@ -209,7 +209,7 @@ class SimulatedMachine:
         setup = (self._period_ns * 1e-9, self._parameters, self._tables, self._blocks)
         c.run_ticks(ticks, setup, (self._axes, self._counts, self._clock, self._spindle), trace, stride)
 
-    def _run_recorded(self, ticks: int, stride: int) -> Recording:
+    def _run_recorded(self, ticks: int, stride: int) -> MotionRecording:
         first = int(self._clock[c.TICK])
         marks = np.arange((first // stride + 1) * stride, first + ticks + 1, stride)
         trace = np.zeros((len(marks), len(self._axes), c.TRACE_COLUMNS))
@@ -235,11 +235,11 @@ class SimulatedMachine:
             if axis.on_scale:
                 self._tables[a] = 1e-3 * axis.encoder_table_um(self._nodes_mm[a])
 
-    def _now(self) -> Recording:
+    def _now(self) -> MotionRecording:
         columns = self._axes[None, :, [c.COMMAND, c.MOTOR, c.SLIDE, c.READING]]
         return self._recording(columns, np.array([self.time_ns]))
 
-    def _recording(self, trace: Floats, time_ns: Ints) -> Recording:
+    def _recording(self, trace: Floats, time_ns: Ints) -> MotionRecording:
         return recording_of(self.geometry, self._per_mm, trace, time_ns)
 
 

@@ -106,7 +106,7 @@ RADIUS_TOLERANCE_MM = 0.002
 
 
 @dataclass
-class Reader:
+class ProgramReader:
     """Reads a program for axes of these names; modal words last from block to block.
 
     Attributes:

@@ -13,7 +13,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Recording:
+class MotionRecording:
     """What happened, one row an instant; tip errors as in `SimulatedMachine`.
 
     Attributes:
@@ -33,14 +33,14 @@ class Recording:
     geometric_error_um: Floats
 
 
-def recording_of(geometry: Geometry, counts_per_mm: Floats, trace: Floats, time_ns: Ints) -> Recording:
+def recording_of(geometry: Geometry, counts_per_mm: Floats, trace: Floats, time_ns: Ints) -> MotionRecording:
     """Give a recording from the controller's trace, (n, axes, 4), all of it within one second of temperatures."""
     command, reading = trace[:, :, T_COMMAND], trace[:, :, T_READING]
     slides = geometry.slides_mm(trace[:, :, T_MOTOR], trace[:, :, T_SLIDE])
     tip = geometry.tip_mm(reading, slides)
     nominal = geometry.chain.nominal_mm
     in_counts = reading * counts_per_mm + 0.5
-    return Recording(
+    return MotionRecording(
         time_ns=time_ns,
         commanded_mm=command.copy(),
         actual_mm=slides,

@@ -78,7 +78,7 @@ class SensorTruth(Strict):
     resolution_degc: DegreesSpread = 0.0
 
 
-class Shape(Strict):
+class TrueShape(Strict):
     """`slope_per_m · q` + waves (amplitude, wavelength mm, phase rad) + bumps (height, centre mm, width mm)."""
 
     slope_per_m: Coefficient = 0.0
@@ -128,8 +128,8 @@ class AxisTruth(Strict):
     backlash_um: MicrometresNotNegative = 0.0
     screw: Screw = Screw()
     drive: Drive = Drive()
-    motion_um: dict[str, Shape] = Field(default_factory=dict)
-    motion_urad: dict[str, Shape] = Field(default_factory=dict)
+    motion_um: dict[str, TrueShape] = Field(default_factory=dict)
+    motion_urad: dict[str, TrueShape] = Field(default_factory=dict)
     squareness_urad: dict[Literal["A", "B", "C"], Microradians] = Field(default_factory=dict)
 
 
@@ -150,7 +150,7 @@ class AngularGrowth(Growth):
     motion: AngularMotion  # type: ignore[assignment]
 
 
-class Drift(Strict):
+class UnseenDrift(Strict):
     """A slow wave that no sensor sees; its phase differs by seed."""
 
     link: str
@@ -180,7 +180,7 @@ class Truth(Strict):
     axis: dict[str, AxisTruth] = Field(default_factory=dict)
     growth_um: tuple[Growth, ...] = ()
     growth_urad: tuple[AngularGrowth, ...] = ()
-    drift_um: tuple[Drift, ...] = ()
+    drift_um: tuple[UnseenDrift, ...] = ()
     servo: Servo = Servo()
 
 
@@ -243,7 +243,7 @@ def _motion_faults(truth: Truth, machine: Machine) -> list[str]:
             allowed = [f"E{letter}{name}" for letter in letters]
             out += [f"[axis.{name}.{section}] no motion {k!r}{nearest(k, allowed)}" for k in keys if k not in allowed]
     links = (*machine.tool_chain, *machine.work_chain)
-    items: list[Growth | Drift] = [*truth.growth_um, *truth.growth_urad, *truth.drift_um]
+    items: list[Growth | UnseenDrift] = [*truth.growth_um, *truth.growth_urad, *truth.drift_um]
     for item in items:
         allowed_links = machine.axis_names if item.motion.endswith("0") else links
         if item.link not in allowed_links:

@@ -17,7 +17,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.sim.campaign.campaign import simulate_with_truth
-from rtec.sim.campaign.settings import PERFECT, Noise, Phase, Sensors, Settings, Targets, Thermal
+from rtec.sim.campaign.settings import PERFECT, DayPhase, ReadingNoise, Sensors, Settings, Targets, Thermal
 from rtec.sim.campaign.truth import truth_of
 from tests.support.machines import turning_centre, vertical_mill
 
@@ -47,15 +47,15 @@ MILL = (
     "spindle_growth,component=EZ0S,sensor=T_spindle,k=1.5",
 )
 DAY = (
-    Phase(name="cold", cycles=2),
-    Phase(name="moving", hours=0.5, moving=0.6, rpm=1500.0),
-    Phase(name="warmer", cycles=2),
-    Phase(name="spindle", hours=1.0, moving=0.3, rpm=3000.0),
-    Phase(name="warm", cycles=2),
-    Phase(name="idle", hours=1.0),
-    Phase(name="less warm", cycles=2),
-    Phase(name="long", hours=1.5, moving=0.5, rpm=2500.0),
-    Phase(name="warmest", cycles=2),
+    DayPhase(name="cold", cycles=2),
+    DayPhase(name="moving", hours=0.5, moving=0.6, rpm=1500.0),
+    DayPhase(name="warmer", cycles=2),
+    DayPhase(name="spindle", hours=1.0, moving=0.3, rpm=3000.0),
+    DayPhase(name="warm", cycles=2),
+    DayPhase(name="idle", hours=1.0),
+    DayPhase(name="less warm", cycles=2),
+    DayPhase(name="long", hours=1.5, moving=0.5, rpm=2500.0),
+    DayPhase(name="warmest", cycles=2),
 )
 
 
@@ -105,7 +105,9 @@ def clean(case: Case, seed: int, sensors: Sensors = PERFECT, targets: Targets | 
         where = targets or Targets(axes=tuple(a.name for a in case.machine.axes if a.name != "W"), step_mm=40.0)
         if case.instruments[i][1] is not None:
             where = where.model_copy(update={"axes": None})
-        settings = Settings(phase=DAY, targets=where, thermal=Thermal(sensors=sensors), noise=Noise(white_um=0.0))
+        settings = Settings(
+            phase=DAY, targets=where, thermal=Thermal(sensors=sensors), noise=ReadingNoise(white_um=0.0)
+        )
         made = simulate_with_truth(case.truth(), case.instrument(i), settings, seed + i, f"{i}")
         out.append(made.measurement)
     return out

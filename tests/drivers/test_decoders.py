@@ -23,7 +23,7 @@ from rtec_drivers.can import box_session as can_box_frames
 from rtec_drivers.can.signals import Dbc, ObjectType, SignalOptions
 from rtec_drivers.modbus import frame as modbus_frame
 from rtec_drivers.modbus.map import Register
-from rtec_drivers.thermocouple import Conversion, Readings
+from rtec_drivers.thermocouple import Conversion, TemperatureReadings
 from rtec_drivers.zmq import message as zmq_message
 from tests.support.conformance import MACHINE
 
@@ -33,7 +33,7 @@ STATE = {
     "schema": 1, "boot": "a", "seq": 1, "time_ns": 5, "counts": {"X": 1, "Z": 2}, "counts_time_ns": 4,
     "degc": {"T_bed": [20.5, 3]}, "spindle_rpm": 1.5, "output": {"X": 1, "Z": 2},
 }  # fmt: skip
-REQUEST = modbus_frame.Request(3, modbus_frame.HOLDING, 10, 4)
+REQUEST = modbus_frame.ModbusRequest(3, modbus_frame.HOLDING, 10, 4)
 Feed = Callable[[bytes, int], None]
 
 
@@ -144,7 +144,7 @@ def readings() -> Feed:
         Conversion(),
     ]
     names = ["T_bed", "T_carriage", "T_headstock", "T_air"]
-    book = Readings(MACHINE.sensor_names, dict(zip(names, kinds, strict=True)))
+    book = TemperatureReadings(MACHINE.sensor_names, dict(zip(names, kinds, strict=True)))
 
     def feed(data: bytes, k: int) -> None:
         raw = data[:8].ljust(8, b"\0")

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.replay.sigrok import read
-from rtec_drivers.modbus.frame import Request, find_rtu, frames_of_slaves, good_crc
+from rtec_drivers.modbus.frame import ModbusRequest, find_rtu, frames_of_slaves, good_crc
 from rtec_drivers.modbus.map import Register
 from tests.support.modbus_peer import crc
 from tests.support.real_data import real_file
@@ -70,7 +70,7 @@ def test_questions_are_those_that_we_would_send_and_answers_are_found(name: str)
     for question, answer in pairwise(seen):
         if len(question) != 8 or question[1] not in (3, 4) or len(answer) == 8:
             continue
-        request = Request(
+        request = ModbusRequest(
             question[0], question[1], int.from_bytes(question[2:4], "big"), int.from_bytes(question[4:6], "big")
         )
         assert request.rtu() == question
@@ -88,7 +88,7 @@ def test_the_meters_gas_temperature_is_that_of_a_room(name: str) -> None:
     seen, register = frames(name), Register(address=2, type="float32")
     values = []
     for question, answer in pairwise(seen):
-        request = Request(247, 3, 0, 15)
+        request = ModbusRequest(247, 3, 0, 15)
         found = find_rtu(answer, request) if question == request.rtu() else None
         if found is not None:
             values.append(register.number(found.registers[2:4]))

@@ -10,7 +10,7 @@ from rtec.errors import ConfigError, DriverFault, DriverUnavailable
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import TemperatureSignal
 from rtec_drivers.modbus.map import Register, blocks_of, load_profile, profile_names
-from rtec_drivers.thermocouple import KINDS, Conversion, Kind, Readings, to_degc, to_mv
+from rtec_drivers.thermocouple import KINDS, Conversion, Kind, TemperatureReadings, to_degc, to_mv
 
 NAMES = ("T_bed", "T_air")
 S = 1_000_000_000
@@ -74,11 +74,11 @@ def test_without_the_package_the_way_on_is_told(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(importlib, "import_module", absent)
     with pytest.raises(DriverUnavailable, match=r"pip install 'rtec\[thermocouples\]'"):
-        Readings(NAMES, {"T_bed": Conversion(thermocouple="K", cold_junction=25.0)})
-    Readings(NAMES, {"T_bed": Conversion()})  # nobody who needs no thermocouple needs the package
+        TemperatureReadings(NAMES, {"T_bed": Conversion(thermocouple="K", cold_junction=25.0)})
+    TemperatureReadings(NAMES, {"T_bed": Conversion()})  # nobody who needs no thermocouple needs the package
 
 
-def filled(readings: Readings) -> tuple[list[float], list[int]]:
+def filled(readings: TemperatureReadings) -> tuple[list[float], list[int]]:
     degc, time_ns = np.full(2, np.nan), np.zeros(2, np.int64)
     readings.fill(degc, time_ns)
     return degc.tolist(), time_ns.tolist()
@@ -88,7 +88,7 @@ def filled(readings: Readings) -> tuple[list[float], list[int]]:
 def test_a_voltage_waits_for_a_fresh_cold_junction() -> None:
     """Oracle: 4.096 mV against 25 °C is 124.3 °C by the table: E(124.3) = 4.096 + 1.000."""
     bed = Conversion(scale=0.001, thermocouple="K", cold_junction="terminals", range_degc=(0.0, 300.0))
-    readings = Readings(NAMES, {"T_bed": bed, "terminals": Conversion(scale=0.01)})
+    readings = TemperatureReadings(NAMES, {"T_bed": bed, "terminals": Conversion(scale=0.01)})
     readings.take("T_bed", 4096, 1 * S)
     assert any("its cold junction 'terminals' has no fresh temperature" in f for f in readings.faults())
     readings.take("terminals", 2500, 2 * S)
@@ -104,7 +104,7 @@ def test_a_voltage_waits_for_a_fresh_cold_junction() -> None:
 
 
 def test_a_reading_is_stuck_after_its_time_and_not_before() -> None:
-    readings = Readings(NAMES, {"T_bed": Conversion(scale=0.1, stuck_s=600.0)})
+    readings = TemperatureReadings(NAMES, {"T_bed": Conversion(scale=0.1, stuck_s=600.0)})
     for k in range(601):
         readings.take("T_bed", 215, (100 + k) * S)
     assert readings.faults() == []
@@ -180,7 +180,9 @@ def test_an_open_code_that_can_never_come_is_refused(kind: str, codes: list[floa
 
 def test_an_open_code_of_floats_is_met_as_the_bus_sends_it() -> None:
     """9999.9 cannot be written in 32 bits; the device's nearest number is meant. Oracle: numpy's own rounding."""
-    book = Readings(["T"], {"T": Register(address=0, type="float32", open_codes=(9999.9,), range_degc=(0, 1e6))})
+    book = TemperatureReadings(
+        ["T"], {"T": Register(address=0, type="float32", open_codes=(9999.9,), range_degc=(0, 1e6))}
+    )
     book.take("T", float(np.float32(9999.9)), S)
     assert book.faults() == ["T: open circuit: the device sent 9999.9; look at the sensor and its wires"]
     for near in (9999.0, 9999.8, 10000.0):

@@ -24,7 +24,7 @@ from rtec_drivers.registry import DRIVERS
 from rtec_drivers.zmq import link as zmq_link
 from rtec_drivers.zmq.driver import ZmqLinkDriver
 from rtec_drivers.zmq.link import ZmqOptions, leaves_computer
-from rtec_drivers.zmq.message import KEYS, Answer, StateMessage, read_answer, read_state
+from rtec_drivers.zmq.message import KEYS, CommandAnswer, StateMessage, read_answer, read_state
 from rtec_drivers.zmq.message import command as command_text
 from rtec_drivers.zmq.states import ClockOffset
 from tests.support.box_rig import SPEED
@@ -203,7 +203,7 @@ def test_the_document_says_what_the_driver_reads() -> None:
         {"X": -12, "Z": 4},
     )
     assert json.loads(command_text("2f9c", 77, {"X": -13, "Z": 4})) == json.loads(command)
-    assert read_answer(taken.encode()) == Answer("2f9c", 77, "")
+    assert read_answer(taken.encode()) == CommandAnswer("2f9c", 77, "")
     assert read_answer(refused.encode()).refused == "the axis is not referenced"
     named = set(re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in text.splitlines() if line[:2] == "| ")))
     assert named >= KEYS

@@ -43,7 +43,7 @@ from rtec_drivers.hil.track import TipTrack, accuracy
 from rtec_drivers.hil.watch import AFTER_S, FaultWatch
 from rtec_drivers.hil.wiring import read_wiring
 from rtec_drivers.modbus.driver import ModbusOptions
-from rtec_drivers.modbus.frame import HOLDING, INPUT, Request, find_rtu
+from rtec_drivers.modbus.frame import HOLDING, INPUT, ModbusRequest, find_rtu
 from rtec_drivers.pty_peer import PtyPeer, WireFaults
 from tests.support import hil_rig, setups
 
@@ -89,7 +89,7 @@ def _line() -> Any:
 def test_slaves_say_what_the_driver_reads(name: str) -> None:
     line, registers = _line()
     register = registers[name]
-    request = Request(7, INPUT if register.function == "input" else HOLDING, register.address, register.words)
+    request = ModbusRequest(7, INPUT if register.function == "input" else HOLDING, register.address, register.words)
     answer = find_rtu(line.receive(request.rtu(), 0), request)
     assert answer is not None
     value = register.number(answer.registers) * register.scale + register.offset
@@ -100,12 +100,12 @@ def test_slaves_misbehave_as_asked() -> None:
     """Silent, late, another number, open, frozen; a request in two pieces; one with a wrong checksum."""
     line, _ = _line()
     (slave,) = line.slaves
-    request = Request(7, HOLDING, 9, 1)
+    request = ModbusRequest(7, HOLDING, 9, 1)
     frame = request.rtu()
     assert line.receive(frame[:3], 0) == b""
     assert find_rtu(line.receive(frame[3:], 0), request) is not None
     assert line.receive(frame[:-1] + bytes([frame[-1] ^ 1]), 0) == b""
-    assert line.receive(Request(8, HOLDING, 9, 1).rtu(), 0) == b""
+    assert line.receive(ModbusRequest(8, HOLDING, 9, 1).rtu(), 0) == b""
     slave.late_ns = 5
     assert line.receive(frame, 100) == b""
     assert line.idle(104) == b""

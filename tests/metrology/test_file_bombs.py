@@ -13,7 +13,7 @@ from rtec import limits
 from rtec.errors import LogError, MeasurementError
 from rtec.loop.run_file import load_setup
 from rtec.metrology.files.load import load_measurement
-from rtec.metrology.readers import Source, read_tables
+from rtec.metrology.readers import SourceOptions, read_tables
 from rtec.replay import sigrok
 from rtec.replay.capture import MOST_CYCLES, replay_capture
 from tests.support import measurement_examples as examples
@@ -60,7 +60,7 @@ def test_hostile_json_lines_are_read_or_refused(line: str, tmp_path: Path) -> No
     path = tmp_path / "x.jsonl"
     path.write_text('{"t": 1, "x": 2}\n' + line + "\n", encoding="utf-8")
     with suppress(MeasurementError):
-        assert len(read_tables(path, Source(reader="json_lines"))[1][0]) == 2
+        assert len(read_tables(path, SourceOptions(reader="json_lines"))[1][0]) == 2
 
 
 @pytest.mark.parametrize(

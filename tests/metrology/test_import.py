@@ -23,7 +23,7 @@ from rtec.metrology.files.load import load_measurement
 from rtec.metrology.files.toml import MeasurementFile
 from rtec.metrology.importing import Imported, import_table, import_to_files, load_map, starter_map
 from rtec.metrology.importing.map import ImportMap
-from rtec.metrology.readers import READERS, Source, read_tables
+from rtec.metrology.readers import READERS, SourceOptions, read_tables
 from rtec.metrology.units import ALIASES, UNITS, canonical, convert, unit_of_column
 from rtec.tomlfile import validated
 from tests.support.real_data import real_file
@@ -536,5 +536,5 @@ def test_mutated_maps_and_tables(tmp_path: Path, map_at: int, map_new: str, at: 
 
 def test_a_shown_map_holds_odd_names(tmp_path: Path) -> None:
     """Oracle: the TOML parser."""
-    _, tables = read_tables(put(tmp_path, 'a "b" \\c,d\n1,2\n'), Source(delimiter=","))
+    _, tables = read_tables(put(tmp_path, 'a "b" \\c,d\n1,2\n'), SourceOptions(delimiter=","))
     assert load_map(put(tmp_path, starter_map("delimited", tables), "m.toml")).column

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rtec.errors import MeasurementError
-from rtec.metrology.readers import READERS, Source, Table, detect, read_tables
+from rtec.metrology.readers import READERS, ForeignTable, SourceOptions, detect, read_tables
 from rtec.metrology.readers.isg_csv import unit, write
 from tests.support.real_data import real_file
 
@@ -69,15 +69,15 @@ def put(folder: Path, content: str | bytes, name: str = "file.txt") -> Path:
     return path
 
 
-def one(path: Path, **source: Any) -> Table:
-    _, tables = read_tables(path, Source(**source))
+def one(path: Path, **source: Any) -> ForeignTable:
+    _, tables = read_tables(path, SourceOptions(**source))
     assert len(tables) == 1
     return tables[0]
 
 
 def fault(path: Path, **source: Any) -> str:
     with pytest.raises(MeasurementError) as caught:
-        read_tables(path, Source(**source))
+        read_tables(path, SourceOptions(**source))
     return str(caught.value)
 
 
@@ -329,9 +329,9 @@ def test_isg_read_of_write_is_the_identity(tmp_path: Path, data: st.DataObject) 
         n = data.draw(st.integers(1, 4))
         values = st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=n, max_size=n)
         columns = {name: np.array(data.draw(values)) for name in names}
-        tables.append(Table(f"block{k + 1}", columns, {m: unit(m) for m in names}, np.arange(n)))
+        tables.append(ForeignTable(f"block{k + 1}", columns, {m: unit(m) for m in names}, np.arange(n)))
     write(tables, tmp_path / "volcomp.csv")
-    _, back = read_tables(tmp_path / "volcomp.csv", Source(reader="isg_csv"))
+    _, back = read_tables(tmp_path / "volcomp.csv", SourceOptions(reader="isg_csv"))
     assert len(back) == len(tables)
     for a, b in zip(tables, back, strict=True):
         assert list(a.columns) == list(b.columns)
@@ -363,7 +363,7 @@ def test_isg_faults(tmp_path: Path, old: str, new: str, said: str) -> None:
     ],
 )
 def test_isg_writes_only_what_the_format_has(tmp_path: Path, name: str, unit_: str, value: float, said: str) -> None:
-    table = Table("t", {name: np.array([value])}, {name: unit_}, np.arange(1))
+    table = ForeignTable("t", {name: np.array([value])}, {name: unit_}, np.arange(1))
     with pytest.raises(MeasurementError, match=re.escape(said)):
         write([table], tmp_path / "x.csv")
 
@@ -467,7 +467,7 @@ def test_random_bytes(tmp_path: Path, name: str, data: bytes, started: bool) -> 
     path = put(tmp_path, EXAMPLES[name].encode() + data if started else data)
     for reader in (name, None):
         try:
-            read_tables(path, Source(reader=reader))
+            read_tables(path, SourceOptions(reader=reader))
         except MeasurementError as e:
             assert str(path) in str(e)  # noqa: PT017
 
@@ -487,6 +487,6 @@ def test_mutated_files(tmp_path: Path, name: str, at: float, removed: int, new: 
     path = tmp_path / "file.txt"
     path.write_bytes((text[:i] + new + text[i + removed :]).encode(errors="replace"))
     try:
-        read_tables(path, Source(reader=name))
+        read_tables(path, SourceOptions(reader=name))
     except MeasurementError as e:
         assert str(path) in str(e)  # noqa: PT017

@@ -20,7 +20,7 @@ from rtec.errors import ModelError
 from rtec.machine import Machine, machine_from
 from rtec.model import FittedEffect, Model
 from rtec.model.kernel.build import LARGEST, sin_cos
-from rtec.model.kernel.trace import Graph, Plan, SymbolicChannels, plan_model
+from rtec.model.kernel.trace import Graph, KernelPlan, SymbolicChannels, plan_model
 from rtec.model.kernel.write import write_kernel
 from rtec.model.model import names_of
 from tests.support.effect_examples import EXAMPLES, MACHINE, everything, states
@@ -53,7 +53,7 @@ def model_of_200_terms() -> Model:
     return Model(MACHINE, tuple(effects))
 
 
-def depends_on(plan: Plan, number: int) -> set[str]:
+def depends_on(plan: KernelPlan, number: int) -> set[str]:
     """Channels that a node needs, by walking the graph."""
     node = plan.graph.nodes[number]
     if node.op == "input":

@@ -20,7 +20,7 @@ from rtec.machine import machine_from
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.iso230_2 import positioning
 from rtec.metrology.procedures.tables import read_dat
-from rtec.metrology.readers.base import Source
+from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.readers.json_lines import read as read_json
 from rtec.metrology.readers.twincat_scope import read as read_scope
 from rtec.model import Model
@@ -77,7 +77,7 @@ def test_ch5_is_called_ambiguous() -> None:
 
 def resolver() -> tuple[Measurement, tuple[Floats, Floats, Floats, Floats]]:
     """One turn forward and back as a linear axis, a degree for a millimetre; the raw columns beside."""
-    table = read_scope(real_file("resolver_cyclic", "ResolverCiclicError2.csv"), Source())[0]
+    table = read_scope(real_file("resolver_cyclic", "ResolverCiclicError2.csv"), SourceOptions())[0]
     parts = ("time", "Internal Counter", "Velocity", "Resolver")
     names = [next(n for n in table.columns if part in n) for part in parts]
     time, place, speed, reading = (np.asarray(table.columns[n], dtype=np.float64) for n in names)
@@ -122,7 +122,7 @@ def test_harmonics_by_number_then_delay_and_no_backlash() -> None:
 
 def probe() -> tuple[Measurement, dict[str, Floats]]:
     """An inductive probe over a bed that heats and cools."""
-    table = read_json(real_file("probe_thermal", "probe_accuracy_superpinda.json"), Source())[0]
+    table = read_json(real_file("probe_thermal", "probe_accuracy_superpinda.json"), SourceOptions())[0]
     ts, z, bed, nozzle = (np.asarray(table.columns[n], dtype=np.float64) for n in ("ts", "z", "btemp", "etemp"))
     read = ~np.isnan(z)
     warm = {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtec.metrology.procedures.drift import spindle_drift
 from rtec.metrology.procedures.iso230_2 import Positioning, TwoWay, positioning
 from rtec.metrology.procedures.tables import read_dat, read_table
-from rtec.metrology.readers.base import Source
+from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.readers.json_lines import read as read_json
 from rtec.metrology.readers.twincat_scope import read as read_scope
 from tests.support.cyclic_turns import cyclic_error
@@ -112,7 +112,7 @@ def test_resolver_harmonics_and_delay() -> None:
     Oracle: at equal places at steady speed the readings of both ways, averaged over whole periods of the fourth
     harmonic, differ by -2 · speed · delay and nothing else; that needs no harmonics at all.
     """
-    table = read_scope(real_file("resolver_cyclic", "ResolverCiclicError2.csv"), Source())[0]
+    table = read_scope(real_file("resolver_cyclic", "ResolverCiclicError2.csv"), SourceOptions())[0]
     time, position, speed, reading = (np.asarray(table.columns[n], dtype=np.float64) for n in _names(table.columns))
     r = cyclic_error(time, position, reading)
     assert [h.order for h in sorted(r.harmonics, key=lambda h: -h.amplitude.value)[:5]] == [4, 8, 2, 12, 1]
@@ -140,7 +140,7 @@ def _names(columns: Iterable[str]) -> list[str]:
 
 def test_probe_lag() -> None:
     """At once and late expansion with the bed: at or below 4.6 µm; at once alone leaves 21 µm."""
-    table = read_json(real_file("probe_thermal", "probe_accuracy_superpinda.json"), Source())[0]
+    table = read_json(real_file("probe_thermal", "probe_accuracy_superpinda.json"), SourceOptions())[0]
     ts, z, bed, nozzle = (np.asarray(table.columns[n], dtype=np.float64) for n in ("ts", "z", "btemp", "etemp"))
     probe = ~np.isnan(z)
     time = ts[probe] - ts[0]

@@ -7,12 +7,12 @@ import pytest
 
 from rtec.errors import ConfigError
 from rtec.sim.controller import place_on
-from rtec.sim.program import END, Reader, table_of
+from rtec.sim.program import END, ProgramReader, table_of
 from tests.support.sim_example import MS, S, plain
 
 
-def reader(axes: tuple[str, ...] = ("X", "Z")) -> Reader:
-    return Reader(axes, ((0.0, 200.0),) * len(axes), (50.0,) * len(axes), 250.0)
+def reader(axes: tuple[str, ...] = ("X", "Z")) -> ProgramReader:
+    return ProgramReader(axes, ((0.0, 200.0),) * len(axes), (50.0,) * len(axes), 250.0)
 
 
 @pytest.mark.parametrize(

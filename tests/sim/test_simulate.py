@@ -25,7 +25,7 @@ from rtec.sim.campaign.cycle import off_pitch, on_pitch
 from rtec.sim.campaign.noise import drift_noise, with_noise
 from rtec.sim.campaign.protocol import PRESETS
 from rtec.sim.campaign.request import DRIFT_PROBES, setup_table
-from rtec.sim.campaign.settings import PERFECT, QUIET, Noise, Phase, Settings, Targets, Thermal
+from rtec.sim.campaign.settings import PERFECT, QUIET, DayPhase, ReadingNoise, Settings, Targets, Thermal
 from rtec.sim.campaign.thermal import relax
 from rtec.sim.campaign.truth import effect_from_text, truth_of
 from tests.support.exact_chain import exact_tip_error_um
@@ -215,7 +215,7 @@ def test_a_display_shows_whole_steps() -> None:
 def test_one_kind_of_noise_leaves_the_rest_as_it_was() -> None:
     """More noise must not draw another day: temperatures and nuisances stay."""
     few, many = (
-        simulate_with_truth(truth(), laser(), Settings(noise=Noise(white_um=w, outliers=w / 10)), seed=6)
+        simulate_with_truth(truth(), laser(), Settings(noise=ReadingNoise(white_um=w, outliers=w / 10)), seed=6)
         for w in (0.1, 1.0)
     )
     assert few.nuisance == many.nuisance
@@ -265,9 +265,9 @@ def test_the_warm_up_is_that_of_the_guidelines() -> None:
 def test_temperatures_follow_first_order_bodies() -> None:
     """Oracle: `T_air + rise (1 - exp(-t/τ))` while the machine idles, then decay from there, by hand."""
     phases = (
-        Phase(name="on", hours=2.0, read_every_s=100.0),
-        Phase(name="turning", hours=1.0, rpm=2000.0, read_every_s=100.0),
-        Phase(name="off", hours=2.0, on=False, read_every_s=100.0),
+        DayPhase(name="on", hours=2.0, read_every_s=100.0),
+        DayPhase(name="turning", hours=1.0, rpm=2000.0, read_every_s=100.0),
+        DayPhase(name="off", hours=2.0, on=False, read_every_s=100.0),
     )
     body = {"T_bed": {"tau_s": 1800.0, "on_degc": 6.0}, "T_spindle": {"tau_s": 900.0, "spindle_degc": 4.0},
             "T_column": {"follows": "T_bed", "share": 0.5}}  # fmt: skip

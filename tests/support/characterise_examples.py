@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, State, effect_class
 from rtec.machine import Machine
-from rtec.metrology.instruments.base import Instrument, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Instrument, InstrumentSetup, Ints, Nuisance
 from rtec.metrology.measurement import Measurement
 from tests.support.machines import turning_centre
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 MACHINE = turning_centre()
 
 
-class ProbeSetup(Setup):
+class ProbeSetup(InstrumentSetup):
     """How the zero is taken, and whether there is a slope beside it."""
 
     zero: Literal["run", "setup", "none"] = "run"

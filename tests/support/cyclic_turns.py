@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.fitting import Fit, separable_fit
+from rtec.metrology.procedures.fitting import SeparableFit, separable_fit
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -123,7 +123,7 @@ def _check(position_deg: Floats, time_s: Floats) -> None:
         raise MeasurementError(f"time does not rise at reading {int(np.argmin(rising)) + 2}")
 
 
-def _result(fit: Fit, orders: int) -> CyclicError:
+def _result(fit: SeparableFit, orders: int) -> CyclicError:
     cosines, sines = fit.values[3 : 3 + orders], fit.values[3 + orders :]
     errors = fit.errors[3 : 3 + orders], fit.errors[3 + orders : 3 + 2 * orders]
     harmonics = []

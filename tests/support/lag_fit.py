@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtec.effects.derived import lag_track
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.fitting import Fit, separable_fit
+from rtec.metrology.procedures.fitting import SeparableFit, separable_fit
 from tests.support.cyclic_turns import Number
 
 Floats = NDArray[np.float64]
@@ -85,7 +85,7 @@ def lag_model(
 
 
 def _model(
-    fit: Fit, direct: Sequence[str], lagged: Sequence[str], bounds: tuple[float, float], predicted: Floats
+    fit: SeparableFit, direct: Sequence[str], lagged: Sequence[str], bounds: tuple[float, float], predicted: Floats
 ) -> LagModel:
     numbers = [Number(float(v), float(e)) for v, e in zip(fit.values, fit.errors, strict=False)]
     first = 1 + len(direct)

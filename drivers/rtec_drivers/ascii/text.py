@@ -142,7 +142,7 @@ class LineReader:
 
 
 @dataclass(frozen=True)
-class Line:
+class PrintedLine:
     """What one line says.
 
     Attributes:
@@ -175,21 +175,21 @@ class LineParser:
         """Give a reader for a line that has just been opened."""
         return LineReader(LINE_ENDS[self._options.line_end], self._options.longest_line)
 
-    def parse(self, line: bytes) -> Line | None:
+    def parse(self, line: bytes) -> PrintedLine | None:
         """Give what a line says; None for an empty one."""
         try:
             text = line.decode(self._options.encoding).strip()
         except UnicodeDecodeError:
-            return Line({}, {"": f"a line that is not {self._options.encoding} text"})
+            return PrintedLine({}, {"": f"a line that is not {self._options.encoding} text"})
         if not text:
             return None
         for pattern in self.patterns:
             match = pattern.fullmatch(text)
             if match:
                 return self._read(match)
-        return Line({}, {"": f"a line that fits no pattern: {text[:60]!r}"})
+        return PrintedLine({}, {"": f"a line that fits no pattern: {text[:60]!r}"})
 
-    def _read(self, match: re.Match[str]) -> Line:
+    def _read(self, match: re.Match[str]) -> PrintedLine:
         values, faults = {}, {}
         for name, text in match.groupdict().items():
             if text is None:
@@ -204,7 +204,7 @@ class LineParser:
                     faults[name] = f"{name}: {text.strip()[:20]!r} is too large to be true"
                 else:
                     values[name] = value
-        return Line(values, faults)
+        return PrintedLine(values, faults)
 
 
 def _number(text: str, decimal: str) -> float | None:

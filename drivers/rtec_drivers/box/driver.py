@@ -15,7 +15,7 @@ from rtec.machine import Machine
 from rtec_drivers.box import protocol
 from rtec_drivers.box.ledger import BoxLedger
 from rtec_drivers.box.options import BoxOptions, axis_order, max_counts_per_s
-from rtec_drivers.box.session import Answer, BoxSession
+from rtec_drivers.box.session import BoxAnswer, BoxSession
 from rtec_drivers.count_tracker import CountTracker
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.serial_line import PortFinder, Ports, SerialLine
@@ -216,14 +216,14 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self._adopt(session)
         return session
 
-    def _first_answer(self, session: BoxSession) -> Answer:
+    def _first_answer(self, session: BoxSession) -> BoxAnswer:
         """Ask until the box answers; only before the first cycle."""
         for _ in range(max(1, round(self.options.open_timeout_s / FIRST_WAIT_S)) - 1):
             with suppress(DriverTimeout):
                 return session.exchange(FIRST_WAIT_S)
         return session.exchange(FIRST_WAIT_S)
 
-    def _digest(self, answer: Answer) -> tuple[int, ...]:
+    def _digest(self, answer: BoxAnswer) -> tuple[int, ...]:
         """Give the unwrapped counts of a state, if it is sound."""
         state = answer.state
         self._ledger.told(state)

@@ -18,7 +18,7 @@ ASK_PERIOD_S = 0.02
 REMEMBERED_QUESTIONS = 256
 
 
-class Line(Protocol):
+class BoxLine(Protocol):
     """What a session needs of a line: the serial port is one."""
 
     device: str
@@ -41,7 +41,7 @@ class Line(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class BoxAnswer:
     """A state of the box and when it was latched: between question and answer, ns of the clock."""
 
     state: BoxState
@@ -58,7 +58,7 @@ class BoxSession:
         silent_s: how long nothing was heard when it was asked last.
     """
 
-    def __init__(self, line: Line, clock: Clock) -> None:
+    def __init__(self, line: BoxLine, clock: Clock) -> None:
         self.line, self._clock = line, clock
         self.info = Info(0, 0, 0, 0, 0, 0)
         self.sequence, self.silent_s = 0, 0.0
@@ -66,7 +66,7 @@ class BoxSession:
         self._reader = FrameReader()
         self._asked: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_QUESTIONS)
 
-    def talk(self, timeout_s: float) -> Answer:
+    def talk(self, timeout_s: float) -> BoxAnswer:
         """Ask for the state as `exchange` does; after a silence less often, and without waiting.
 
         Raises:
@@ -125,7 +125,7 @@ class BoxSession:
         if info.counter_bits not in (16, 24, 32):
             raise DriverFault(f"{place}: the box has counters of {info.counter_bits} bits; 16, 24 or 32 are known")
 
-    def exchange(self, timeout_s: float) -> Answer:
+    def exchange(self, timeout_s: float) -> BoxAnswer:
         """Ask for the state and wait; give the newest answer, which may belong to an older question.
 
         Raises:
@@ -133,7 +133,7 @@ class BoxSession:
             DriverUnavailable: the line is gone.
         """
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
-        newest: Answer | None = None
+        newest: BoxAnswer | None = None
         wanted = self.ask(protocol.READ)
         for _ in range(READS_PER_WAIT):
             newest = self.collect() or newest
@@ -154,7 +154,7 @@ class BoxSession:
         self._asked.append((sequence, now_ns))
         return sequence
 
-    def collect(self) -> Answer | None:
+    def collect(self) -> BoxAnswer | None:
         """Read what has come; give the answer to the youngest of the open questions, if there is one."""
         received = self.line.read()
         if not received:
@@ -164,7 +164,7 @@ class BoxSession:
             asked_ns = self._asked_at(frame)
             state = protocol.state_of(frame.payload) if asked_ns is not None else None
             if asked_ns is not None and state is not None and len(state.counts) == self.info.axes:
-                newest = Answer(state, asked_ns, self._clock.now_ns())
+                newest = BoxAnswer(state, asked_ns, self._clock.now_ns())
         return newest
 
     def send(self, kind: int, payload: bytes = b"") -> int:
@@ -174,7 +174,7 @@ class BoxSession:
         self.sequence = sequence
         return sequence
 
-    def _look_in(self, now_ns: int) -> Answer:
+    def _look_in(self, now_ns: int) -> BoxAnswer:
         answer = self.collect()
         if now_ns - self._looked_ns >= ASK_PERIOD_S * 1e9:
             self._looked_ns = now_ns

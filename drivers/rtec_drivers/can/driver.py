@@ -15,8 +15,8 @@ from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.quantities import Factor
 from rtec_drivers.can.bus import CanOptions, CanPort
-from rtec_drivers.can.signals import NMT, Dbc, NodeOptions, NodeWatch, SignalOptions, Source
-from rtec_drivers.thermocouple import Conversion, Readings, open_code_faults
+from rtec_drivers.can.signals import NMT, Dbc, NodeOptions, NodeWatch, SignalOptions, SignalSource
+from rtec_drivers.thermocouple import Conversion, TemperatureReadings, open_code_faults
 
 Timeout = Annotated[float, Field(ge=1e-3, le=3600)]
 
@@ -118,7 +118,7 @@ map = ["i32"]
     def __init__(self, options: CanTemperatureOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
         self._options, self._clock = options, clock
         dbc = Dbc(None if options.dbc is None else base / options.dbc)
-        self._readings = Readings(machine.sensor_names, options.temperature)
+        self._readings = TemperatureReadings(machine.sensor_names, options.temperature)
         faults: list[str] = []
         self._sources = {n: _source(dbc, t, f"temperature {n!r}", faults) for n, t in options.temperature.items()}
         self._spindle = _source(dbc, options.spindle, "spindle", faults) if options.spindle else None
@@ -195,7 +195,7 @@ map = ["i32"]
             self._take_speed(spindle, data, now_ns)
         self._look(now_ns)
 
-    def _take(self, name: str, source: Source, data: bytes, now_ns: int) -> None:
+    def _take(self, name: str, source: SignalSource, data: bytes, now_ns: int) -> None:
         try:
             number = source.number(data)
         except DriverFault as e:
@@ -204,7 +204,7 @@ map = ["i32"]
         self._heard_ns[name] = now_ns
         self._readings.take(name, number, now_ns)
 
-    def _take_speed(self, source: Source, data: bytes, now_ns: int) -> None:
+    def _take_speed(self, source: SignalSource, data: bytes, now_ns: int) -> None:
         """What is no number is passed over: the speed that stands gets old, and that is told."""
         scale = self._options.spindle.scale if self._options.spindle else 1.0
         with suppress(DriverFault):
@@ -225,7 +225,7 @@ map = ["i32"]
             return
 
 
-def _source(dbc: Dbc, options: SignalOptions, what: str, faults: list[str]) -> Source | None:
+def _source(dbc: Dbc, options: SignalOptions, what: str, faults: list[str]) -> SignalSource | None:
     try:
         return dbc.source(options, scaled=True)
     except DriverUnavailable:

@@ -57,7 +57,7 @@ class SignalOptions(Strict):
 
 
 @dataclass(frozen=True)
-class Source:
+class SignalSource:
     """A number in a frame.
 
     Attributes:
@@ -83,7 +83,7 @@ class Dbc:
         self._path = path
         self._database: Any = None
 
-    def source(self, options: SignalOptions, scaled: bool) -> Source:
+    def source(self, options: SignalOptions, scaled: bool) -> SignalSource:
         """Where a signal stands.
 
         Args:
@@ -108,7 +108,9 @@ class Dbc:
             raise ConfigError(f"{where} has no signal {options.signal!r}{nearest(str(options.signal), signals)}")
         signal = message.get_signal_by_name(options.signal)
         decoder = _dbc_decoder(message, signal.name, scaled)
-        return Source(message.frame_id, message.is_extended_frame, decoder, 64 if signal.is_float else signal.length)
+        return SignalSource(
+            message.frame_id, message.is_extended_frame, decoder, 64 if signal.is_float else signal.length
+        )
 
     def _read(self) -> Any:
         if self._path is None:
@@ -146,7 +148,7 @@ def _dbc_decoder(message: Any, signal: str, scaled: bool) -> Decoder:
     return number
 
 
-def _pdo_source(options: SignalOptions) -> Source:
+def _pdo_source(options: SignalOptions) -> SignalSource:
     start = sum(_bytes(t) for t in options.map[: options.item - 1])
     kind = options.map[options.item - 1]
     end = start + _bytes(kind)
@@ -160,7 +162,7 @@ def _pdo_source(options: SignalOptions) -> Source:
             return float(struct.unpack("<f" if kind == "f32" else "<d", part)[0])
         return int.from_bytes(part, "little", signed=kind[0] == "i")
 
-    return Source(identifier, False, number, 64 if kind in ("f32", "f64") else 8 * _bytes(kind))
+    return SignalSource(identifier, False, number, 64 if kind in ("f32", "f64") else 8 * _bytes(kind))
 
 
 def _bytes(kind: str) -> int:

@@ -16,7 +16,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInput
 
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import Clock
-from rtec_drivers.modbus.line import Line
+from rtec_drivers.modbus.line import ModbusLine
 
 HOLDING, INPUT = 3, 4
 MAX_REGISTERS = 125
@@ -36,7 +36,7 @@ MBAP_BYTES = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ModbusRequest:
     """Read `count` registers from `address` of slave `slave` with function 3 (holding) or 4 (input)."""
 
     slave: int
@@ -60,7 +60,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class ModbusAnswer:
     """What a slave answered: registers, or the code of an error (then there are none)."""
 
     registers: tuple[int, ...] = ()
@@ -72,7 +72,7 @@ def good_crc(frame: bytes) -> bool:
     return len(frame) >= 4 and FramerRTU.compute_CRC(frame[:-2]) == int.from_bytes(frame[-2:], "big")
 
 
-def find_rtu(data: bytes, request: Request) -> Answer | None:
+def find_rtu(data: bytes, request: ModbusRequest) -> ModbusAnswer | None:
     """The answer to a request among received bytes, or None."""
     whole, refused = 5 + 2 * request.count, 5
     for start in range(len(data) - refused + 1):
@@ -90,14 +90,14 @@ def find_rtu(data: bytes, request: Request) -> Answer | None:
     return None
 
 
-def decode(pdu: bytes, request: Request) -> Answer | None:
+def decode(pdu: bytes, request: ModbusRequest) -> ModbusAnswer | None:
     """Function code and content to registers; None if it is no answer to this request."""
     if len(pdu) == 2 and pdu[0] == request.function | ERROR_BIT:
-        return Answer(error=pdu[1])
+        return ModbusAnswer(error=pdu[1])
     if len(pdu) != 2 + 2 * request.count or pdu[0] != request.function or pdu[1] != 2 * request.count:
         return None
     answer = _DECODER.decode(pdu)
-    return Answer(tuple(answer.registers)) if answer is not None else None
+    return ModbusAnswer(tuple(answer.registers)) if answer is not None else None
 
 
 def frames_of_slaves(data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -114,7 +114,7 @@ def frames_of_slaves(data: bytes) -> Iterator[tuple[int, bytes]]:
             start += 1
 
 
-def why_not(data: bytes, request: Request) -> str:
+def why_not(data: bytes, request: ModbusRequest) -> str:
     """Say in words what came instead of the answer."""
     if not data:
         return "no answer"
@@ -157,7 +157,7 @@ class Exchange(Protocol):
 
     numbered: bool
 
-    def ask(self, line: Line, request: Request, until_ns: int) -> tuple[Answer | None, bytes]:
+    def ask(self, line: ModbusLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
         """The answer or None, and what came besides."""
         ...
 
@@ -176,7 +176,7 @@ class RtuExchange:
     def __init__(self, clock: Clock, worker_wait: Callable[[int], None], silence_ns: int) -> None:
         self._clock, self._wait, self._silence_ns = clock, worker_wait, silence_ns
 
-    def ask(self, line: Line, request: Request, until_ns: int) -> tuple[Answer | None, bytes]:
+    def ask(self, line: ModbusLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
         """Send when the line has been quiet; take the frame of exactly the shape that was asked for."""
         self._wait(self._clock.now_ns() + self._silence_ns)
         line.send(request.rtu())
@@ -198,7 +198,7 @@ class TcpExchange:
     def __init__(self, clock: Clock) -> None:
         self._clock, self._transaction, self._rest = clock, 0, b""
 
-    def ask(self, line: Line, request: Request, until_ns: int) -> tuple[Answer | None, bytes]:
+    def ask(self, line: ModbusLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
         """Send with the next number; skip answers with any other."""
         self._transaction = self._transaction % 0xFFFF + 1
         line.send(request.tcp(self._transaction))

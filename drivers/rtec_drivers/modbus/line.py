@@ -37,7 +37,7 @@ class TcpOptions(Strict):
     longest_retry_s: LongestRetry = 5.0
 
 
-class Line(Protocol):
+class ModbusLine(Protocol):
     """Bytes to the slaves and back."""
 
     def send(self, data: bytes) -> None:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError
 from rtec.tomlfile import Strict, nearest, read_toml, validated
-from rtec_drivers.modbus.frame import HOLDING, INPUT, MAX_REGISTERS, Request
+from rtec_drivers.modbus.frame import HOLDING, INPUT, MAX_REGISTERS, ModbusRequest
 from rtec_drivers.thermocouple import Conversion, open_code_faults
 
 LAST_ADDRESS = 65535
@@ -79,7 +79,7 @@ class Profile(Strict):
 class Block:
     """Registers that one request fetches, and the numbers in it: name and register."""
 
-    request: Request
+    request: ModbusRequest
     numbers: tuple[tuple[str, Register], ...]
 
     def raw(self, registers: tuple[int, ...]) -> Iterable[tuple[str, float]]:
@@ -134,7 +134,7 @@ def _end(group: list[tuple[str, Register]]) -> int:
 
 def _block(slave: int, code: int, group: list[tuple[str, Register]]) -> Block:
     first = group[0][1].address
-    return Block(Request(slave, code, first, _end(group) - first), tuple(group))
+    return Block(ModbusRequest(slave, code, first, _end(group) - first), tuple(group))
 
 
 def _folder() -> resources.abc.Traversable:

@@ -18,9 +18,9 @@ from rtec.errors import DriverTimeout
 from rtec.loop.clock import Clock
 from rtec_drivers.link_worker import NS, Backoff, Worker
 from rtec_drivers.modbus.frame import ERRORS, LONGEST_NOISE, Exchange, frames_of_slaves, why_not
-from rtec_drivers.modbus.line import Line
+from rtec_drivers.modbus.line import ModbusLine
 from rtec_drivers.modbus.map import Block
-from rtec_drivers.thermocouple import Readings
+from rtec_drivers.thermocouple import TemperatureReadings
 
 STARVED_NS = 5 * NS
 LONGEST_LATE_NS = 10 * NS
@@ -115,12 +115,14 @@ class Slave:
 class Poller:
     """Serves one open line until the worker stops or the line breaks."""
 
-    def __init__(self, slaves: Sequence[Slave], readings: Readings, clock: Clock, exchange: Exchange) -> None:
+    def __init__(
+        self, slaves: Sequence[Slave], readings: TemperatureReadings, clock: Clock, exchange: Exchange
+    ) -> None:
         self._slaves, self._readings, self._clock, self._exchange = slaves, readings, clock, exchange
         self.requests = self.late = 0
         self._why = ""
 
-    def serve(self, line: Line, worker: Worker[Line]) -> None:
+    def serve(self, line: ModbusLine, worker: Worker[ModbusLine]) -> None:
         """Ask whoever is due, for ever.
 
         Raises:
@@ -156,7 +158,7 @@ class Poller:
         later = (s.due_ns if s.due_ns > now_ns else s.due_ns + STARVED_NS + 1 for s in failing)
         return None, min(next_ns, *later) if failing else next_ns
 
-    def _ask(self, line: Line, slave: Slave) -> None:
+    def _ask(self, line: ModbusLine, slave: Slave) -> None:
         for block in slave.blocks:
             asked_ns = self._clock.now_ns()
             self.requests += 1
@@ -193,7 +195,7 @@ class Poller:
         self._why = f"slave {slave.number} ({slave.name}): error {error}: {ERRORS.get(error, 'it refuses')}"
         self._readings.silent(slave.names, self._why)
 
-    def _idle(self, line: Line, worker: Worker[Line], wake_ns: int) -> None:
+    def _idle(self, line: ModbusLine, worker: Worker[ModbusLine], wake_ns: int) -> None:
         """Wait for the next turn; listen meanwhile if an old answer may come, so as to know how late it is."""
         if self._exchange.numbered or not any(s.failing for s in self._slaves):
             worker.wait_until_ns(wake_ns)
@@ -206,7 +208,7 @@ class Poller:
             data += more
         self._look_for_late(data, None)
 
-    def _drop_old(self, line: Line) -> None:
+    def _drop_old(self, line: ModbusLine) -> None:
         """Whatever came unasked is thrown away, and whose it was is noted; numbered answers are sorted out later."""
         if self._exchange.numbered:
             return

@@ -60,7 +60,7 @@ class CommandAccount:
         if set(output) == set(self._axes):
             self.has = tuple(output[a] for a in self._axes)
 
-    def answered(self, answer: message.Answer) -> None:
+    def answered(self, answer: message.CommandAnswer) -> None:
         """Take in an answer; one of another start is of no interest."""
         if answer.boot != self._boot or answer.seq <= self._answered:
             return

@@ -51,7 +51,7 @@ class StateMessage:
 
 
 @dataclass(frozen=True)
-class Answer:
+class CommandAnswer:
     """What the other process says to a command.
 
     Attributes:
@@ -87,7 +87,7 @@ def read_state(text: bytes) -> StateMessage:
     )
 
 
-def read_answer(text: bytes) -> Answer:
+def read_answer(text: bytes) -> CommandAnswer:
     """Read the answer to a command.
 
     Raises:
@@ -97,7 +97,7 @@ def read_answer(text: bytes) -> Answer:
     refused = data.get("refused", "")
     if not isinstance(refused, str):
         raise MessageError("'refused' is no text")
-    return Answer(_text(data, "boot"), _integer(data, "seq"), refused)
+    return CommandAnswer(_text(data, "boot"), _integer(data, "seq"), refused)
 
 
 def command(boot: str, seq: int, output: Mapping[str, int]) -> bytes:

@@ -49,7 +49,7 @@ TEMPERATURE_CODES: Mapping[float, str] = {
 READING_CODES = (9999.0, 9999.9, 99999.0, 99999.9, 999999.0, 9999999.0, -9999.0, -99999.0, -999999.0, -9999999.0)
 
 
-class Rows:
+class CheckedRows:
     """The rows of one table under examination.
 
     Args:

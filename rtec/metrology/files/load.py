@@ -12,7 +12,7 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
-from rtec.metrology.files.checks import Rows, check_order, remarks
+from rtec.metrology.files.checks import CheckedRows, check_order, remarks
 from rtec.metrology.files.columns import channel_columns, check_columns, on_circle, still_right
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.save import save_measurement
@@ -94,7 +94,7 @@ def _read(
     used, unread = check_columns(names, machine, instrument, accepted.ignore_columns, faults)
     once = [name for name in used if names.count(name) == 1 or is_text]
     raw = read_csv(table, text, accepted, names, once, faults, where) if is_text else read_parquet(table, once, faults)
-    rows = Rows(raw, instrument.columns(), machine, accepted, faults, where)
+    rows = CheckedRows(raw, instrument.columns(), machine, accepted, faults, where)
     kept = rows.checked()
     if not len(raw):
         faults.whole("no rows under the header" if is_text else "no rows")

@@ -17,7 +17,7 @@ from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.map import Column, ImportMap
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
-from rtec.metrology.readers.base import Table
+from rtec.metrology.readers.base import ForeignTable
 from rtec.metrology.units import convert, unit_of_column
 from rtec.tomlfile import nearest
 
@@ -131,7 +131,7 @@ def _may_write(table: Path, *, force: bool) -> None:
         raise MeasurementError(f"{there[0]}: is there already; another name, or --force to write over it")
 
 
-def _chosen(tables: list[Table], name: str | None, source: str) -> Table:
+def _chosen(tables: list[ForeignTable], name: str | None, source: str) -> ForeignTable:
     names = [t.name for t in tables]
     if name is None:
         if len(tables) > 1:
@@ -144,7 +144,7 @@ def _chosen(tables: list[Table], name: str | None, source: str) -> Table:
     return tables[names.index(name)]
 
 
-def _required(table: Table, how: ImportMap, source: str) -> tuple[Table, list[str]]:
+def _required(table: ForeignTable, how: ImportMap, source: str) -> tuple[ForeignTable, list[str]]:
     """Leave out rows that lack what `[rows] require` names; held values are carried over them first."""
     held = {c.from_ for c in how.column.values() if c.fill == "hold"}
     keep = np.ones(len(table), dtype=np.bool_)
@@ -160,7 +160,7 @@ def _required(table: Table, how: ImportMap, source: str) -> tuple[Table, list[st
     for name, values in carried.items():
         gaps = int((np.isnan(table.numbers(name, source)) & np.isfinite(values) & keep).sum())
         notes.append(f"column {name!r}: last value held in {gaps} rows")
-    return Table(table.name, columns, table.units, table.lines[keep], table.notes, table.wrong), notes
+    return ForeignTable(table.name, columns, table.units, table.lines[keep], table.notes, table.wrong), notes
 
 
 def _held(values: Floats) -> Floats:
@@ -168,14 +168,14 @@ def _held(values: Floats) -> Floats:
     return values[last]
 
 
-def _unused(table: Table, how: ImportMap, notes: list[str]) -> None:
+def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> None:
     used = {how.time.column, how.run.column} | {n for c in how.column.values() for n in (c.from_, c.minus)}
     unused = [n for n in table.columns if n not in used]
     if unused:
         notes.append(f"columns of the file not used: {', '.join(unused[:20])}" + (" …" if len(unused) > 20 else ""))
 
 
-def _column(table: Table, name: str, column: Column, source: str) -> tuple[Floats, list[str]]:
+def _column(table: ForeignTable, name: str, column: Column, source: str) -> tuple[Floats, list[str]]:
     """One column of the measurement and what was done for it."""
     values = _numbers(table, column, source)
     target = unit_of_column(name)
@@ -199,7 +199,7 @@ def _column(table: Table, name: str, column: Column, source: str) -> tuple[Float
     return values + column.offset, [done, *notes]
 
 
-def _numbers(table: Table, column: Column, source: str) -> Floats:
+def _numbers(table: ForeignTable, column: Column, source: str) -> Floats:
     values = table.column(column.from_, source)
     if not column.values or values.dtype != np.object_:
         return table.numbers(column.from_, source)
@@ -214,7 +214,7 @@ def _numbers(table: Table, column: Column, source: str) -> Floats:
     return out
 
 
-def _unit(table: Table, name: str, column: Column, target: str, source: str) -> str:
+def _unit(table: ForeignTable, name: str, column: Column, target: str, source: str) -> str:
     """The unit of the file's numbers: the map's, or the reader's; they may not differ."""
     told = table.units.get(column.from_, "")
     if column.unit and told and told not in (column.unit, "1"):

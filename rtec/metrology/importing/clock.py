@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.metrology.importing.map import Run, Time
-from rtec.metrology.readers.base import Floats, Ints, Table
+from rtec.metrology.readers.base import Floats, ForeignTable, Ints
 from rtec.metrology.readers.times import parsed
 from rtec.metrology.units import convert
 from rtec.tomlfile import nearest
 
 
 @dataclass(frozen=True)
-class Clock:
+class RowClock:
     """Time of each row, s, (n,); rows at which the file's own clock starts again; what to tell about it."""
 
     time_s: Floats
@@ -24,7 +24,7 @@ class Clock:
     notes: tuple[str, ...]
 
 
-def seconds(table: Table, time: Time, source: str) -> Clock:
+def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
     """Time of each row.
 
     Raises:
@@ -33,7 +33,7 @@ def seconds(table: Table, time: Time, source: str) -> Clock:
     if time.column is None:
         step_s = time.step_s or 1.0
         order: Floats = np.arange(len(table), dtype=np.float64) * step_s
-        return Clock(order, np.empty(0, dtype=np.int64), (f"time is the order of rows, {step_s:g} s apart",))
+        return RowClock(order, np.empty(0, dtype=np.int64), (f"time is the order of rows, {step_s:g} s apart",))
     if time.format is not None or time.unit == "iso":
         time_s = _of_day(table, time.column, time.format, source)
     else:
@@ -55,7 +55,7 @@ def _since(values: Floats, unit: str) -> Floats:
     return values * 86400.0 if unit == "excel" else convert(values, unit, "s")
 
 
-def _of_day(table: Table, name: str, pattern: str | None, source: str) -> Floats:
+def _of_day(table: ForeignTable, name: str, pattern: str | None, source: str) -> Floats:
     """Seconds since the first time of day."""
     texts = table.column(name, source)
     out = np.full(len(table), np.nan)
@@ -74,7 +74,7 @@ def _of_day(table: Table, name: str, pattern: str | None, source: str) -> Floats
     return out
 
 
-def _put_in_order(time_s: Floats, table: Table, time: Time, source: str) -> Clock:
+def _put_in_order(time_s: Floats, table: ForeignTable, time: Time, source: str) -> RowClock:
     notes = []
     falls = np.flatnonzero(np.diff(time_s) < 0) + 1
     if len(falls) and not time.restarts:
@@ -92,10 +92,12 @@ def _put_in_order(time_s: Floats, table: Table, time: Time, source: str) -> Cloc
     if time.from_zero and len(time_s) and time_s[0] != 0.0:
         notes.append(f"time 0 is {time_s[0]:.10g} s of the file")
         time_s = time_s - time_s[0]
-    return Clock(time_s, falls, tuple(notes))
+    return RowClock(time_s, falls, tuple(notes))
 
 
-def runs(table: Table, run: Run, clock: Clock, columns: Mapping[str, Floats], source: str) -> tuple[Ints, list[str]]:
+def runs(
+    table: ForeignTable, run: Run, clock: RowClock, columns: Mapping[str, Floats], source: str
+) -> tuple[Ints, list[str]]:
     """Run number of each row, from 1, and what to tell about it.
 
     Args:

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.toml import MeasurementTable
-from rtec.metrology.readers.base import Source, Table
+from rtec.metrology.readers.base import ForeignTable, SourceOptions
 from rtec.metrology.units import UNITS, canonical
 from rtec.quantities import Code, Coefficient, Factor, MillimetresNotNegative, MillimetresPositive, SecondsPositive
 from rtec.tomlfile import Strict, read_toml, validated
@@ -118,7 +118,7 @@ class Run(Strict):
         return self
 
 
-class Rows(Strict):
+class RowRules(Strict):
     """`[rows]`: rows without a value in one of these columns of the file are left out, counted."""
 
     require: tuple[str, ...] = ()
@@ -127,12 +127,12 @@ class Rows(Strict):
 class ImportMap(Strict):
     """A whole map."""
 
-    source: Source = Source()
+    source: SourceOptions = SourceOptions()
     measurement: MeasurementTable
     setup: dict[str, Any] = Field(default_factory=dict)
     time: Time
     run: Run = Run()
-    rows: Rows = Rows()
+    rows: RowRules = RowRules()
     column: dict[str, Column]
 
     @field_validator("column")
@@ -162,7 +162,7 @@ def load_map(path: Path) -> ImportMap:
     return validated(ImportMap, read_toml(path, MeasurementError), str(path), MeasurementError)
 
 
-def starter_map(reader: str, tables: Sequence[Table]) -> str:
+def starter_map(reader: str, tables: Sequence[ForeignTable]) -> str:
     """A map to begin with for a file: its columns stand there, what only people know is to be filled in."""
     columns = [name for table in tables[:1] for name in table.columns]
     time = next((n for n in columns if n.lower() in TIMES), None)
@@ -201,7 +201,7 @@ unit = "um"
 """
 
 
-def _told(table: Table, name: str) -> str:
+def _told(table: ForeignTable, name: str) -> str:
     unit = f" [{table.units[name]}]" if table.units.get(name) else ""
     text = " (text)" if table.columns[name].dtype == object else ""
     return unit + text

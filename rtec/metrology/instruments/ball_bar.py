@@ -21,7 +21,7 @@ from pydantic import Field
 from rtec.effects import State
 from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.affine import ORIGIN, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, Instrument, Ints, Nuisance, Setup, component_index
+from rtec.metrology.instruments.base import Floats, Instrument, InstrumentSetup, Ints, Nuisance, component_index
 from rtec.quantities import Degrees, Millimetres, MillimetresPerMinute, MillimetresPositive, Vector
 
 Positive = Annotated[float, Field(gt=0)]
@@ -35,7 +35,7 @@ COVERED_DEG = 1.0
 TURN_DEG = 360.0
 
 
-class BallBarSetup(Setup):
+class BallBarSetup(InstrumentSetup):
     """`[setup]` of a ball bar.
 
     Attributes:

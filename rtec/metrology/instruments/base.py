@@ -26,7 +26,7 @@ BLOCK = 16384
 """Poses worked on at a time by `Instrument.arms_of`."""
 
 
-class Setup(Strict):
+class InstrumentSetup(Strict):
     """The `[setup]` table of an instrument; each instrument has its own keys."""
 
 
@@ -63,11 +63,11 @@ class Instrument(ABC):
 
     name: ClassVar[str]
     title: ClassVar[str]
-    setup_model: ClassVar[type[Setup]]
+    setup_model: ClassVar[type[InstrumentSetup]]
     axis_use: ClassVar[Literal["required", "optional", "none"]] = "optional"
     direct: ClassVar[Literal["um", "urad"] | None] = None
 
-    setup: Setup
+    setup: InstrumentSetup
     axis: str | None = None
     component: str | None = None
 

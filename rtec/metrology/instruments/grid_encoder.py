@@ -12,11 +12,11 @@ import numpy as np
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import MicrometresNotNegative, Vector
 
 
-class GridEncoderSetup(Setup):
+class GridEncoderSetup(InstrumentSetup):
     """`[setup]` of a grid encoder.
 
     Attributes:

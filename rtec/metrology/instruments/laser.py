@@ -21,12 +21,12 @@ from rtec.metrology.instruments.affine import (
     turn,
     zero,
 )
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Millimetres, Vector
 from rtec.tomlfile import nearest
 
 
-class LaserLinearSetup(Setup):
+class LaserLinearSetup(InstrumentSetup):
     """`[setup]` of a linear laser.
 
     Attributes:
@@ -91,7 +91,7 @@ class LaserLinear(AffineInstrument):
         return out
 
 
-class LaserAngularSetup(Setup):
+class LaserAngularSetup(InstrumentSetup):
     """`[setup]` of an angular laser.
 
     Attributes:

@@ -8,10 +8,10 @@ import numpy as np
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import AffineInstrument, Letter, Scope, Sign, Turn, turn, zero
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 
 
-class LevelSetup(Setup):
+class LevelSetup(InstrumentSetup):
     """`[setup]` of a level.
 
     Attributes:

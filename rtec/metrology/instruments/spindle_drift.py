@@ -14,7 +14,7 @@ from pydantic import Field
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, Sign, point, zero
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Vector
 from rtec.tomlfile import Strict
 
@@ -35,7 +35,7 @@ class Probe(Strict):
     sign: Sign = 1
 
 
-class SpindleDriftSetup(Setup):
+class SpindleDriftSetup(InstrumentSetup):
     """`[setup]` of drift probes.
 
     Attributes:

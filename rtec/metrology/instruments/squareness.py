@@ -21,12 +21,12 @@ from rtec.metrology.instruments.affine import (
     point,
     zero,
 )
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Vector, Whole
 from rtec.tomlfile import nearest
 
 
-class SquarenessSetup(Setup):
+class SquarenessSetup(InstrumentSetup):
     """`[setup]` of a squareness measurement.
 
     Attributes:

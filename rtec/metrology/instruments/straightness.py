@@ -24,11 +24,11 @@ from rtec.metrology.instruments.affine import (
     slope,
     zero,
 )
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Vector, Whole
 
 
-class StraightnessSetup(Setup):
+class StraightnessSetup(InstrumentSetup):
     """`[setup]` of a straightness measurement.
 
     Attributes:

@@ -9,11 +9,11 @@ from pydantic import Field, field_validator
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import ORIGIN, AffineInstrument, Letter, Scope, point, zero
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 from rtec.quantities import Vector
 
 
-class ToolTipSetup(Setup):
+class ToolTipSetup(InstrumentSetup):
     """`[setup]` of tool-tip readings.
 
     Attributes:

@@ -6,10 +6,10 @@ from typing import Literal
 from rtec.effects import State
 from rtec.machine import Machine
 from rtec.metrology.instruments.affine import AffineInstrument, Scope, Sign, point, zero
-from rtec.metrology.instruments.base import Floats, Ints, Nuisance, Setup
+from rtec.metrology.instruments.base import Floats, InstrumentSetup, Ints, Nuisance
 
 
-class WorkPieceSetup(Setup):
+class WorkPieceSetup(InstrumentSetup):
     """`[setup]` of a work piece.
 
     Attributes:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.fitting import Fit, correlation_time, separable_fit, unit_errors
+from rtec.metrology.procedures.fitting import SeparableFit, correlation_time, separable_fit, unit_errors
 
 Floats = NDArray[np.float64]
 COVERS = 0.95
@@ -141,7 +141,9 @@ def _better_pair(time_s: Floats, reading: Floats, least: float) -> Pair | None:
     )  # fmt: skip
 
 
-def _refined(time_s: Floats, reading: Floats, taus_s: Floats, bounds_s: tuple[float, float]) -> tuple[Fit, Floats]:
+def _refined(
+    time_s: Floats, reading: Floats, taus_s: Floats, bounds_s: tuple[float, float]
+) -> tuple[SeparableFit, Floats]:
     """Time constants from the least to the largest, at least `APART` apart, and the fit at them."""
     low, high = (float(np.log(b)) for b in bounds_s)
     apart = float(np.log(APART))
@@ -162,7 +164,7 @@ def _refined(time_s: Floats, reading: Floats, taus_s: Floats, bounds_s: tuple[fl
     return fit, ends(fit.theta)
 
 
-def _log_errors(time_s: Floats, fit: Fit, taus_s: Floats) -> Floats:
+def _log_errors(time_s: Floats, fit: SeparableFit, taus_s: Floats) -> Floats:
     """Standard errors of ln τ of a pair, whether or not it ended on a bound, (2,)."""
     decay = np.exp(-time_s[:, None] / taus_s)
     slopes = -fit.values[1:] * decay * time_s[:, None] / taus_s
@@ -223,7 +225,7 @@ LEAST_S = 1800.0
 
 
 @dataclass(frozen=True)
-class Phase:
+class SpeedPhase:
     """A stretch of constant speed: rows `first` to before `end`."""
 
     first: int
@@ -279,7 +281,7 @@ class Drift:
     name: str
     time_h: Floats
     rpm: Floats
-    phases: tuple[Phase, ...]
+    phases: tuple[SpeedPhase, ...]
     traces: tuple[Trace, ...]
     temperatures_degc: Mapping[str, Floats]
     words: tuple[str, ...]
@@ -338,14 +340,14 @@ def spindle_drift(
     )
 
 
-def phases_of(time_s: Floats, rpm: Floats) -> list[Phase]:
+def phases_of(time_s: Floats, rpm: Floats) -> list[SpeedPhase]:
     """Stretches of constant speed; speed 0 is "off"."""
     speed = _filled(rpm)
     phases, first = [], 0
     for i in range(1, len(speed) + 1):
         if i == len(speed) or abs(speed[i] - speed[first]) > max(10.0, SAME_SPEED * abs(speed[first])):
             hours = float(time_s[i - 1] - time_s[first]) / 3600.0
-            phases.append(Phase(first, i, float(time_s[first]) / 3600.0, hours, float(np.median(speed[first:i]))))
+            phases.append(SpeedPhase(first, i, float(time_s[first]) / 3600.0, hours, float(np.median(speed[first:i]))))
             first = i
     return phases
 
@@ -358,7 +360,7 @@ def _filled(rpm: Floats) -> Floats:
     return np.asarray(rpm[known[before]], dtype=np.float64)
 
 
-def _phase_fit(time_s: Floats, values: Floats, phases: Sequence[Phase], k: int) -> PhaseFit:
+def _phase_fit(time_s: Floats, values: Floats, phases: Sequence[SpeedPhase], k: int) -> PhaseFit:
     phase = phases[k]
     rows = np.arange(phase.first, phase.end)[~np.isnan(values[phase.first : phase.end])]
     earlier = values[: phase.first][~np.isnan(values[: phase.first])]
@@ -375,7 +377,7 @@ def _phase_fit(time_s: Floats, values: Floats, phases: Sequence[Phase], k: int) 
     return PhaseFit(k, measured, (found.pair or found).start - before, found)
 
 
-def _lasting(phases: Sequence[Phase]) -> list[str]:
+def _lasting(phases: Sequence[SpeedPhase]) -> list[str]:
     longest = max(phases, key=lambda p: p.hours)
     if longest.hours < 7.5:
         return [

@@ -18,7 +18,7 @@ DEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
-class Line:
+class BestLine:
     """A best-fit line and what is left of the readings.
 
     Attributes:
@@ -35,7 +35,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Fit:
+class SeparableFit:
     """A fit, linear but for θ.
 
     Attributes:
@@ -55,7 +55,7 @@ class Fit:
     correlation: float
 
 
-def best_line(position: Floats, reading: Floats) -> Line:
+def best_line(position: Floats, reading: Floats) -> BestLine:
     """Least-squares line, (n,) and (n,).
 
     Raises:
@@ -69,7 +69,7 @@ def best_line(position: Floats, reading: Floats) -> Line:
     residual = reading - reading.mean() - slope * spread
     left = len(position) - 2
     error = float(np.sqrt(residual @ residual / left / size)) if left > 0 else float("nan")
-    return Line(slope, error, float(reading.mean() - slope * position.mean()), residual)
+    return BestLine(slope, error, float(reading.mean() - slope * position.mean()), residual)
 
 
 def correlation_time(residual: Floats) -> float:
@@ -93,7 +93,7 @@ def separable_fit(
     high: Floats,
     *,
     errors: bool = True,
-) -> Fit:
+) -> SeparableFit:
     """Fit `reading = offset(θ) + design(θ) · values` by variable projection.
 
     Args:
@@ -123,7 +123,7 @@ def separable_fit(
         unit = unit_errors(np.concatenate([build(theta)[0], _slopes(build, values, theta, high - low)], axis=1))
     sigma = float(np.sqrt(residual @ residual / free))
     rms = float(np.sqrt(np.mean(residual**2)))
-    return Fit(values, theta, sigma * np.sqrt(rows) * unit, residual, rms, rows)
+    return SeparableFit(values, theta, sigma * np.sqrt(rows) * unit, residual, rms, rows)
 
 
 def _left(build: Callable[[Floats], tuple[Floats, Floats]], reading: Floats, theta: Floats) -> tuple[Floats, Floats]:

@@ -176,7 +176,7 @@ class Visits:
 
 
 @dataclass(frozen=True)
-class OneWay:
+class OneDirection:
     """Figures of one direction of approach, µm.
 
     Attributes:
@@ -228,8 +228,8 @@ class Positioning:
     """The result for one axis; `warnings` are sentences for the user."""
 
     visits: Visits
-    up: OneWay | None
-    down: OneWay | None
+    up: OneDirection | None
+    down: OneDirection | None
     both: TwoWay | None
     drift: CycleDrift | None
     warnings: tuple[str, ...]
@@ -258,7 +258,7 @@ def positioning(visits: Visits, pitch_mm: float | None = None) -> Positioning:
     return Positioning(visits, up, down, both, drift, tuple(warnings))
 
 
-def one_way(visits: Visits, x_um: Floats) -> OneWay | None:
+def one_way(visits: Visits, x_um: Floats) -> OneDirection | None:
     """Figures of one direction from deviations (m, n); None where it was not measured at all."""
     known = ~np.isnan(x_um)
     if not known.any():
@@ -273,12 +273,12 @@ def one_way(visits: Visits, x_um: Floats) -> OneWay | None:
     mean = np.nanmean(x_um, axis=1)
     s = np.nanstd(x_um, axis=1, ddof=1)
     high, low = mean + 2 * s, mean - 2 * s
-    return OneWay(
+    return OneDirection(
         mean, s, 4 * s, float(mean.max() - mean.min()), float(4 * s.max()), float(high.max() - low.min())
     )  # fmt: skip
 
 
-def two_way(up: OneWay, down: OneWay) -> TwoWay:
+def two_way(up: OneDirection, down: OneDirection) -> TwoWay:
     """Figures of both directions together."""
     mean, reversal = (up.mean_um + down.mean_um) / 2, up.mean_um - down.mean_um
     means = np.stack([up.mean_um, down.mean_um])

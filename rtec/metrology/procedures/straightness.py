@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.procedures.fitting import Line, best_line
+from rtec.metrology.procedures.fitting import BestLine, best_line
 
 Floats = NDArray[np.float64]
 Method = Literal["reversal", "pair", "face"]
 
 
 @dataclass(frozen=True)
-class Straightness:
+class StraightnessResult:
     """Straightness along one axis, best-fit line taken out.
 
     Attributes:
@@ -60,7 +60,7 @@ class Straightness:
     words: tuple[str, ...]
 
 
-def reversal(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> Straightness:
+def reversal(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> StraightnessResult:
     """Straightness from probe 1 and, after the arbor was turned by 180°, probe 2 on the same line of the arbor.
 
     m1 = a - s [G 3.1], m2 = a + s [G 3.2], so s = (m2 - m1)/2 [G 3.3] and a = (m1 + m2)/2.
@@ -77,7 +77,7 @@ def reversal(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> Straightness:
     return _result("reversal", position_mm, (m2 - m1) / 2, (m1 + m2) / 2, words)
 
 
-def pair(position_mm: Floats, probe1_um: Floats, probe2_um: Floats) -> Straightness:
+def pair(position_mm: Floats, probe1_um: Floats, probe2_um: Floats) -> StraightnessResult:
     """Straightness from two probes, both read before and after the arbor was turned by 180°.
 
     Each half turn gives reversal twice, with the arbor's two lines: s_a = (p2_180 - p1_0)/2 and s_b = (p2_0 -
@@ -97,7 +97,7 @@ def pair(position_mm: Floats, probe1_um: Floats, probe2_um: Floats) -> Straightn
     return _result("pair", position_mm, halves, profile, words)
 
 
-def face(position_mm: Floats, m1_um: Floats, m2_um: Floats, profile_um: Floats | None = None) -> Straightness:
+def face(position_mm: Floats, m1_um: Floats, m2_um: Floats, profile_um: Floats | None = None) -> StraightnessResult:
     """Straightness and orthogonality from one probe on a lapped face, before and after the spindle turned by 180°.
 
     m1 = -δ + e [G 3.6], m2 = -δ - e [G 3.7], so δ = -(m1 + m2)/2 [G 3.8] and e = (m1 - m2)/2; the slope of δ's
@@ -134,14 +134,14 @@ def _checked(position_mm: Floats, reading_um: Floats) -> Floats:
     return table
 
 
-def _result(method: Method, position_mm: Floats, sets: Floats, other: Floats, words: list[str]) -> Straightness:
+def _result(method: Method, position_mm: Floats, sets: Floats, other: Floats, words: list[str]) -> StraightnessResult:
     order = np.argsort(position_mm, kind="stable")
     position, sets, profile = position_mm[order], sets[:, order], other.mean(axis=0)[order]
     line = best_line(position, sets.mean(axis=0))
     point_se = _point_error(position, sets)
     if np.isnan(point_se):
         words = [*words, "One set of readings: it tells nothing about its own uncertainty. Repeat it three times."]
-    return Straightness(
+    return StraightnessResult(
         method=method,
         position_mm=position,
         straightness_um=line.residual,
@@ -160,7 +160,7 @@ def _point_error(position: Floats, sets: Floats) -> float:
     """Standard error of a point of the mean, each set's own line taken out; NaN from one set."""
     if len(sets) < 2:
         return float("nan")
-    lines: list[Line] = [best_line(position, s) for s in sets]
+    lines: list[BestLine] = [best_line(position, s) for s in sets]
     flat = np.stack([line.residual for line in lines])
     n = len(position)
     # Each set lost a line: n - 2 of its n values are free.
@@ -186,7 +186,7 @@ class Circle:
 
 
 @dataclass(frozen=True)
-class Parallelism:
+class ParallelismResult:
     """Parallelism of a motion to the spindle's axis, in the plane of the probes.
 
     Attributes:
@@ -242,7 +242,7 @@ def best_circle(angle_deg: Floats, reading_um: Floats) -> Circle:
     return Circle(float(values[0]), (float(values[1]), float(values[2])), float(np.ptp(left)), float(se))
 
 
-def parallelism(position_mm: Floats, angle_deg: Floats, probe1_um: Floats, probe2_um: Floats) -> Parallelism:
+def parallelism(position_mm: Floats, angle_deg: Floats, probe1_um: Floats, probe2_um: Floats) -> ParallelismResult:
     """Parallelism from the readings of both probes, rows in any order.
 
     α_p = [(R1(2) - R1(1)) - (R2(2) - R2(1))] / 2Δz for two places [G 3.5]; for more the slope of the best-fit line
@@ -268,7 +268,7 @@ def parallelism(position_mm: Floats, angle_deg: Floats, probe1_um: Floats, probe
     lever = places - places.mean()
     point = np.array([np.hypot(a.se_um, b.se_um) / 2 for a, b in zip(*circles, strict=True)])
     noise = float(np.sqrt(((lever / (lever @ lever)) ** 2 * point**2).sum()))
-    return Parallelism(
+    return ParallelismResult(
         position_mm=places,
         radius_um=radius,
         alpha_urad=line.slope * 1e3,

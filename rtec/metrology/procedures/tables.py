@@ -13,9 +13,16 @@ from rtec.metrology.instruments.straightness import StraightnessSetup
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.procedures.drift import Drift, spindle_drift
 from rtec.metrology.procedures.iso230_2 import Visits
-from rtec.metrology.procedures.straightness import Parallelism, Straightness, face, pair, parallelism, reversal
+from rtec.metrology.procedures.straightness import (
+    ParallelismResult,
+    StraightnessResult,
+    face,
+    pair,
+    parallelism,
+    reversal,
+)
 from rtec.metrology.readers import delimited, ecmc_iso230
-from rtec.metrology.readers.base import Source
+from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.units import UNITS
 from rtec.tomlfile import nearest
 
@@ -32,7 +39,7 @@ def read_table(path: Path) -> Table:
         MeasurementError: not readable, no text, no rows, a name twice, a row too short or long, or a cell that is no
             number; the message names file, line and column.
     """
-    (table,) = delimited.read(path, Source(comment="#"), where="")
+    (table,) = delimited.read(path, SourceOptions(comment="#"), where="")
     return {name: table.numbers(name, str(path)) for name in table.columns}
 
 
@@ -87,7 +94,7 @@ HALF_TURN_DEG = 180.0
 ANGLE_TOLERANCE_DEG = 1.0
 
 
-def straightness_table(path: Path, method: str | None = None) -> tuple[str, Straightness]:
+def straightness_table(path: Path, method: str | None = None) -> tuple[str, StraightnessResult]:
     """Straightness from a CSV: `x_mm` (or `z_mm`, …), `spindle_deg` (0 or 180), `probe1_um`, and by method more.
 
     reversal: `probe1_um` at 0°, `probe2_um` at 180°. pair: both at both. face: `probe1_um` at both; with
@@ -117,7 +124,7 @@ def straightness_table(path: Path, method: str | None = None) -> tuple[str, Stra
         raise MeasurementError(f"{path}: {chosen}: {e}") from e
 
 
-def parallelism_table(path: Path) -> tuple[str, Parallelism]:
+def parallelism_table(path: Path) -> tuple[str, ParallelismResult]:
     """Parallelism from a CSV: `z_mm` (place along the motion), `angle_deg`, `probe1_um`, `probe2_um`.
 
     Raises:
@@ -158,7 +165,7 @@ def drift_table(path: Path, columns: Mapping[str, str], distance_mm: float | Non
 
 def _measured(
     method: str, places: Floats, sets: Mapping[tuple[int, int], Floats | None], profile: Floats | None
-) -> Straightness:
+) -> StraightnessResult:
     if method == "reversal":
         return reversal(places, *_both(_there(sets, 1, 0), _there(sets, 2, 1)))
     if method == "face":
@@ -254,7 +261,7 @@ def drift_of(measurement: Measurement, distance_mm: float | None = None) -> Drif
     return spindle_drift(name, measurement.time_s, measurement.channels["spindle_rpm"], probes, known, sensors)
 
 
-def straightness_of(measurement: Measurement) -> tuple[str, Straightness]:
+def straightness_of(measurement: Measurement) -> tuple[str, StraightnessResult]:
     """Straightness by reversal from a measurement of instrument straightness with reversed runs.
 
     The probe's sign is the same in all runs, so readings are s + a, and s - a with the artefact turned over.
@@ -313,7 +320,7 @@ def read_dat(path: Path, swap: bool = False) -> Visits:
     """
     if not path.is_file():
         raise MeasurementError(f"{path}: no such file")
-    table = ecmc_iso230.read(path, Source(swap_directions=swap))[0]
+    table = ecmc_iso230.read(path, SourceOptions(swap_directions=swap))[0]
     unit = UNITS[table.units["target"]]
     if unit.kind != "length":
         raise MeasurementError(f"{path}: UNIT={table.units['target']}: only linear axes are known here")

@@ -23,7 +23,7 @@ EXPANSION = 16
 WHERE = "in [source] of the map,"
 
 
-class Source(Strict):
+class SourceOptions(Strict):
     """`[source]` of a map: how the file is written. What is not said is found out, and told.
 
     Attributes:
@@ -53,7 +53,7 @@ class Source(Strict):
 
 
 @dataclass(frozen=True)
-class Table:
+class ForeignTable:
     """Named columns of one length, as they stand in the file.
 
     Attributes:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import WHERE, Floats, Ints, Source, Table, Texts, decoded
+from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, Texts, decoded
 from rtec.metrology.units import UNITS, canonical
 
 DELIMITERS = (";", "\t", ",", "|")
@@ -18,7 +18,7 @@ NANS = ("nan", "NaN", "NAN")
 NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 
 
-def read(path: Path, source: Source, where: str = WHERE) -> list[Table]:
+def read(path: Path, source: SourceOptions, where: str = WHERE) -> list[ForeignTable]:
     """Read the one table of the file; `where` is how the user tells more of it, for messages.
 
     Raises:
@@ -50,7 +50,7 @@ def read(path: Path, source: Source, where: str = WHERE) -> list[Table]:
         columns[name], bad = _numbers_or_texts(table.column(name), source)
         if bad is not None:
             wrong[name] = (int(at[bad]), str(columns[name][bad]))
-    return [Table(path.stem, columns, units, at, notes, wrong, where)]
+    return [ForeignTable(path.stem, columns, units, at, notes, wrong, where)]
 
 
 def _delimiter(lines: list[str]) -> str:
@@ -61,7 +61,7 @@ def _delimiter(lines: list[str]) -> str:
 
 
 def _header(
-    path: Path, lines: list[str], delimiter: str, source: Source, where: str
+    path: Path, lines: list[str], delimiter: str, source: SourceOptions, where: str
 ) -> tuple[list[str], dict[str, str], int]:
     """Names, units, and how many lines they took."""
     cells = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
@@ -133,7 +133,7 @@ def _tell_widths(path: Path, lines: list[str], at: Ints, width: int, delimiter: 
     faults.raise_if_any()
 
 
-def _numbers_or_texts(column: Any, source: Source) -> tuple[Floats | Texts, int | None]:
+def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Texts, int | None]:
     """A column as numbers if all its cells are; else as texts, and which is the first that is no number."""
     import pyarrow as pa
     from pyarrow import compute

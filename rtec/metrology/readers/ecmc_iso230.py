@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import Floats, Source, Table, Texts, decoded
+from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, Texts, decoded
 from rtec.metrology.units import canonical
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
@@ -31,7 +31,7 @@ class _File:
     keys: dict[str, str] = field(default_factory=dict)
 
 
-def read(path: Path, source: Source) -> list[Table]:
+def read(path: Path, source: SourceOptions) -> list[ForeignTable]:
     """Read the one table of the file: order, cycle, position, direction (-1, +1), target, reference, deviation.
 
     Raises:
@@ -53,7 +53,7 @@ def read(path: Path, source: Source) -> list[Table]:
     missing = (f"{lost} of {positions * cycles * 2} readings are not in the file",) if lost else ()
     lines = np.array(table.pop("line"), dtype=np.int64)
     units = dict.fromkeys(("target", "reference", "deviation"), unit)
-    return [Table(path.stem, table, units, lines, (*notes, *about, *missing))]
+    return [ForeignTable(path.stem, table, units, lines, (*notes, *about, *missing))]
 
 
 def _parse(text: str, faults: Faults) -> _File:

@@ -21,7 +21,7 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import Floats, Source, Table, decoded
+from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, decoded
 
 ARGUMENTS = {"X": "mm", "Y": "mm", "Z": "mm", "A": "deg", "B": "deg", "C": "deg"}
 COMPONENT = re.compile(r"E([XYZABC])[XYZABC]")
@@ -29,7 +29,7 @@ POSITION = re.compile(r"([XYZABC])0[XYZABC]")
 OTHER = re.compile(r"P0[XYZ]|P[XYZ][ABC]|N0[XYZ]|V[XYZ][XYZABC]")
 
 
-def read(path: Path, source: Source) -> list[Table]:
+def read(path: Path, source: SourceOptions) -> list[ForeignTable]:
     """Read every block as a table, in the file's own units; position errors get their ISO names (`EC0Y`).
 
     Raises:
@@ -51,14 +51,14 @@ def read(path: Path, source: Source) -> list[Table]:
             faults.whole(f"line {header_line}: no rows under this header")
         lines = np.array([line for line, cells in block[1:] if len(cells) == len(names)], dtype=np.int64)
         columns: dict[str, Floats] = {n: values[:, k] for k, n in enumerate(names)}
-        tables.append(Table(f"block{i + 1}", columns, {n: unit(n) for n in names if n}, lines, notes))
+        tables.append(ForeignTable(f"block{i + 1}", columns, {n: unit(n) for n in names if n}, lines, notes))
     if not tables:
         faults.whole("no header and no rows")
     faults.raise_if_any()
     return tables
 
 
-def write(tables: Sequence[Table], path: Path) -> None:
+def write(tables: Sequence[ForeignTable], path: Path) -> None:
     """Write tables as blocks; `read` gives the same numbers, bit for bit.
 
     Args:
@@ -125,7 +125,7 @@ def _rows(block: Sequence[tuple[int, list[str]]], width: int, faults: Faults) ->
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 
-def _block(table: Table, path: Path) -> str:
+def _block(table: ForeignTable, path: Path) -> str:
     columns = {}
     for name in table.columns:
         if _iso_name(_own_name(name)) != name:

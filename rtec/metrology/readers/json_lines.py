@@ -15,13 +15,13 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import Floats, Source, Table, Texts, decoded
+from rtec.metrology.readers.base import Floats, ForeignTable, SourceOptions, Texts, decoded
 
 DEPTH = 8
 MOST_COLUMNS = 1000
 
 
-def read(path: Path, source: Source) -> list[Table]:
+def read(path: Path, source: SourceOptions) -> list[ForeignTable]:
     """Read all lines as one table.
 
     Raises:
@@ -47,7 +47,7 @@ def read(path: Path, source: Source) -> list[Table]:
         faults.whole("its objects hold nothing")
     faults.raise_if_any()
     columns = {key: _column(len(lines), where, values) for key, (where, values) in cells.items()}
-    return [Table(path.stem, columns, {}, np.array(lines, dtype=np.int64), notes)]
+    return [ForeignTable(path.stem, columns, {}, np.array(lines, dtype=np.int64), notes)]
 
 
 def _object(line: str, number: int, faults: Faults) -> list[tuple[str, Any]]:

@@ -12,13 +12,13 @@ from rtec.errors import MeasurementError
 from rtec.tomlfile import nearest
 
 if TYPE_CHECKING:
-    from rtec.metrology.readers.base import Source, Table
+    from rtec.metrology.readers.base import ForeignTable, SourceOptions
 
 HEAD_BYTES = 8192
 
 
 @dataclass(frozen=True)
-class Reader:
+class FileReader:
     """One reader.
 
     Attributes:
@@ -51,32 +51,32 @@ def _isg(head: str) -> bool:
     return any(len(n) == 3 for n in first) and all(known.fullmatch(n) for n in first)
 
 
-READERS: dict[str, Reader] = {
-    "ecmc_iso230": Reader(
+READERS: dict[str, FileReader] = {
+    "ecmc_iso230": FileReader(
         "rtec.metrology.readers.ecmc_iso230",
         "ecmc ISO 230-2 data (.dat: TGT_DATA, REF_DATA_FWD, REF_DATA_BWD)",
         "order, cycle, position, direction, target, reference, deviation",
         lambda head: bool(re.search(r"^(TGT_DATA|REF_DATA_[FB]WD)\[", head, re.MULTILINE)),
     ),
-    "twincat_scope": Reader(
+    "twincat_scope": FileReader(
         "rtec.metrology.readers.twincat_scope",
         "TwinCAT Scope export to CSV",
         "time, and each channel by its name",
         lambda head: head.startswith("Name") and bool(re.search(r"^Data-Type|^SampleTime", head, re.MULTILINE)),
     ),
-    "json_lines": Reader(
+    "json_lines": FileReader(
         "rtec.metrology.readers.json_lines",
         "JSON lines: one object a line",
         "each key; keys inside of objects and lists joined by points",
         _json_lines,
     ),
-    "isg_csv": Reader(
+    "isg_csv": FileReader(
         "rtec.metrology.readers.isg_csv",
         "ISG / Beckhoff volumetric compensation (ISG CSV: EXX … ECX against position)",
         "per block: X Y Z A B C as arguments, component errors by their names",
         _isg,
     ),
-    "delimited": Reader(
+    "delimited": FileReader(
         "rtec.metrology.readers.delimited",
         "any text table: comma, semicolon, tab or bar",
         "the names in its header",
@@ -103,7 +103,7 @@ def detect(path: Path, encoding: str | None = None) -> str:
     return next(name for name, reader in READERS.items() if reader.looks_like(head))
 
 
-def read_tables(path: Path, source: "Source | None" = None) -> tuple[str, "list[Table]"]:
+def read_tables(path: Path, source: "SourceOptions | None" = None) -> tuple[str, "list[ForeignTable]"]:
     """Read a file with the reader that `source` names, or with the one that fits.
 
     Returns:
@@ -112,9 +112,9 @@ def read_tables(path: Path, source: "Source | None" = None) -> tuple[str, "list[
     Raises:
         MeasurementError: no such reader, or the file is wrong; names file and line.
     """
-    from rtec.metrology.readers.base import Source
+    from rtec.metrology.readers.base import SourceOptions
 
-    source = source or Source()
+    source = source or SourceOptions()
     name = source.reader or detect(path, source.encoding)
     if name not in READERS:
         raise MeasurementError(f"{path}: there is no reader {name!r}{nearest(name, READERS)}")

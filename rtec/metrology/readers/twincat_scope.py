@@ -16,7 +16,7 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
-from rtec.metrology.readers.base import WHERE, Floats, Ints, Source, Table, decoded
+from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, decoded
 from rtec.metrology.readers.times import filetime_text
 from rtec.metrology.units import canonical
 
@@ -34,7 +34,7 @@ class _Layout:
     decimal: str
 
 
-def read(path: Path, source: Source) -> list[Table]:
+def read(path: Path, source: SourceOptions) -> list[ForeignTable]:
     """Read one table for each time column: `time` in s from the first sample, and each channel by its name.
 
     Raises:
@@ -56,7 +56,7 @@ def read(path: Path, source: Source) -> list[Table]:
     ]
     if len(tables) == 1:
         return tables
-    return [Table(f"group{k + 1}", t.columns, t.units, t.lines, t.notes) for k, t in enumerate(tables)]
+    return [ForeignTable(f"group{k + 1}", t.columns, t.units, t.lines, t.notes) for k, t in enumerate(tables)]
 
 
 def _layout(path: Path, lines: list[str], delimiter: str, decimal: str) -> _Layout:
@@ -123,7 +123,7 @@ def _table(
     cells: list[list[str]],
     lines: Ints,
     notes: tuple[str, ...],
-) -> Table:
+) -> ForeignTable:
     at = layout.times[k]
     there = [i for i, row in enumerate(cells) if row[at].strip()]
     time_s, start = _time_s(path, [cells[i][at] for i in there], lines[there], layout.decimal)
@@ -135,7 +135,7 @@ def _table(
         if unit:
             units[own] = unit
     told = (*notes, start, "channels: " + ", ".join(n for n in columns if n != "time"))
-    return Table(path.stem, columns, units, lines[there], told)
+    return ForeignTable(path.stem, columns, units, lines[there], told)
 
 
 def _time_s(path: Path, texts: list[str], lines: Ints, decimal: str) -> tuple[Floats, str]:

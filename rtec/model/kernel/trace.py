@@ -203,7 +203,7 @@ Product = tuple[int, ...]
 
 
 @dataclass
-class Plan:
+class KernelPlan:
     """The sorted arithmetic of one model.
 
     Attributes:
@@ -255,7 +255,7 @@ class Plan:
         return [c for c in self.machine.components if c in fed]
 
 
-def plan_model(model: Model) -> Plan:
+def plan_model(model: Model) -> KernelPlan:
     """Trace every effect of a model and sort its terms.
 
     Raises:
@@ -263,7 +263,7 @@ def plan_model(model: Model) -> Plan:
             or one that it does not list among its channels.
     """
     graph = Graph()
-    plan = Plan(model.machine, graph)
+    plan = KernelPlan(model.machine, graph)
     traced: list[tuple[str, int, Symbol]] = []
     first = 0
     for fitted in model.effects:
@@ -294,7 +294,7 @@ def _check_read(fitted: FittedEffect, read: set[str], machine: Machine) -> None:
             raise ModelError(f"{where}: its basis reads channel {name!r}, which its channels() does not list")
 
 
-def _factors(plan: Plan, number: int) -> list[int]:
+def _factors(plan: KernelPlan, number: int) -> list[int]:
     """Factors whose product is the node; constants of one are left out."""
     _classify(plan)
     node = plan.graph.nodes[number]
@@ -308,7 +308,7 @@ def _factors(plan: Plan, number: int) -> list[int]:
     return [number]
 
 
-def _classify(plan: Plan) -> None:
+def _classify(plan: KernelPlan) -> None:
     """Say for every node not yet looked at whether it is fast."""
     moving = set(plan.machine.moving_channels)
     for node in plan.graph.nodes[len(plan.fast) :]:

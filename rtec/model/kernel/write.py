@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from rtec.machine import Axis, Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
-from rtec.model.kernel.trace import Plan, Product, plan_model
+from rtec.model.kernel.trace import KernelPlan, Product, plan_model
 from rtec.model.model import Model
 
 # Division by zero gives inf, as in numpy, and the guard holds on it; an exception would end the loop.
@@ -82,7 +82,7 @@ def write_kernel(model: Model) -> KernelSource:
 
 
 class _Writer:
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: KernelPlan) -> None:
         self.plan = plan
         self.nodes = plan.graph.nodes
         self.keys = sorted(plan.terms, key=lambda k: (plan.components.index(k[0]), k[1]))

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.jit import njit
-from rtec.sim.campaign.settings import Noise
+from rtec.sim.campaign.settings import ReadingNoise
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -28,7 +28,7 @@ def _ornstein_uhlenbeck(fresh: Floats, time_s: Floats, tau_s: float) -> Floats:
     return out
 
 
-def with_noise(reading: Floats, time_s: Floats, run: Ints, noise: Noise, rng: np.random.Generator) -> Floats:
+def with_noise(reading: Floats, time_s: Floats, run: Ints, noise: ReadingNoise, rng: np.random.Generator) -> Floats:
     """A reading as the instrument shows it, (n,); every kind has its own random numbers, drawn in this order."""
     n = len(reading)
     _, first = np.unique(run, return_inverse=True)

@@ -15,7 +15,7 @@ from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
 from rtec.sim.campaign.cycle import MOST_ROWS, Cycle
-from rtec.sim.campaign.settings import Phase, Settings, Targets
+from rtec.sim.campaign.settings import DayPhase, Settings, Targets
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,7 +25,7 @@ LOAD_MM_S = 100.0
 DRIFT_EVERY_S = 600.0
 
 
-def phases_of(settings: Settings, instrument: Instrument) -> tuple[Phase, ...]:
+def phases_of(settings: Settings, instrument: Instrument) -> tuple[DayPhase, ...]:
     """Phases of the day."""
     if settings.phase:
         return settings.phase
@@ -33,43 +33,43 @@ def phases_of(settings: Settings, instrument: Instrument) -> tuple[Phase, ...]:
     return PRESETS[settings.protocol or usual](settings.cycles)
 
 
-def _warm_up(cycles: int) -> tuple[Phase, ...]:
-    def then(*between: Phase) -> list[Phase]:
-        return [p for b in between for p in (b, Phase(name=f"measure after {b.name}", cycles=cycles))]
+def _warm_up(cycles: int) -> tuple[DayPhase, ...]:
+    def then(*between: DayPhase) -> list[DayPhase]:
+        return [p for b in between for p in (b, DayPhase(name=f"measure after {b.name}", cycles=cycles))]
 
     return (
-        Phase(name="measure cold", cycles=cycles),
+        DayPhase(name="measure cold", cycles=cycles),
         *then(
-            Phase(name="idle 1", hours=1.0),
-            Phase(name="move 1", hours=0.25, moving=0.8),
-            Phase(name="move 2", hours=0.5, moving=0.8),
-            Phase(name="spindle 1", hours=0.75, rpm=1500.0),
-            Phase(name="move 3", hours=1.0, moving=0.8, rpm=2500.0),
-            Phase(name="idle 2", hours=1.0),
-            Phase(name="move 4", hours=1.5, moving=0.5, rpm=3000.0),
-            Phase(name="off", hours=1.5, on=False),
+            DayPhase(name="idle 1", hours=1.0),
+            DayPhase(name="move 1", hours=0.25, moving=0.8),
+            DayPhase(name="move 2", hours=0.5, moving=0.8),
+            DayPhase(name="spindle 1", hours=0.75, rpm=1500.0),
+            DayPhase(name="move 3", hours=1.0, moving=0.8, rpm=2500.0),
+            DayPhase(name="idle 2", hours=1.0),
+            DayPhase(name="move 4", hours=1.5, moving=0.5, rpm=3000.0),
+            DayPhase(name="off", hours=1.5, on=False),
         ),
     )
 
 
-def _cold(cycles: int) -> tuple[Phase, ...]:
-    return (Phase(name="measure cold", cycles=cycles),)
+def _cold(cycles: int) -> tuple[DayPhase, ...]:
+    return (DayPhase(name="measure cold", cycles=cycles),)
 
 
-def _drift(cycles: int) -> tuple[Phase, ...]:
+def _drift(cycles: int) -> tuple[DayPhase, ...]:
     del cycles
-    out = [Phase(name="cold", hours=0.5, on=False, read_every_s=DRIFT_EVERY_S)]
+    out = [DayPhase(name="cold", hours=0.5, on=False, read_every_s=DRIFT_EVERY_S)]
     for rpm in (1000.0, 2000.0, 3000.0):
-        out.append(Phase(name=f"{rpm:.0f} 1/min", hours=8.0, rpm=rpm, read_every_s=DRIFT_EVERY_S))
-        out.append(Phase(name=f"off after {rpm:.0f} 1/min", hours=15.5, on=False, read_every_s=DRIFT_EVERY_S))
+        out.append(DayPhase(name=f"{rpm:.0f} 1/min", hours=8.0, rpm=rpm, read_every_s=DRIFT_EVERY_S))
+        out.append(DayPhase(name=f"off after {rpm:.0f} 1/min", hours=15.5, on=False, read_every_s=DRIFT_EVERY_S))
     return tuple(out)
 
 
-def _parts(cycles: int) -> tuple[Phase, ...]:
+def _parts(cycles: int) -> tuple[DayPhase, ...]:
     out = []
     for i in range(3 * cycles):
-        out.append(Phase(name=f"part {i + 1}", cycles=1))
-        out.append(Phase(name=f"cutting {i + 1}", hours=0.5, moving=0.5, rpm=(2500.0, 1200.0, 0.0)[i // 5 % 3]))
+        out.append(DayPhase(name=f"part {i + 1}", cycles=1))
+        out.append(DayPhase(name=f"cutting {i + 1}", hours=0.5, moving=0.5, rpm=(2500.0, 1200.0, 0.0)[i // 5 % 3]))
     return tuple(out)
 
 
@@ -112,7 +112,7 @@ class Timeline:
         return len(self.time_s)
 
 
-def make_timeline(machine: Machine, settings: Settings, phases: tuple[Phase, ...], cycle: Cycle) -> Timeline:
+def make_timeline(machine: Machine, settings: Settings, phases: tuple[DayPhase, ...], cycle: Cycle) -> Timeline:
     """Put the phases one after another.
 
     Raises:
@@ -132,7 +132,7 @@ def make_timeline(machine: Machine, settings: Settings, phases: tuple[Phase, ...
     return book.close(tuple(p.name for p in phases))
 
 
-def _least_s(phase: Phase, settings: Settings) -> float:
+def _least_s(phase: DayPhase, settings: Settings) -> float:
     return min(GRID_S, phase.read_every_s or settings.log_every_s or GRID_S)
 
 
@@ -145,7 +145,7 @@ class _Book:
         self._pieces: list[Mapping[str, NDArray[np.generic]]] = []
         self._time_s, self._run, self.reads = 0.0, 0, 0
 
-    def measure(self, index: int, phase: Phase) -> None:
+    def measure(self, index: int, phase: DayPhase) -> None:
         cycle = self._cycle
         load = cycle.path_mm / cycle.seconds / LOAD_MM_S
         for _ in range(phase.cycles):
@@ -155,7 +155,7 @@ class _Book:
             self._run += 1 + int(part.max())
             self._time_s += cycle.seconds
 
-    def wait(self, index: int, phase: Phase) -> None:
+    def wait(self, index: int, phase: DayPhase) -> None:
         seconds = phase.hours * 3600.0
         feed_mm_s = self._targets.feed_mm_min / 60.0
         moves = np.zeros(self._axes)
@@ -176,7 +176,7 @@ class _Book:
     def _add(
         self,
         index: int,
-        phase: Phase,
+        phase: DayPhase,
         after_s: Floats,
         load: Floats,
         *,

@@ -22,7 +22,7 @@ DRIFT_PROBES: Mapping[str, Any] = {
 
 
 @dataclass(frozen=True)
-class Order:
+class SimulationOrder:
     """An instrument as it is named on a command line."""
 
     instrument: str

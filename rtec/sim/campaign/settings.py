@@ -79,7 +79,7 @@ class Path(Strict):
     step_mm: MillimetresPositive = 0.5
 
 
-class Phase(Strict):
+class DayPhase(Strict):
     """A part of the day: either measuring, or letting the machine be.
 
     Attributes:
@@ -101,7 +101,7 @@ class Phase(Strict):
     read_every_s: SecondsPositive | None = None
 
     @model_validator(mode="after")
-    def _one_kind(self) -> "Phase":
+    def _one_kind(self) -> "DayPhase":
         if bool(self.cycles) == bool(self.hours):
             raise ValueError("a phase has either cycles or hours")
         if self.cycles and (self.moving or self.read_every_s):
@@ -109,7 +109,7 @@ class Phase(Strict):
         return self
 
 
-class Body(Strict):
+class SensorBody(Strict):
     """First-order body under one temperature sensor: it goes towards the air's temperature plus these rises.
 
     Attributes:
@@ -145,11 +145,11 @@ class Thermal(Strict):
     swing_degc: DegreesSpread = 1.0
     walk_degc: DegreesSpread = 0.3
     walk_tau_s: SecondsPositive = 7200.0
-    body: dict[str, Body] = Field(default_factory=dict)
+    body: dict[str, SensorBody] = Field(default_factory=dict)
     sensors: Sensors = Sensors()
 
 
-class Noise(Strict):
+class ReadingNoise(Strict):
     """Faults of the readings, µm (µrad where a reading is an angle).
 
     Attributes:
@@ -172,7 +172,7 @@ class Noise(Strict):
     lost: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
 
-QUIET = Noise(white_um=0.0)
+QUIET = ReadingNoise(white_um=0.0)
 PERFECT = Sensors(offset_degc=0.0, noise_degc=0.0, lag_s=0.0, resolution_degc=0.0)
 Preset = Literal["warm_up", "cold", "drift", "parts"]
 
@@ -191,9 +191,9 @@ class Settings(Strict):
     targets: Targets = Targets()
     path: Path = Path()
     protocol: Preset | None = None
-    phase: tuple[Phase, ...] = ()
+    phase: tuple[DayPhase, ...] = ()
     cycles: Annotated[int, Field(ge=1, le=100_000)] = 5
     thermal: Thermal = Thermal()
-    noise: Noise = Noise()
+    noise: ReadingNoise = ReadingNoise()
     nuisance: dict[str, MicrometresNotNegative] = Field(default_factory=dict)
     log_every_s: SecondsPositive | None = None

@@ -17,7 +17,7 @@ from rtec.jit import njit
 from rtec.machine import Machine
 from rtec.sim.campaign.noise import drift_noise, quantised
 from rtec.sim.campaign.protocol import Timeline
-from rtec.sim.campaign.settings import Body, Sensors, Thermal
+from rtec.sim.campaign.settings import SensorBody, Sensors, Thermal
 from rtec.tomlfile import nearest
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,7 @@ def sensor_readings_degc(true_degc: Floats, time_s: Floats, sensors: Sensors, rn
     return quantised(out, sensors.resolution_degc)
 
 
-def bodies_of(machine: Machine, thermal: Thermal) -> dict[str, Body]:
+def bodies_of(machine: Machine, thermal: Thermal) -> dict[str, SensorBody]:
     """Body of every sensor; those that are not given follow from the names."""
     for name, body in thermal.body.items():
         if name not in machine.sensor_names:
@@ -72,19 +72,19 @@ def bodies_of(machine: Machine, thermal: Thermal) -> dict[str, Body]:
     }
 
 
-def usual_body(machine: Machine, sensor: str, number: int) -> Body:
+def usual_body(machine: Machine, sensor: str, number: int) -> SensorBody:
     """Body of a sensor by the words in its name; no two have quite the same time constant."""
     words = set(re.split(r"[_\d]+", sensor.lower()))
     slower = 1.0 + 0.13 * number
     if words & {"air", "ambient", "room"}:
-        return Body(tau_s=120.0 * slower)
+        return SensorBody(tau_s=120.0 * slower)
     near = [a.name for a in machine.axes if a.name.lower() in words]
     if near:
-        return Body(tau_s=2000.0 * slower, on_degc=1.0, axis_degc=dict.fromkeys(near, 20.0))
+        return SensorBody(tau_s=2000.0 * slower, on_degc=1.0, axis_degc=dict.fromkeys(near, 20.0))
     if words & {"spindle", "head", "headstock", "bearing", "quill"}:
-        return Body(tau_s=2500.0 * slower, on_degc=1.0, spindle_degc=5.0)
+        return SensorBody(tau_s=2500.0 * slower, on_degc=1.0, spindle_degc=5.0)
     axes = dict.fromkeys(machine.axis_names, 4.0)
-    return Body(tau_s=9000.0 * slower, on_degc=2.0, axis_degc=axes, spindle_degc=1.0)
+    return SensorBody(tau_s=9000.0 * slower, on_degc=2.0, axis_degc=axes, spindle_degc=1.0)
 
 
 @njit
@@ -97,7 +97,7 @@ def relax(start: float, towards: Floats, time_s: Floats, tau_s: float) -> Floats
     return out
 
 
-def _rise(machine: Machine, body: Body, timeline: Timeline) -> Floats:
+def _rise(machine: Machine, body: SensorBody, timeline: Timeline) -> Floats:
     out = body.on_degc * timeline.on + body.spindle_degc * (np.abs(timeline.rpm) * 1e-3) ** SPINDLE_POWER
     for i, name in enumerate(machine.axis_names):
         out = out + body.axis_degc.get(name, 0.0) * timeline.load[:, i]
