@@ -27,8 +27,9 @@ from rtec.daemon.published import Published
 from rtec.daemon.recover import Found, Start, allowed, recover
 from rtec.daemon.ring import Ring
 from rtec.daemon.sign_check import with_step
+from rtec.daemon.supervision import fault
 from rtec.daemon.workers import worker_ports
-from rtec.errors import DriverError, RtecError, unforeseen
+from rtec.errors import DriverError, RtecError
 from rtec.loop.clock import RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
@@ -203,9 +204,8 @@ def fast_path(told: Orders, pipe: Connection) -> None:
         _tell(pipe, "done", _run(told, pipe))
     except RtecError as e:
         _tell(pipe, "error", str(e))
-    except Exception as e:
-        _tell(pipe, "died", unforeseen(e))
-        raise
+    except Exception as e:  # noqa: BLE001 - whatever it is: reported with its place, cleaned, and the process ends
+        _tell(pipe, "died", fault(e))
     finally:
         pipe.close()
 

@@ -349,7 +349,7 @@ def _died(code: int | None, last_words: str) -> str:
     """Say how the loop's process ended, and what that means for the machine."""
     if last_words:
         how = f"ended at a {last_words}"
-        again = "its place is shown above (in the journal); in a driver of your own, mend it, else please report it"
+        again = "in a driver of your own, mend it, else please report it"
     else:
         killed = code is not None and code < 0
         how = f"was killed (signal {-code}, {signal.strsignal(-code)})" if killed and code is not None else "ended"

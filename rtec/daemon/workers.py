@@ -24,8 +24,8 @@ import numpy as np
 
 from rtec.daemon.process import SIGNALS, signals_wait, starter
 from rtec.daemon.published import FAILED, NEVER, OPEN, STARTING, Published, PublishedReader
-from rtec.daemon.supervision import DaemonPart, DaemonParts
-from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError, unforeseen
+from rtec.daemon.supervision import DaemonPart, DaemonParts, fault
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import driver_class, make_device
 from rtec.loop.ports import FloatArray, IntArray, Resumable
@@ -87,9 +87,8 @@ def work(task: WorkerTask) -> None:
             _Polling(task, device, clock).serve()
         except RtecError as e:
             _last_words(memory, str(e))
-        except Exception as e:
-            _last_words(memory, unforeseen(e))
-            raise
+        except Exception as e:  # noqa: BLE001 - reported with its place, cleaned, and the process ends
+            _last_words(memory, fault(e))
 
 
 def _last_words(memory: Published, text: str) -> None:

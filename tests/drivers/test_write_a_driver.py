@@ -113,6 +113,8 @@ def test_a_fault_of_such_a_driver_is_told_by_its_own_words(site: Path, in_loop: 
     told = "fault in the program or in a library that it uses: KeyError: 'its own fault'"
     where = "rtec: the loop's process ended at a" if in_loop else "rtec: [device.cabinet]"
     assert f"{where} {told}" in said
+    assert "Traceback" not in said  # an exception's text could write what it likes into the journal
+    assert "(rtec_hwmon.py:" in said
 
 
 def test_what_else_the_page_says(site: Path) -> None:
