@@ -18,7 +18,6 @@ from tests.hil.test_run import faulty_run, only_log
 from tests.support import faulty, setups
 
 KILLS = 200
-SLEW_UM_S, COUNTS_PER_UM = 50.0, 2.0
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 
@@ -39,12 +38,13 @@ def test_two_hundred_kills(tmp_path: Path, kind: str) -> None:
     found = killed(tmp_path, kind)
     assert (found["alive"], len(found["begins"])) == (KILLS, KILLS)
     commands = np.array(found["commands"])
-    time_s, output = commands[:, 0] * 1e-9, commands[:, 3:]
+    output = commands[:, 3:]
     assert len(commands) > 10_000
     assert np.ptp(output[:, 0]) > 20
 
-    may = 1 + np.ceil(SLEW_UM_S * COUNTS_PER_UM * np.maximum(np.diff(time_s), 1e-3))
-    assert (np.abs(np.diff(output, axis=0)).max(axis=1) <= may).all()
+    # One cycle's 0.1 counts are one count at most, however long nobody commanded. A register cannot say that it never
+    # got the command that died on its way; a real start repeats that first (the rehearsal), this short one does not.
+    assert np.abs(np.diff(output, axis=0)).max() <= (1 if kind == "box" else 2)
 
     # Between what was kept and what the machine has lies one cycle's command at most, the one that died on the way.
     assert np.abs(np.array(found["saved"]) - found["inserted"]).max() <= 1
