@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +10,11 @@ from numpy.typing import NDArray
 from rtec import __version__
 from rtec.metrology.ball_bar.causes import feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
-from rtec.metrology.ball_bar.diagnosis import LEFT, BallBarDiagnosis
-from rtec.metrology.ball_bar.fit import FittedValue
+from rtec.metrology.ball_bar.diagnosis import RESIDUAL, BallBarDiagnosis
+from rtec.metrology.ball_bar.fit import FittedValue, OfHeight
 from rtec.metrology.ball_bar.iso230_4 import CircleHarmonic
+from rtec.metrology.ball_bar.search import NotFound
+from rtec.metrology.instruments.ball_bar import Plane
 from rtec.report import ball_bar_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
 from rtec.wording import NONE, number, percent, significant
@@ -51,7 +54,7 @@ def beyond_facts(d: BallBarDiagnosis) -> dict[str, object]:
         ],
         "not_found": [
             {"name": n.candidate.name, "title": n.candidate.title, "effect": n.candidate.effect,
-             "would_be_found_from": n.limit, "unit": n.unit}
+             "would_be_found_from": n.limit, "unit": n.unit, "together_with": [x.name for x in n.with_]}
             for n in d.found.not_found
         ],
         "not_looked_for": [
@@ -97,9 +100,14 @@ def _wanted(d: BallBarDiagnosis) -> list[str]:
 def _table(d: BallBarDiagnosis) -> Table | None:
     """What was tested."""
     rows = [[p.candidate.title, "yes", _chance(p.chance), NONE, ""] for p in d.found.beyond.picks]
-    rows += [[n.candidate.title, "no", NONE, significant(n.limit), UNITS[n.unit]] for n in d.found.not_found]
+    rows += [[_with(n), "no", NONE, significant(n.limit), UNITS[n.unit]] for n in d.found.not_found]
     head = ["tested", "found", "probability under noise alone", "would be found from", "unit"]
     return Table(head, rows, words=(0, 1, 4)) if rows else None
+
+
+def _with(n: NotFound) -> str:
+    others = " and ".join(x.title for x in n.with_)
+    return f"{n.candidate.title}, together with {others}" if others else n.candidate.title
 
 
 def _chance(share: float) -> str:
@@ -109,15 +117,25 @@ def _chance(share: float) -> str:
 def phase_lines(d: BallBarDiagnosis) -> list[str]:
     """Lines over the table of parameters; none where the question does not arise or does not matter."""
     a, b, _ = d.circles[0].setup.letters
+    late = []
+    if d.lag_s:
+        late = [
+            f"Both axes are {significant(1e3 * d.lag_s)} ms late, as position loops of K_v = {1.0 / d.lag_s:.0f} 1/s "
+            "without feed-forward are: what happens at a reversal is looked for so much after the commanded quadrant."
+        ]
+    return [*late, *_phase(d, a, b)]
+
+
+def _phase(d: BallBarDiagnosis, a: str, b: str) -> list[str]:
     if d.phase.decided and d.phase.reason:
         return [f"Servo phase {a}-{b}: taken as one {d.phase.taken} in all tests, because: {d.phase.reason}."]
     if not d.if_time:
         return []
     then = "; ".join(f"{s.taken.title} {number(s.if_time)} {UNITS[s.taken.unit]}" for s in d.if_time)
     return [
-        f"Servo phase {a}-{b}: taken as one angle in all tests [BB]. Feed over radius differs between them, so "
-        f"these tests do not determine whether it is one time, as the lag of an axis is. If so (--phase time): {then}. "
-        f"Tests with feeds in proportion to their radii ({_feeds(d)}) avoid the question."
+        f"Servo phase {a}-{b}: feed over radius differs between the tests, and they do not determine whether it is one "
+        f"angle in all of them [BB] or one time, as the lag of an axis is; intervals hold both. If it is one time "
+        f"(--phase time): {then}. Tests with feeds in proportion to their radii ({_feeds(d)}) avoid the question."
     ]
 
 
@@ -127,6 +145,7 @@ def phase_facts(d: BallBarDiagnosis) -> dict[str, object]:
         "taken_as": d.phase.taken,
         "decided": d.phase.decided,
         "reason": d.phase.reason,
+        "lag_ms": 1e3 * d.lag_s,
         "if_one_time": {s.taken.name: s.if_time for s in d.if_time},
     }
 
@@ -150,6 +169,8 @@ FORMULAS = (
     "Reversal spike: positive where the axis comes late, drawn outwards. Lateral play: place of the slide moving to "
     "plus minus that moving to minus.",
 )
+LARGER = 1.05
+"""A cause that is not determined is named beside the largest one where it may be so many times larger."""
 SMALLEST_UM = 0.01
 """A cause that makes less of a circle than this has no panel."""
 
@@ -175,17 +196,15 @@ def ball_bar_page(d: BallBarDiagnosis, figures: bool = True, files: Sequence[Pat
     ]
     if any(s.measured for s in d.spectra):
         sections.append(Section("Harmonics", [], _spectra(d), _spectrum_figure(d) if figures else None))
-    top = [s for s in d.shares if s.group != LEFT][:1]
     lead = f"Plane {plane}: " + "; ".join(f"{r.name} G = {number(r.g_um)} µm" for r in d.rounds) + "."
-    if top:
-        lead += f" The largest cause is {top[0].group}: {number(top[0].g_um)} µm by itself."
+    lead += _largest(d)
     return Page(
         title=f"Ball bar, plane {plane}",
         lead=lead,
         numbers=[(f"{number(r.g_um)}\u00a0µm", f"G, {r.name}") for r in d.rounds][:4],
         sections=sections,
         foot=[*FORMULAS, f"rtec {__version__}, rtec ballbar."],
-        brief=Section("", [], _brief(d)),
+        brief=Section("", [_height(d, h) for h in d.fitted.heights], _brief(d)),
         next=_next(d, files),
     )
 
@@ -204,6 +223,23 @@ def _next(d: BallBarDiagnosis, files: Sequence[Path]) -> list[str]:
     if d.wanted or d.fitted.rank.confounded:
         return [typed("rtec", "plan", *files, "--ball-bar", "non-linear")]
     return [typed("rtec", "fit", *files, "-o", "model.toml")]
+
+
+def _largest(d: BallBarDiagnosis) -> str:
+    """The largest cause that is determined, and one that may be larger and is not."""
+    top = next((s for s in d.shares if s.group != RESIDUAL), None)
+    if d.named is None:
+        open_ = f"; {top.group} may be {number(top.g_um)} µm" if top and top.g_um > SMALLEST_UM else ""
+        return f" No cause is determined beyond doubt{open_}."
+    others = dict.fromkeys(n for v in d.fitted.values if v.group == d.named.group for n in v.with_)
+    titles = {n.candidate.name: n.candidate.title for n in d.found.left_out}
+    also = " and ".join(titles[n] for n in others if n in titles)
+    out = (
+        f" The largest cause is {d.named.group}{f' (or {also})' if also else ''}: {number(d.named.g_um)} µm by itself."
+    )
+    if top and top.g_um > LARGER * d.named.g_um:
+        out += f" Not determined: {top.group}, up to {number(top.g_um)} µm."
+    return out
 
 
 def ball_bar_facts(d: BallBarDiagnosis) -> dict[str, object]:
@@ -230,11 +266,20 @@ def ball_bar_facts(d: BallBarDiagnosis) -> dict[str, object]:
             }
             for v in d.fitted.values
         },
+        "combinations": [
+            {
+                "terms": dict(v.terms), "title": v.title, "value": v.value, "se": v.se, "low": v.low, "high": v.high,
+                "unit": v.unit, "cause": v.group,
+            }
+            for v in d.fitted.combinations
+        ],
+        "height_of_table_ball": d.fitted.heights,
+        "largest_cause": d.named.group if d.named else None,
         "shares": d.shares,
         "beyond": beyond_facts(d) if d.dynamic else None,
         "explained": d.explained,
         "explained_by_bb_alone": d.explained_bb,
-        "left_um": d.fitted.sigma_um,
+        "residual_um": d.fitted.sigma_um,
         "window_deg": d.window_deg,
         "near_quadrants": d.near_quadrants,
         "harmonics": d.spectra,
@@ -293,7 +338,8 @@ def _shares(d: BallBarDiagnosis) -> Table:
 def _sizes(d: BallBarDiagnosis, group: str) -> str:
     """The parameters of a cause, each with its unit and interval."""
     known = [v for v in d.fitted.values if v.group == group and np.isfinite(v.value)]
-    return "; ".join(_interval(v, len(known) > 1) for v in known)
+    whole = [v for v in d.fitted.combinations if v.group == group]
+    return "; ".join([*(_interval(v, len(known) > 1) for v in known), *(_interval(v, True) for v in whole)])
 
 
 def _interval(v: FittedValue, named: bool) -> str:
@@ -310,21 +356,39 @@ def _apart(d: BallBarDiagnosis) -> list[str]:
     rank = d.fitted.rank
     out = [f"These tests do not determine: {', '.join(rank.never)}."] if rank.never else []
     out += [f"These tests do not separate {' and '.join(s)}." for s in rank.confounded]
-    return out
+    return out + [_height(d, h) for h in d.fitted.heights]
+
+
+def _height(d: BallBarDiagnosis, of: OfHeight) -> str:
+    """What a height of the ball takes the place of, and the test that separates them."""
+    a, b, n = d.circles[0].setup.letters
+    titles = {v.name: v.title for v in d.fitted.values}
+    planes = {x.lower(): next(p for p in get_args(Plane) if set(p) == {x, n}) for x in (a, b)}
+    bends = [planes[name[-1]] for name in of.names if name.startswith("pitch_")]
+    if bends:
+        test = f"A flat test (height 0) in plane {' and one in plane '.join(bends)} shows them as bends in its plane"
+    else:
+        test = "A flat test (height 0) in this plane separates them"
+    return (
+        f"The height of the table ball, known to ±{1e-3 * of.known_um:g} mm, is not separated from "
+        f"{' and '.join(titles[name] for name in of.names)}: a ball {significant(abs(of.height_um))} µm "
+        f"{'higher' if of.height_um > 0.0 else 'lower'} would make what the fit has of them. {test}; or measure the "
+        "height, and name its uncertainty as [setup] height_uncertainty_mm."
+    )
 
 
 def _values(d: BallBarDiagnosis) -> Table:
-    return Table(
-        ["parameter", "value", "95 % from", "to", "unit", "note"], [_row(v) for v in d.fitted.values], words=(0, 4, 5)
-    )
+    rows = [_row(v) for v in (*d.fitted.combinations, *d.fitted.values)]
+    return Table(["parameter", "value", "95 % from", "to", "unit", "note"], rows, words=(0, 4, 5))
 
 
 def _row(v: FittedValue) -> list[str]:
     digits = _digits(v)
     notes = [f"together with {', '.join(v.with_)}"] if v.with_ else []
     if not np.isfinite(v.value):
-        notes = [f"part of {v.with_[0]}" if v.with_ else "not determined by these tests"]
-    elif v.unit == "per_km" and v.value != 0.0:
+        why = f"not separated from {', '.join(v.with_)}" if v.with_ else "not determined by these tests"
+        return [v.title, NONE, NONE, NONE, UNITS[v.unit], why]
+    if v.unit == "per_km" and v.value != 0.0:
         notes = [f"radius {significant(1.0 / v.value, 3)} km", *notes]
     note = "; ".join([*([v.note] if v.note else []), *notes])
     return [v.title, number(v.value, digits), number(v.low, digits), number(v.high, digits), UNITS[v.unit], note]
@@ -368,7 +432,7 @@ def _linear(d: BallBarDiagnosis) -> Figure:
 
 def _one_by_one(d: BallBarDiagnosis) -> list[Section]:
     """Every cause by itself, largest first."""
-    shown = [s for s in d.shares if s.group != LEFT and s.g_um > SMALLEST_UM]
+    shown = [s for s in d.shares if s.group != RESIDUAL and s.g_um > SMALLEST_UM]
     if not shown:
         return []
     curves = [(f"{s.group} ({percent(s.share)})", d.fitted.parts_um[s.group]) for s in shown]

@@ -96,10 +96,11 @@ def grid_page(r: GridReport, figures: bool = True, files: Sequence[Path] = ()) -
     if left_out:
         sections.append(Section("Not compared", [f"{line}." for line in left_out]))
     lead = f"{counted(len(r.setups), 'set-up')}. "
-    names = dict.fromkeys(f"{i.name} = {number(i.value)} {i.unit}" for i in r.found)
-    lead += f"More than noise between directions, feeds or places: {', '.join(names)}." if names else (
-        "No difference between directions, feeds or places is more than noise." if r.comparisons else ""
-    )  # fmt: skip
+    rigid, beyond = (_together([i for i in r.found if i.rigid is kind]) for kind in (True, False))
+    lead += f"Rigid-body error motions between places [XT 4.1]: {rigid}. " if rigid else ""
+    lead += f"More than noise between directions, feeds or places: {beyond}." if beyond else ""
+    if r.comparisons and not r.found:
+        lead += "No difference between directions, feeds or places is more than noise."
     return Page(
         "Grid encoder",
         lead.strip(),
@@ -122,6 +123,10 @@ def _brief(r: GridReport) -> Table:
         rows.append([first.name, first.means, *ends, number(max(i.u for i in items)), first.unit, ""])
     head = ["error", "what it is", "value", "to", "± U", "unit", "beyond noise"]
     return Table(head, rows, "Errors of several set-ups: from the smallest to the largest.", words=(0, 1, 5, 6))
+
+
+def _together(items: Sequence[Item]) -> str:
+    return ", ".join(dict.fromkeys(f"{i.name} = {number(i.value)} {i.unit}" for i in items))
 
 
 def grid_facts(r: GridReport) -> dict[str, object]:

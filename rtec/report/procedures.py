@@ -203,7 +203,11 @@ TITLES = {
     "pair": "Straightness by a pair of probes and reversal",
     "face": "Straightness and orthogonality on a face",
 }
-SLOPES = {"reversal": "misalignment of the arbor", "pair": "misalignment of the arbor", "face": "orthogonality"}
+SLOPES = {
+    "reversal": "slope of the line taken out: arbor against the motion",
+    "pair": "slope of the line taken out: arbor against the motion",
+    "face": "slope of the line taken out: orthogonality to the spindle's axis",
+}
 STRAIGHTNESS_FORMULAS = {
     "reversal": "m1 = a - s [G 3.1], m2 = a + s [G 3.2], s = (m2 - m1)/2 [G 3.3]; best-fit line taken out.",
     "pair": "s = (p2 after - p1 before)/2 and (p2 before - p1 after)/2 [G 3.3], their mean; best-fit line taken out.",
@@ -222,14 +226,14 @@ def straightness_page(name: str, axis: str, r: StraightnessResult, figures: bool
         ["straightness, root mean square", number(r.rms_um), "µm"],
         ["standard error of a point", number(r.point_se_um), "µm"],
         [SLOPES[r.method], number(r.slope_urad), "µrad"],
-        ["its standard error", number(r.slope_se_urad), "µrad"],
+        ["standard error of that slope", number(r.slope_se_urad), "µrad"],
         ["sets of readings", str(r.repeats), ""],
     ]
     points = [
         [f"{x:g}", number(s, 3), number(a, 3)]
         for x, s, a in zip(r.position_mm, r.straightness_um, r.artefact_um, strict=True)
     ]
-    other = "tilt of the face e" if r.method == "face" else "profile of the arbor a"
+    other = "tilt of the face e, µm" if r.method == "face" else "profile of the arbor a, µm"
     figure = _straightness_figure(axis, r) if figures else None
     return Page(
         title=TITLES[r.method],

@@ -21,7 +21,7 @@ from tests.support.ball_bar_machines import KINDS, Judged, judge
 
 FIRST = 1000
 """Seeds from here on; those of the tests are below."""
-SHARE_OF = {"mixed": 1.0, "bb": 1.0, "wander": 0.5, "all": 0.4, "sine": 0.4}
+SHARE_OF = {"mixed": 1.0, "bb": 1.0, "wander": 0.5, "all": 0.4, "sine": 0.4, "whole": 0.6}
 
 
 def one(todo: tuple[str, int]) -> Judged:
@@ -55,6 +55,9 @@ def summary(judged: Sequence[Judged]) -> dict[str, float]:
         "bb_alone_mean": float(by_bb.mean()),
         "falsely_named": sum(bool(j.false_names) for j in judged) / len(judged),
         "missed_each": sum(len(j.missed) for j in judged) / len(judged),
+        "missed_above_limit": sum(len(j.missed_above) for j in judged) / len(judged),
+        "rms_z": float(np.sqrt(np.mean([x * x for j in judged for x in j.z] or [np.nan]))),
+        "headline_right": sum(j.headline for j in judged) / len(judged),
     }
 
 

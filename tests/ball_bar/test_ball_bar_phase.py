@@ -65,11 +65,14 @@ def test_where_tests_do_not_tell_both_are_told() -> None:
     given = run_tests(THREE, STATIC | {"psi": 0.0} | BENT, {"delay": DELAY_MS}, 0.2, seed=5)[0]
     d = diagnose(given)
     assert (d.phase.taken, d.phase.decided, d.fitted.model) == ("angle", False, "non-linear")
-    assert off_se(d, {"squareness": 25.0})["squareness"] > 10.0
     shifts = {s.taken.name: s for s in d.if_time}
     assert {"squareness", "twist"} <= set(shifts)
-    assert abs(shifts["squareness"].if_time - 25.0) < 4.0 * d.fitted.value("squareness").se
-    assert abs(shifts["twist"].if_time) < 4.0 * d.fitted.value("twist").se
+    for name, truth in (("squareness", 25.0), ("twist", 0.0)):
+        s, v = shifts[name], d.fitted.value(name)
+        assert abs(s.if_time - truth) < 4.0 * s.taken.se
+        assert abs(s.taken.value - truth) > 10.0 * s.taken.se, "as one angle alone it would be far off"
+        assert v.low <= min(s.taken.value, s.if_time) < max(s.taken.value, s.if_time) <= v.high
+        assert v.low <= truth <= v.high
     said = " ".join(" ".join(s.text) for s in ball_bar_page(d, figures=False).sections)
     assert "--phase time" in said
     assert "radius 120 mm at 800 mm/min" in said

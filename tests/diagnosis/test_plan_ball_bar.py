@@ -17,7 +17,7 @@ from rtec.effects import Effect
 from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.metrology.ball_bar.circle import circles_of
-from rtec.metrology.ball_bar.design import design_of, rank_of
+from rtec.metrology.ball_bar.design import design_of
 from rtec.metrology.measurement import Measurement
 from rtec.sim.campaign.settings import Path as Way
 from rtec.sim.campaign.settings import Settings
@@ -78,10 +78,10 @@ def test_rank_and_condition_are_those_of_the_ball_bars_own_design(tests: Any, be
     given = circles(*tests)
     found = separation(ball_bar_set(given, bent=bent), given)
     design = design_of(circles_of(given), bent=bent)
-    wanted = rank_of(design.columns, [c.title for c in design.labels])
+    wanted, title = design.rank, {c.name: c.title for c in design.labels}
     assert found.rank == wanted.rank
     assert found.condition == pytest.approx(wanted.condition, rel=1e-6)
-    assert sets(found) == [set(c) for c in wanted.confounded]
+    assert sets(found) == [{title[n] for n in c} for c in wanted.confounded]
 
 
 def test_phi_x_and_psi_y_never_separate() -> None:

@@ -14,8 +14,9 @@ Symbols: `p`, `q` positions along the plane's first and second letter from that 
 `ζ` angle, `s` sense.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,7 @@ class Cause:
         centre: 0 or 1: a centre offset along the plane's first or second letter.
         square: what goes with the square of the parameter, where that is as large as other second orders.
         also: further component errors that the same parameter feeds, each with one unit of it.
+        prior: standard uncertainty of what is known of it before any reading, about zero; infinite: nothing is.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Cause:
     centre: int | None = None
     square: Shape | None = None
     also: tuple[tuple[str, Shape], ...] = ()
+    prior: float = math.inf
 
 
 def causes(circle: CircleTest, *, bent: bool) -> tuple[Cause, ...]:
@@ -111,9 +114,45 @@ def causes(circle: CircleTest, *, bent: bool) -> tuple[Cause, ...]:
               f"E{n}{axis[a]}", lambda at: 0.5 * at.p**2 * 1e-3),
         Cause(f"pitch_{b}".lower(), f"bend of {b} along {n} (pitch)", "per_km", f"bend {b} out of plane",
               f"E{n}{axis[b]}", lambda at: -0.5 * at.q**2 * 1e-3),
-        Cause("twist", f"twist of the guide of {b} (roll)", "urad_per_m", f"twist {b}",
-              f"E{turns[b]}{axis[b]}", lambda at: -at.q * 1e-3),
+        _twist(circle),
     )  # fmt: skip
+
+
+def if_it_turns(circle: CircleTest, place: int) -> float:
+    """Bend in the plane of a guide whose carriage turns with its arc, for one unit of the one whose carriage shifts.
+
+    A carriage that follows a rigid arc turns by the arc's slope; where it carries the other axis of the plane that
+    moves the place by twice as much the other way, and the bend has the other sign.
+
+    Args:
+        circle: a test of the plane.
+        place: 0 or 1: which axis.
+    """
+    cause = next(c for c in causes(circle, bent=True) if c.name == f"yaw_{circle.setup.letters[place]}".lower())
+    a, b, n = circle.setup.letters
+    hand = float(np.cross(*(np.eye(3)["XYZ".index(d)] for d in (a, b))) @ np.eye(3)["XYZ".index(n)])
+    sign = hand if place == 1 else -hand
+    turn: Shape = lambda at: sign * (at.p, at.q)[place]  # noqa: E731 - a shape like the others
+    turning = replace(cause, also=((f"E{'ABC'['XYZ'.index(n)]}{axis_of(circle, place).name}", turn),))
+    bar = circle.instrument.bar_mm(circle.machine, circle.pose_mm)
+    shifts, turns = ((tip_um(c, circle, circle) * bar).sum(axis=1) for c in (cause, turning))
+    return float(shifts @ shifts / (turns @ shifts))
+
+
+def _twist(circle: CircleTest) -> Cause:
+    """Roll of the axis that is nearer to the workpiece and carries the other: only that one has an arm.
+
+    It moves the place along the third direction by κ p q in a right-handed plane, whichever axis it is.
+    """
+    chain, letters = circle.machine.chain, circle.setup.letters
+    names = [axis_of(circle, place).name for place in (0, 1)]
+    rolls = [f"E{'ABC'['XYZ'.index(letters[place])]}{names[place]}" for place in (0, 1)]
+    column = 1 + circle.machine.axis_names.index(names[1])
+    first = bool(np.abs(chain.terms[:, chain.components.index(rolls[0]), column]).max() > 0.0)
+    own = letters[0] if first else letters[1]
+    shape: Shape = (lambda at: at.p * 1e-3) if first else (lambda at: -at.q * 1e-3)
+    return Cause("twist", f"twist of the guide of {own} (roll)", "urad_per_m", f"twist {own}",
+                 rolls[0] if first else rolls[1], shape)  # fmt: skip
 
 
 def _ahead(at: At) -> Floats:

@@ -1,7 +1,7 @@
 """One ball-bar test as the procedures see it: angles, readings, and what belongs to its geometry."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -132,15 +132,26 @@ class CircleTest:
         off = np.rad2deg(self.angle_rad) % 90.0
         return np.asarray(np.minimum(off, 90.0 - off) < window_deg)
 
-    def taking_up(self, clearance_um: tuple[float, float]) -> Bools:
-        """Which readings are so near to a reversal that its axis may still cross the clearance there, (n,)."""
+    def taking_up(self, clearance_um: tuple[float, float], late_s: float = 0.0) -> Bools:
+        """Which readings are so near to a reversal that its axis may still cross the clearance there, (n,).
+
+        Args:
+            clearance_um: of both axes.
+            late_s: the axes may come to the reversal so much later than the angles say.
+        """
         out = np.zeros(len(self), dtype=np.bool_)
         for place, clearance in enumerate(clearance_um):
             way = min(abs(clearance) * 1e-3 / self.setup.radius_mm, 1.0)
             # Angles are rounded: a reading at a quadrant may be on either side of it.
             after = self.since_turn_rad(place)
-            out |= np.minimum(after, np.pi - after) < max(float(np.arccos(1.0 - way)), QUADRANT_RAD)
+            crossing = max(float(np.arccos(1.0 - way)), QUADRANT_RAD)
+            out |= np.minimum(after, np.pi - after) < crossing
+            out |= after < crossing + late_s * self.omega_rad_s
         return out
+
+    def later(self, time_s: float) -> "CircleTest":
+        """At the angles where a machine is that comes so much later than commanded."""
+        return replace(self, angle_rad=self.angle_rad - self.setup.sense * time_s * self.omega_rad_s)
 
     def rows(self, keep: Bools) -> "CircleTest":
         """Only these readings."""

@@ -4,6 +4,7 @@ The stacked design holds the columns of [BB]'s parameters, to first order and ex
 sees and which sets stay confounded; beside it stand the columns of everything that is looked for beyond [BB].
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -98,8 +99,51 @@ def _sets(unseen: Floats, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
 
 
 Centre = Literal["shared", "each"]
+
+
+def unseen_of(columns: Floats) -> Floats:
+    """Changes of the parameters of a confounded set, (parameters, m), that no reading sees; columns are (n, k)."""
+    size = np.linalg.norm(columns, axis=0)
+    _, singular, rows = np.linalg.svd(columns / size, full_matrices=False)
+    return np.asarray(rows[singular <= ALIKE * singular[0]].T / size[:, None], dtype=np.float64)
+
+
+def determined(columns: Floats, of: Sequence[int]) -> Floats:
+    """Combinations of some parameters of a confounded set that the readings determine, (m, parameters).
+
+    Each begins with a factor of one; as few parameters as can be are in each.
+
+    Args:
+        columns: of the whole set, (readings, k).
+        of: places of those parameters; the others have no part in a combination.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    unseen = (unseen_of(columns) * size[:, None])[list(of)].T
+    _, singular, rows = np.linalg.svd(unseen, full_matrices=True)
+    seen = rows[int((singular > IN_IT).sum()) :]
+    place = 0
+    for column in range(seen.shape[1]):
+        if place == len(seen):
+            break
+        best = place + int(np.argmax(np.abs(seen[place:, column])))
+        if abs(seen[best, column]) < IN_IT:
+            continue
+        seen[[place, best]] = seen[[best, place]]
+        seen[place] /= seen[place, column]
+        others = [i for i in range(len(seen)) if i != place]
+        seen[others] -= seen[others][:, [column]] * seen[place]
+        place += 1
+    seen[np.abs(seen) < IN_IT] = 0.0
+    # Scaled columns are the parameters times their size; the first factor is one again in their own units.
+    own = seen * size[list(of)]
+    first = own[np.arange(len(own)), (own != 0.0).argmax(axis=1)] if len(own) else np.zeros(0)
+    return np.asarray(own / first[:, None], dtype=np.float64)
+
+
 SETTING_UP = "setting up"
 """Group of what belongs to the instrument's set-up and not to the machine."""
+FLAT_MM = 1e-6
+"""A bar that leans by less does not show the height."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +163,28 @@ class BarDesign:
     tips: Floats
     squares: Floats
     bar_mm: Floats
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters, (k)."""
+        return tuple(c.name for c in self.labels)
+
+    @cached_property
+    def known(self) -> tuple[int, ...]:
+        """Places of the parameters of which something is known before any reading."""
+        return tuple(i for i, c in enumerate(self.labels) if math.isfinite(c.prior))
+
+    @cached_property
+    def rank(self) -> Rank:
+        """What the tests separate, by readings or by what is known before; `kept` are places among all parameters."""
+        free = [i for i in range(len(self.labels)) if i not in self.known]
+        out = rank_of(self.columns[:, free], [self.names[i] for i in free])
+        return replace(out, kept=(*(free[i] for i in out.kept), *self.known))
+
+    @cached_property
+    def by_readings(self) -> Rank:
+        """What the readings alone separate, with nothing known before."""
+        return rank_of(self.columns, self.names)
 
     def second_order_um(self, kept: Sequence[int], values: Floats) -> Floats:
         """What the exact length adds to the first order, µm, (n,), for some of the parameters."""
@@ -145,7 +211,7 @@ def stacked_design(of: Sequence[Cause], circles: Sequence[CircleTest]) -> Floats
 def design_of(
     circles: Sequence[CircleTest], *, bent: bool, centre: Centre = "shared", more: Sequence[Cause] = ()
 ) -> BarDesign:
-    """[BB]'s parameters in several tests, and the zero of a bar that was not calibrated.
+    """[BB]'s parameters in several tests, heights of the ball, and the zero of a bar that was not calibrated.
 
     Args:
         circles: tests of one plane; shapes and arms count from the first one's centre.
@@ -164,6 +230,10 @@ def design_of(
             labels.append(label)
             tips.append(np.where(here[:, None], tip, 0.0))
             squares.append(square)
+    for label, tip in _heights(circles, rows):
+        labels.append(label)
+        tips.append(tip)
+        squares.append(np.zeros_like(tip))
     bar = np.concatenate([_bar(c) for c in circles])
     whole = np.stack(tips, axis=1)
     columns = np.einsum("nd,nkd->nk", bar / np.linalg.norm(bar, axis=1, keepdims=True), whole)
@@ -191,6 +261,17 @@ def _split(
         return
     for i, circle in enumerate(circles):
         yield replace(cause, name=f"{cause.name}_{i + 1}", title=f"{cause.title}, {circle.name}"), rows == i
+
+
+def _heights(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
+    """What the table-side ball is higher than is said, in each test whose bar leans."""
+    for i, circle in enumerate(circles):
+        known_um = 1e3 * circle.setup.height_uncertainty_mm
+        if known_um > 0.0 and abs(circle.setup.height_mm) > FLAT_MM:
+            tip = np.zeros((len(rows), 3))
+            tip[rows == i, circle.setup.rows[2]] = -1.0
+            title = f"height of the table ball, {circle.name}"
+            yield Cause(f"height_{i + 1}", title, "um", SETTING_UP, prior=known_um), tip
 
 
 def _zeros(circles: Sequence[CircleTest], rows: NDArray[np.int64]) -> Iterator[tuple[Cause, Floats]]:
@@ -237,7 +318,6 @@ class CandidateTable:
     Attributes:
         circles: readings that are used.
         design: [BB]'s non-linear model: what it can explain is not given to another cause.
-        rank: of it.
         tried: candidates that are seen and separate.
         columns: of each candidate, for each way to the top of a spike, (n, k).
         left_out: the others.
@@ -245,23 +325,22 @@ class CandidateTable:
 
     circles: tuple[CircleTest, ...]
     design: BarDesign
-    rank: Rank
     tried: tuple[ExtraCause, ...]
     columns: tuple[tuple[Floats, ...], ...]
     left_out: tuple[NotLookedFor, ...]
 
     @cached_property
     def base(self) -> Floats:
-        """Columns of [BB]'s parameters that a fit can have, (n, k)."""
-        return self.design.columns[:, list(self.rank.kept)]
+        """Columns of [BB]'s parameters and the set-up that the readings alone separate, (n, k)."""
+        return self.design.columns[:, list(self.design.by_readings.kept)]
 
 
 def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
     """Work out the columns and which candidates separate."""
     design = design_of(circles, bent=True, centre=centre)
-    rank = rank_of(design.columns, [c.name for c in design.labels])
+    rank = design.by_readings
     known = design.columns[:, list(rank.kept)]
-    names = [design.labels[i].name for i in rank.kept]
+    names = [design.names[i] for i in rank.kept]
     tried, columns, left_out = [], [], []
     for candidate in candidates(circles):
         if candidate.missing:
@@ -280,7 +359,7 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
             columns.append(own)
             known = np.concatenate([known, seen], axis=1)
             names += [candidate.name] * seen.shape[1]
-    return CandidateTable(tuple(circles), design, rank, tuple(tried), tuple(columns), tuple(left_out))
+    return CandidateTable(tuple(circles), design, tuple(tried), tuple(columns), tuple(left_out))
 
 
 def share_left(known: Floats, own: Floats) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtec.metrology.ball_bar.causes import same_feed
 from rtec.metrology.ball_bar.circle import CircleTest, circles_of
 from rtec.metrology.ball_bar.design import SETTING_UP, Centre, NotLookedFor, table_of, with_setup
-from rtec.metrology.ball_bar.fit import Beyond, Fitted, fit
+from rtec.metrology.ball_bar.fit import Beyond, Fitted, FittedValue, fit, weight_of
 from rtec.metrology.ball_bar.iso230_4 import (
     BothWays,
     CircleHarmonic,
@@ -24,8 +24,19 @@ from rtec.metrology.ball_bar.iso230_4 import (
     least_squares_circle,
     roundness,
 )
-from rtec.metrology.ball_bar.phase import Phase, PhaseChoice, Shift, by_time, if_time, servo_phase
-from rtec.metrology.ball_bar.search import SearchResult, search
+from rtec.metrology.ball_bar.phase import (
+    LoopLag,
+    Phase,
+    PhaseChoice,
+    Shift,
+    by_time,
+    either,
+    if_time,
+    loop_lag,
+    servo_phase,
+    shifts,
+)
+from rtec.metrology.ball_bar.search import NOISE_UM, SearchResult, search
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import one_blas_thread
 from rtec.wording import significant
@@ -133,9 +144,8 @@ def chosen(
         return asked, "as asked"
     straight = fit(circles, bent=False, window_deg=window_deg, centre=centre, beyond=beyond)
     bent = fit(circles, bent=True, window_deg=window_deg, centre=centre, beyond=beyond)
-    if bent.rank.rank <= straight.rank.rank or (not bent.rank.complete and straight.rank.complete):
-        what = "; ".join(" and ".join(s) for s in bent.rank.confounded) or ", ".join(bent.rank.never)
-        return straight, f"these tests do not separate the non-linear model's parameters ({what})"
+    if bent.rank.rank <= straight.rank.rank:
+        return straight, "these tests show no bend of a guide"
     third, chance = third_harmonic(circles, straight, window_deg)
     if chance < SURE:
         return bent, (
@@ -148,7 +158,7 @@ def chosen(
             f"the error is large enough: the residual of the linear model is {significant(straight.sigma_um)} µm "
             f"(standard deviation), of the non-linear {significant(bent.sigma_um)} µm, a difference beyond noise"
         )
-    return straight, (
+    return _averaged(straight, bent), (
         f"the residual of the linear model is {significant(straight.sigma_um)} µm, of the non-linear one "
         f"{significant(bent.sigma_um)} µm, and there is no third harmonic beyond noise ({third:.2f} µm): the simpler "
         "model is taken"
@@ -169,10 +179,10 @@ def third_harmonic(circles: Sequence[CircleTest], fitted: Fitted, window_deg: fl
         found = np.linalg.lstsq(white[:, :2], white[:, 2], rcond=None)[0]
         made = white[:, :2] @ found
         noise = white[:, 2] - made
-        power = float(noise @ noise) / len(noise) * correlation_time(noise)
+        power = max(float(noise @ noise) / len(noise), NOISE_UM**2) * correlation_time(noise)
         size = float(np.hypot(*found))
         largest = max(largest, size)
-        least = min(least, float(np.exp(-0.5 * (made @ made) / power)) if power > 0 else float(size == 0.0))
+        least = min(least, float(np.exp(-0.5 * (made @ made) / power)))
     return largest, min(1.0, least * len(circles))
 
 
@@ -180,19 +190,51 @@ def _better(straight: Fitted, bent: Fitted) -> float:
     """How often chance alone would make the non-linear model so much better (F test)."""
     from scipy.special import fdtrc
 
-    count = bent.rank.rank - straight.rank.rank
-    whole = straight.used / bent.correlation
-    free = whole - bent.rank.rank
-    rss = [f.sigma_um**2 * (f.used - f.rank.rank) for f in (straight, bent)]
-    if free <= 1.0 or rss[1] <= 0.0:
+    count, ratio = bent.rank.rank - straight.rank.rank, _mean_squares(straight, bent)
+    free = straight.used / bent.correlation - bent.rank.rank
+    if free <= 1.0:
         return 1.0
-    return float(fdtrc(count, free, max(rss[0] / rss[1] - 1.0, 0.0) * free / count))
+    return float(fdtrc(count, free, max(ratio - 1.0, 0.0) * free / count))
+
+
+def _mean_squares(straight: Fitted, bent: Fitted) -> float:
+    """Sum of squares of the linear model's residual over that of the non-linear one's."""
+    rss = [max(f.sigma_um, NOISE_UM) ** 2 * (f.used - f.rank.rank) for f in (straight, bent)]
+    return rss[0] / rss[1]
+
+
+def _averaged(straight: Fitted, bent: Fitted) -> Fitted:
+    """The linear model where bends are not beyond chance, but may be: each parameter as the mean of both models.
+
+    Each model has its weight; a standard error holds how far the two are apart. What the tests do not separate
+    from a bend is marked so.
+    """
+    count = bent.rank.rank - straight.rank.rank
+    gained = straight.used / bent.correlation * float(np.log(max(_mean_squares(straight, bent), 1.0)))
+    weight = weight_of(gained, count)
+    known = {v.name: v for v in (*bent.values, *bent.combinations)}
+    values = tuple(_mean(v, known[v.name], weight) if v.name in known else v for v in straight.values)
+    combinations = tuple(_mean(v, known[v.name], weight) if v.name in known else v for v in straight.combinations)
+    return replace(straight, values=values, combinations=combinations)
+
+
+def _mean(one: FittedValue, two: FittedValue, weight: float) -> FittedValue:
+    if not np.isfinite(one.value):
+        return one
+    if not np.isfinite(two.value):
+        return replace(one, with_=tuple(dict.fromkeys([*one.with_, *two.with_])))
+    apart, wide = two.value - one.value, 0.5 * (one.high - one.low) / one.se if one.se > 0.0 else 0.0
+    value = one.value + weight * apart
+    se = float(np.sqrt((1.0 - weight) * one.se**2 + weight * two.se**2 + weight * (1.0 - weight) * apart**2))
+    return replace(one, value=value, se=se, low=value - wide * se, high=value + wide * se)
 
 
 Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0
-LEFT = "residual"
+RESIDUAL = "residual"
 """Name among the shares of what no cause explains."""
+NAMED_SE = 4.0
+"""A cause of so many standard errors may be named in the headline."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +244,8 @@ class Share:
     Attributes:
         group: the cause.
         g_um: circular deviation of its fitted curve alone, in the test where it is largest.
-        share: of the sum over all causes and what is left, 0 … 1.
+        share: of the readings' mean square (without the set-up's part), 0 … 1; the residual has what the fit does not
+            explain, the causes what it does, in proportion to their own mean squares.
     """
 
     group: str
@@ -238,6 +281,8 @@ class BallBarDiagnosis:
         centre: as asked.
         dynamic: was anything beyond [BB]'s parameters looked for?
         phase: the servo phase taken as one angle in all tests, or as one time, and why.
+        if_time: parameters that depend on which of them it is, where these tests do not tell; intervals hold both.
+        lag_s: both axes are so late behind the command; 0 where the readings show none.
     """
 
     circles: tuple[CircleTest, ...]
@@ -255,6 +300,8 @@ class BallBarDiagnosis:
     centre: Centre = "shared"
     dynamic: bool = True
     phase: PhaseChoice = field(default_factory=lambda: PhaseChoice(()))
+    if_time: tuple[Shift, ...] = ()
+    lag_s: float = 0.0
 
     @cached_property
     def wanted(self) -> tuple[NextTest, ...]:
@@ -262,13 +309,11 @@ class BallBarDiagnosis:
         with one_blas_thread():
             return wanted(self.circles, self.found.left_out, self.centre, in_time=self.phase.taken == "time")
 
-    @cached_property
-    def if_time(self) -> tuple[Shift, ...]:
-        """Parameters that depend on whether the servo phase is one angle or one time, where these tests do not tell."""
-        if self.phase.decided:
-            return ()
-        with one_blas_thread():
-            return if_time(self.circles, self.fitted, self.window_deg, self.centre)
+    @property
+    def named(self) -> Share | None:
+        """The largest cause of which something is determined beyond doubt."""
+        sure = {v.group for v in (*self.fitted.values, *self.fitted.combinations) if abs(v.value) > NAMED_SE * v.se}
+        return next((s for s in self.shares if s.group in sure), None)
 
 
 def diagnose(
@@ -304,20 +349,27 @@ def diagnose(
 def _diagnose(
     phase: PhaseChoice, model: Choice, window_deg: float, centre: Centre, orders: int, dynamic: bool
 ) -> BallBarDiagnosis:
-    circles = phase.circles
-    still = fit(circles, bent=False, window_deg=window_deg, centre=centre)
-    found = search(circles, still, window_deg, centre) if dynamic else SearchResult()
+    commanded = phase.circles
+    still = fit(commanded, bent=False, window_deg=window_deg, centre=centre)
+    lag = loop_lag(commanded, still, window_deg, centre) if dynamic else LoopLag(commanded, 0.0, 0.0)
+    circles = lag.circles
+    found = search(circles, still, window_deg, centre, lag.unsure_s) if dynamic else SearchResult()
     fitted, reason = chosen(circles, model, window_deg, centre, found.beyond)
+    changed: tuple[Shift, ...] = ()
+    if not phase.decided:
+        other = if_time(circles, fitted, window_deg, centre)
+        changed, fitted = shifts(fitted, other), either(fitted, other)
+    fitted = _with_twins(fitted, found)
     bb = chosen(circles, model, window_deg, centre, Beyond())[0] if found.beyond.picks else fitted
     near = sum(int(c.near_quadrant(window_deg).sum()) for c in circles) / sum(len(c) for c in circles)
     return BallBarDiagnosis(
-        circles=circles,
-        rounds=tuple(roundness(c) for c in circles),
-        pairs=both_ways(circles),
+        circles=commanded,
+        rounds=tuple(roundness(c) for c in commanded),
+        pairs=both_ways(commanded),
         fitted=fitted,
         reason=reason,
         shares=_shares(circles, fitted),
-        spectra=tuple(_spectrum(c, fitted.fitted_um(i), orders) for i, c in enumerate(circles)),
+        spectra=tuple(_spectrum(c, fitted.fitted_um(i), orders) for i, c in enumerate(commanded)),
         explained=_explained(circles, fitted, fitted),
         explained_bb=_explained(circles, bb, fitted),
         window_deg=window_deg,
@@ -326,19 +378,32 @@ def _diagnose(
         centre=centre,
         dynamic=dynamic,
         phase=phase,
+        if_time=changed,
+        lag_s=lag.time_s,
     )
 
 
+def _with_twins(fitted: Fitted, found: SearchResult) -> Fitted:
+    """Parameters with the causes that these tests do not separate from them: each value is then of them all."""
+    twins: dict[str, list[str]] = {}
+    for other in found.left_out:
+        for name in other.twins:
+            twins.setdefault(name, []).append(other.candidate.name)
+    values = (replace(v, with_=tuple(dict.fromkeys([*v.with_, *twins.get(v.name, ())]))) for v in fitted.values)
+    return replace(fitted, values=tuple(values))
+
+
 def _shares(circles: Sequence[CircleTest], fitted: Fitted) -> tuple[Share, ...]:
-    sizes = {
-        group: max(_g(c, curve) for c, curve in zip(circles, curves, strict=True))
-        for group, curves in fitted.parts_um.items()
-        if group != SETTING_UP
-    }
-    sizes[LEFT] = max(_g(c, left) for c, left in zip(circles, fitted.left_um, strict=True))
-    whole = sum(sizes.values()) or 1.0
-    ranked = sorted(sizes.items(), key=lambda item: -item[1])
-    return tuple(Share(group, g, g / whole) for group, g in ranked)
+    curves = {group: of for group, of in fitted.parts_um.items() if group != SETTING_UP}
+    power = {group: sum(float(np.sum((c - c.mean()) ** 2)) for c in of) for group, of in curves.items()}
+    whole, explained = sum(power.values()) or 1.0, min(max(_explained(circles, fitted, fitted), 0.0), 1.0)
+    out = [
+        Share(group, max(_g(c, curve) for c, curve in zip(circles, of, strict=True)), explained * power[group] / whole)
+        for group, of in curves.items()
+    ]
+    residual = max(_g(c, left) for c, left in zip(circles, fitted.left_um, strict=True))
+    out.append(Share(RESIDUAL, residual, 1.0 - sum(s.share for s in out)))
+    return tuple(sorted(out, key=lambda s: -s.g_um))
 
 
 def _g(circle: CircleTest, curve: Floats) -> float:

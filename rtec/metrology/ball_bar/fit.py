@@ -3,19 +3,29 @@
 The fit gives each parameter with its standard error and interval, and what it comes to in words.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.ball_bar.beyond import HALF_WAYS, WIDTH, ExtraCause
-from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, same_feed
+from rtec.metrology.ball_bar.causes import ALIKE_FEED, At, Cause, if_it_turns, same_feed
 from rtec.metrology.ball_bar.circle import CircleTest
-from rtec.metrology.ball_bar.design import SETTING_UP, BarDesign, Centre, Rank, design_of, rank_of
+from rtec.metrology.ball_bar.design import (
+    SETTING_UP,
+    BarDesign,
+    Centre,
+    Rank,
+    design_of,
+    determined,
+    stacked_design,
+    unseen_of,
+)
 from rtec.metrology.ball_bar.noise import WHITE, AngleNoise
-from rtec.metrology.procedures.fitting import correlation_time, unit_errors
+from rtec.metrology.procedures.fitting import correlation_time
 from rtec.wording import significant
 
 Number = tuple[float, float]
@@ -29,11 +39,13 @@ class FittedValue:
 
     Attributes:
         name, title, unit, group: as `Cause`.
-        value: NaN where it cannot be found.
+        value: NaN where it is not determined.
         se: standard error.
         low, high: 95 % confidence interval.
-        with_: parameters that it cannot be separated from; the value is then what they do together.
+        with_: parameters that it is not separated from: by itself it is then not determined, or its value is what it
+            does together with causes that one feed does not show.
         note: what it comes to, in words.
+        terms: of a combination of parameters, the only thing that is determined of them: names and factors.
     """
 
     name: str
@@ -46,6 +58,22 @@ class FittedValue:
     high: float
     with_: tuple[str, ...] = ()
     note: str = ""
+    terms: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class OfHeight:
+    """Parameters that a height of the table ball takes the place of.
+
+    Attributes:
+        names: of the parameters.
+        height_um: a ball that is so much higher makes what is fitted of them, as far as a height can.
+        known_um: standard uncertainty of the height.
+    """
+
+    names: tuple[str, ...]
+    height_um: float
+    known_um: float
 
 
 def of_cause(cause: Cause, number: Number | None, wide: float, rank: Rank, note: str = "") -> FittedValue:
@@ -103,6 +131,12 @@ def note_of(cause: Cause, numbers: Mapping[str, Number], circles: Sequence[Circl
         return ""
     if cause.name == "squareness" or cause.name.startswith("perpendicularity"):
         return _leans(cause, value, circles[0])
+    if cause.name.startswith("yaw_"):
+        place = [letter.lower() for letter in circles[0].setup.letters].index(cause.name[-1])
+        other = if_it_turns(circles[0], place) * value
+        return (
+            "" if abs(other - value) < 0.5 * abs(value) else f"{other:+.4g} 1/km if the carriage turns with its guide"
+        )
     if cause.name == "phase":
         words = {c.name: f"{significant(1e-3 * value * c.phase_rate / c.omega_rad_s)} ms" for c in circles}
     elif cause.name == "delay":
@@ -158,21 +192,37 @@ ROUNDS = 3
 """Linear fits in a row, each with the second order that the one before has found; a third changes nothing any more."""
 
 
+AGAINST = 3.0
+"""A further cause has to lessen the sum of squares by so many variances more than its parameters to be as likely."""
+SEPARATE = 1e-3
+"""A cause whose columns are less than this beside the others' is not separated from them."""
+LEAST_UM = 1e-6
+"""Noise below this is none; what is known before the readings then still counts."""
+
+
 @dataclass(frozen=True)
 class Solution:
     """Coefficients of some columns of a design.
 
     Attributes:
         found: (k,).
-        errors: standard errors, (k,), widened by `correlation`.
+        covariance: (k, k), widened by `correlation`; with what was known before the readings.
         sigma_um: standard deviation of the white part of what is left, away from the quadrants.
         correlation: so many readings in a row count as one.
+        columns, residual: made white, (n, k) and (n,).
     """
 
     found: Floats
-    errors: Floats
+    covariance: Floats
     sigma_um: float
     correlation: float
+    columns: Floats
+    residual: Floats
+
+    @property
+    def errors(self) -> Floats:
+        """Standard errors, (k,)."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def solve(
@@ -189,14 +239,66 @@ def solve(
     """
     columns = noise.whiten(circles, design.columns[:, kept])
     size = np.linalg.norm(columns, axis=0)
-    found = np.zeros(len(kept))
+    prior = np.array([design.labels[i].prior for i in kept])
+    # What is known before is one more reading of that parameter, as sure as it is against the readings' noise.
+    before = np.diag(1.0 / prior)[np.isfinite(prior)]
+    found, scale = np.zeros(len(kept)), LEAST_UM
     for _ in range(ROUNDS):
         first_order = noise.whiten(circles, (reading_um - design.second_order_um(kept, found))[:, None])[:, 0]
-        found = np.linalg.lstsq(columns / size, first_order, rcond=None)[0] / size
-    left = first_order - columns @ found
-    sigma = float(np.sqrt(left @ left / max(len(left) - len(kept), 1)))
-    rows = in_a_row(left, [len(c) for c in circles])
-    return Solution(found, sigma * np.sqrt(rows) * unit_errors(columns), sigma, rows)
+        whole = np.concatenate([columns, scale * before]) / size
+        found = np.linalg.lstsq(whole, np.append(first_order, np.zeros(len(before))), rcond=None)[0] / size
+        left = first_order - columns @ found
+        sigma = float(np.sqrt(left @ left / max(len(left) - len(kept) + len(before), 1)))
+        rows = in_a_row(left, [len(c) for c in circles])
+        scale = max(sigma * np.sqrt(rows), LEAST_UM)
+    triangle = np.linalg.qr(np.concatenate([columns, scale * before]) / size, mode="r")
+    inverse = np.linalg.solve(triangle, np.eye(len(kept))) / size[:, None]
+    return Solution(found, sigma**2 * rows * inverse @ inverse.T, sigma, rows, columns, left)
+
+
+def weight_of(gained: float, count: int) -> float:
+    """Weight of a model with so many parameters more: Akaike's, at odds that speak against it beforehand.
+
+    Args:
+        gained: by how many variances of the noise it lessens the sum of squares.
+        count: of its further parameters.
+    """
+    return 1.0 / (1.0 + math.exp(min(0.5 * (count + AGAINST - gained), 500.0)))
+
+
+def allowing(solved: Solution, dropped: Sequence[Floats], circles: Sequence[CircleTest], noise: AngleNoise) -> Solution:
+    """A solution that allows for causes which are not beyond chance and may be there all the same.
+
+    Each parameter is the mean of the fit without and with each of them, by the weights of both; the covariance holds
+    how far the two are apart. What noise hides of one cause then does not make another one surer than it is.
+
+    Args:
+        solved: without them.
+        dropped: their columns, (n, m) each.
+        circles, noise: see `solve`.
+    """
+    size = np.linalg.norm(solved.columns, axis=0)
+    basis, triangle = np.linalg.qr(solved.columns / size)
+    inverse = np.linalg.pinv(triangle) / size[:, None]
+    power = max(solved.sigma_um, LEAST_UM) ** 2 * solved.correlation
+    found, covariance = solved.found, solved.covariance
+    for columns in dropped:
+        white = noise.whiten(circles, columns)
+        share = basis.T @ white
+        own = white - basis @ share
+        whole = np.linalg.norm(white, axis=0)
+        if not (np.linalg.norm(own, axis=0) > SEPARATE * whole).all():
+            continue
+        normal = np.linalg.pinv(own / whole, rcond=SEPARATE) / whole[:, None]
+        normal = normal @ normal.T
+        sizes = normal @ (own.T @ solved.residual)
+        weight = weight_of(float(sizes @ own.T @ solved.residual) / power, own.shape[1])
+        shift = -inverse @ share
+        apart = shift @ sizes
+        found = found + weight * apart
+        covariance = covariance + weight * power * shift @ normal @ shift.T
+        covariance = covariance + weight * (1.0 - weight) * np.outer(apart, apart)
+    return replace(solved, found=found, covariance=covariance)
 
 
 def in_a_row(left: Floats, lengths: Sequence[int]) -> float:
@@ -233,11 +335,17 @@ class Beyond:
         picks: the causes.
         noise: of the readings.
         clearance_um: of both axes; readings where an axis still crosses it are not used.
+        late_s: it may do so by so much later.
+        beside: causes that are not separated from a pick: nothing of the pick is determined without them.
+        dropped: causes that were looked for and are not beyond chance, each with its parameters.
     """
 
     picks: tuple[Pick, ...] = ()
     noise: AngleNoise = WHITE
     clearance_um: tuple[float, float] = (0.0, 0.0)
+    late_s: float = 0.0
+    beside: tuple[Cause, ...] = ()
+    dropped: tuple[tuple[Cause, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -247,10 +355,13 @@ class Fitted:
     Attributes:
         model: "linear" or "non-linear".
         values: every parameter that was asked for.
+        combinations: of those that are not determined one by one.
         rank: what these tests separate.
-        parts_um: by group, the fitted reading of each test at all readings of its arc, (n,) each.
+        heights: where the height of the table ball and parameters are not separated.
+        parts_um: by group, the fitted reading of each test at all readings of its arc, (n,) each; groups that are not
+            separated are one.
         left_um: measured minus fitted, likewise.
-        sigma_um: standard deviation of what is left in the readings that were used.
+        sigma_um: standard deviation of the residual in the readings that were used.
         used: number of those.
         correlation: so many of them count as one.
         beyond: what is fitted beyond [BB]'s parameters.
@@ -258,6 +369,8 @@ class Fitted:
 
     model: str
     values: tuple[FittedValue, ...]
+    combinations: tuple[FittedValue, ...]
+    heights: tuple[OfHeight, ...]
     rank: Rank
     parts_um: dict[str, tuple[Floats, ...]]
     left_um: tuple[Floats, ...]
@@ -296,33 +409,39 @@ def fit(
         MeasurementError: too few readings are left.
     """
     beyond = beyond or Beyond()
-    more = [c for p in beyond.picks for c in causes_of(p)]
+    more = [*(c for p in beyond.picks for c in causes_of(p)), *beyond.beside]
     used = used_rows(circles, window_deg, beyond)
     near = design_of(used, bent=bent, centre=centre, more=more)
     reading = np.concatenate([c.reading_um for c in used])
-    rank = rank_of(near.columns, [c.name for c in near.labels])
-    kept = list(rank.kept)
+    kept = list(near.rank.kept)
     if len(reading) - len(kept) < len(kept):
         raise MeasurementError(
             f"{len(reading)} readings farther than {window_deg:g}° from the quadrants, for {len(kept)} parameters; "
             "take a smaller window or more readings"
         )
     solved = solve(near, kept, reading, used, beyond.noise)
+    fitted = {k: (float(v), 0.0) for k, v in zip(kept, solved.found, strict=True)}
+    solved = allowing(solved, [stacked_design(of, used) for of in beyond.dropped], used, beyond.noise)
     numbers = {k: (float(v), float(se)) for k, v, se in zip(kept, solved.found, solved.errors, strict=True)}
     wide = quantile(max(len(reading) / solved.correlation - len(kept), 1.0))
-    whole = design_of(circles, bent=bent, centre=centre, more=more)
-    parts = _parts(circles, whole, numbers)
+    values = _values(near, numbers, wide, circles, beyond)
+    joined = _joined(near, values)
+    combinations = _combinations(near, kept, solved, wide, joined)
+    values = tuple(replace(v, group=joined.get(v.group, v.group)) for v in values)
+    heights = _heights(near, numbers, joined)
+    parts = _parts(circles, design_of(circles, bent=bent, centre=centre, more=more), fitted, joined)
     after = tuple(c.reading_um - np.sum([p[i] for p in parts.values()], axis=0) for i, c in enumerate(circles))
-    values = _values(near, numbers, wide, rank, circles, beyond)
-    name = "non-linear" if bent else "linear"
-    return Fitted(name, values, rank, parts, after, solved.sigma_um, len(reading), solved.correlation, beyond)
+    return Fitted(
+        "non-linear" if bent else "linear", values, combinations, heights, near.rank, parts, after, solved.sigma_um,
+        len(reading), solved.correlation, beyond,
+    )  # fmt: skip
 
 
 def used_rows(circles: Sequence[CircleTest], window_deg: float, beyond: Beyond) -> tuple[CircleTest, ...]:
     """The readings that a fit uses."""
     if not beyond.picks:
         return tuple(c.rows(~c.near_quadrant(window_deg)) for c in circles)
-    return tuple(c.rows(~c.taking_up(beyond.clearance_um)) for c in circles)
+    return tuple(c.rows(~c.taking_up(beyond.clearance_um, beyond.late_s)) for c in circles)
 
 
 def causes_of(pick: Pick) -> tuple[Cause, ...]:
@@ -346,32 +465,99 @@ def _longer(pick: Pick) -> Cause:
     return Cause(f"{pick.candidate.name}_way", "", "1", of.group, of.component, shape)
 
 
+def _joined(design: BarDesign, values: Sequence[FittedValue]) -> dict[str, str]:
+    """Groups that are shown as one because the readings do not separate them, each with the name of them all."""
+    sure = {v.name for v in values if v.low > 0.0 or v.high < 0.0}
+    out: dict[str, str] = {}
+    for names in design.by_readings.confounded:
+        groups = dict.fromkeys(c.group for c in design.labels if c.name in names and _of_machine(c))
+        if groups and not sure & {c.name for c in design.labels if c.name in names and _of_machine(c)}:
+            name = f"{' or '.join(groups)}, not separated" if len(groups) > 1 else f"{next(iter(groups))} or the set-up"
+            out |= dict.fromkeys(groups, name)
+    return out
+
+
+def _of_machine(cause: Cause) -> bool:
+    return cause.group != SETTING_UP and cause.centre is None
+
+
+def _combinations(
+    design: BarDesign, kept: Sequence[int], solved: Solution, wide: float, joined: Mapping[str, str]
+) -> tuple[FittedValue, ...]:
+    """What is determined of the machine's parameters in each set that the readings do not separate."""
+    out = []
+    for names in design.by_readings.confounded:
+        places = [i for i, c in enumerate(design.labels) if c.name in names]
+        of = [i for i in places if _of_machine(design.labels[i]) and design.labels[i].group in joined]
+        for factors in determined(design.columns[:, places], [places.index(i) for i in of]):
+            terms = [(design.labels[i], float(f"{f:.9g}")) for i, f in zip(of, factors, strict=True) if f != 0.0]
+            if len(terms) < 2:
+                continue
+            row = np.zeros(len(kept))
+            for cause, factor in terms:
+                place = design.labels.index(cause)
+                if place in kept:
+                    row[kept.index(place)] = factor
+            value, se = float(row @ solved.found), float(np.sqrt(max(float(row @ solved.covariance @ row), 0.0)))
+            first = terms[0][0]
+            called = (_sum((c.name, f) for c, f in terms), _sum((c.title, f) for c, f in terms), first.unit)
+            found = _value((*called, joined[first.group]), (value, se), wide, (), "")
+            out.append(replace(found, terms=tuple((c.name, f) for c, f in terms)))
+    return tuple(out)
+
+
+def _heights(design: BarDesign, numbers: Mapping[int, Number], joined: Mapping[str, str]) -> tuple[OfHeight, ...]:
+    out = []
+    for names in design.by_readings.confounded:
+        places = [i for i, c in enumerate(design.labels) if c.name in names]
+        heights = [k for k, i in enumerate(places) if math.isfinite(design.labels[i].prior)]
+        of = [k for k, i in enumerate(places) if design.labels[i].group in joined and _of_machine(design.labels[i])]
+        if not heights or not of:
+            continue
+        unseen = unseen_of(design.columns[:, places])
+        values = np.array([numbers.get(i, UNKNOWN)[0] for i in places])[of]
+        way = np.linalg.lstsq(unseen[of], np.nan_to_num(values), rcond=None)[0]
+        first = heights[0]
+        out.append(OfHeight(
+            tuple(design.names[places[k]] for k in of), -float(unseen[first] @ way), design.labels[places[first]].prior
+        ))  # fmt: skip
+    return tuple(out)
+
+
+def _sum(terms: Iterable[tuple[str, float]]) -> str:
+    """A combination as it is written; the first factor is one."""
+    out = ""
+    for name, factor in terms:
+        times = "" if abs(factor) == 1.0 else f"{abs(factor):.4g} × "
+        out += f" {'-' if factor < 0.0 else '+'} {times}{name}" if out else name
+    return out
+
+
 def _parts(
-    circles: Sequence[CircleTest], whole: BarDesign, numbers: dict[int, Number]
+    circles: Sequence[CircleTest], whole: BarDesign, numbers: dict[int, Number], joined: Mapping[str, str]
 ) -> dict[str, tuple[Floats, ...]]:
     second = whole.second_order_um(list(numbers), np.array([v for v, _ in numbers.values()]))
     ends = np.cumsum([len(c) for c in circles])[:-1]
     out: dict[str, Floats] = {SETTING_UP: second}  # a large centre offset makes nearly all of it
     for i, (value, _) in numbers.items():
-        group = SETTING_UP if whole.labels[i].centre is not None else whole.labels[i].group
+        label = whole.labels[i]
+        group = joined.get(label.group, label.group) if _of_machine(label) else SETTING_UP
         out[group] = out.get(group, np.zeros(len(whole.columns))) + value * whole.columns[:, i]
     return {group: tuple(np.split(curve, ends)) for group, curve in out.items()}
 
 
 def _values(
-    design: BarDesign,
-    numbers: dict[int, Number],
-    wide: float,
-    rank: Rank,
-    circles: Sequence[CircleTest],
-    beyond: Beyond,
+    design: BarDesign, numbers: dict[int, Number], wide: float, circles: Sequence[CircleTest], beyond: Beyond
 ) -> tuple[FittedValue, ...]:
-    named = {design.labels[i].name: number for i, number in numbers.items()}
+    rank = design.rank
+    open_ = {name for names in rank.confounded for name in names}
+    sure = {i: number for i, number in numbers.items() if design.names[i] not in open_}
+    named = {design.names[i]: number for i, number in sure.items()}
     special = {c.name: p for p in beyond.picks if p.candidate.kind != "plain" for c in causes_of(p)}
     out = []
     for i, label in enumerate(design.labels):
         if label.name not in special:
-            out.append(of_cause(label, numbers.get(i), wide, rank, note_of(label, named, circles)))
+            out.append(of_cause(label, sure.get(i), wide, rank, note_of(label, named, circles)))
     for pick in beyond.picks:
         of = [named.get(c.name, UNKNOWN) for c in causes_of(pick)]
         if pick.candidate.kind == "wave":

@@ -1,9 +1,15 @@
-"""Servo phase: one angle in all tests, as [BB] has it, or one time, which a real lag of an axis is.
+"""Servo: how late both axes are, and whether their phase is one angle in all tests or one time.
 
-Between tests that go round at the same angular speed (feed over radius) the two are one. Else they are not: at one
-feed a circle of 120 mm has a phase a quarter larger than one of 150 mm for the same lag, and as one angle the
-difference would be called twist, squareness or clearance. Where a delay separates from the phase (other feeds), both
-are fitted; else the readings decide, and where they cannot, it is [BB]'s angle.
+A position loop without feed-forward of gain K_v is 1/K_v late, and makes a circle too small by ½ a / K_v². The second,
+a gain error that two feeds tell from a scale, gives K_v; the first moves clearance and all else of a reversal away from
+the commanded quadrant. Which of two machines it is, one that is late or one that is only too small, the readings about
+the quadrants decide.
+
+[BB] has the servo phase as one angle; a real lag of an axis is one time. Between tests that go round at the same
+angular speed (feed over radius) the two are one. Else they are not: at one feed a circle of 120 mm has a phase a
+quarter larger than one of 150 mm for the same lag, and as one angle the difference would be called twist, squareness
+or clearance. Where a delay separates from the phase (other feeds), both are fitted; else the readings decide, and where
+they cannot, it is [BB]'s angle and intervals hold both answers.
 """
 
 from collections.abc import Sequence
@@ -11,18 +17,42 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import CircleTest
-from rtec.metrology.ball_bar.design import APART, Centre, design_of, rank_of, share_left, stacked_design
-from rtec.metrology.ball_bar.fit import Fitted, FittedValue, fit
-from rtec.metrology.ball_bar.search import NOISE_UM
+from rtec.metrology.ball_bar.design import APART, Centre, design_of, share_left, stacked_design
+from rtec.metrology.ball_bar.fit import Fitted, FittedValue, fit, solve
+from rtec.metrology.ball_bar.noise import WHITE
+from rtec.metrology.ball_bar.search import NOISE_UM, SURE_SE, clearance_of, residual_of_all
 
+Floats = NDArray[np.float64]
 Phase = Literal["auto", "angle", "time"]
 SAME_SPEED = 1e-3
 """Angular speeds nearer than this share of each other are one."""
 SURE = 6.0
 """Twice the logarithm of the odds from which on readings decide: 20 to 1."""
+
+
+SLOWEST_S = 1.0 / 15.0
+"""Lag of the slowest position loop in use."""
+PLAIN = 0.3
+"""Gain errors of two plain loops differ by less than this share of them, noise apart."""
+
+
+@dataclass(frozen=True)
+class LoopLag:
+    """How late both axes are behind the command.
+
+    Attributes:
+        circles: the tests at the angles where the machine was.
+        time_s: lag that is taken; 0 where the readings show none.
+        unsure_s: it may be so much more.
+    """
+
+    circles: tuple[CircleTest, ...]
+    time_s: float
+    unsure_s: float
 
 
 @dataclass(frozen=True)
@@ -44,7 +74,7 @@ class PhaseChoice:
 
 @dataclass(frozen=True)
 class Shift:
-    """A parameter, and its value if the servo phase were one time."""
+    """A parameter with the servo phase as one angle, and its value if it were one time."""
 
     taken: FittedValue
     if_time: float
@@ -83,8 +113,52 @@ def servo_phase(
     return PhaseChoice(angle, "angle", "these tests do not tell it from one time; so as [BB]", decided=False)
 
 
-def if_time(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float, centre: Centre) -> tuple[Shift, ...]:
-    """What parameters would be if the phase that was taken as one angle were one time; only those that change.
+def loop_lag(circles: Sequence[CircleTest], still: Fitted, window_deg: float, centre: Centre) -> LoopLag:
+    """How late the axes are, from the gain errors of their loops.
+
+    Args:
+        circles: tests of one plane.
+        still: fit of [BB]'s parameters away from the quadrants.
+        window_deg, centre: see `fit`.
+    """
+    here = tuple(circles)
+    gains = _gains(here, window_deg, centre)
+    if gains is None:
+        return LoopLag(here, 0.0, SLOWEST_S)
+    (one, other), errors = gains
+    most = float(np.sqrt(2e-6 * max(one + 2.0 * errors[0], other + 2.0 * errors[1], 0.0)))
+    weight = 1.0 / errors**2
+    gain, se = float(weight @ (one, other) / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
+    if gain < SURE_SE * se or abs(one - other) > SURE_SE * float(np.hypot(*errors)) + PLAIN * gain:
+        return LoopLag(here, 0.0, min(most, SLOWEST_S))
+    late = float(np.sqrt(2e-6 * gain))
+    unsure, moved = 2e-6 * se / late, tuple(c.later(late) for c in circles)
+    clearance = clearance_of(still, circles)
+    if residual_of_all(moved, clearance, unsure, centre) < residual_of_all(circles, clearance, 0.0, centre):
+        return LoopLag(moved, late, unsure)
+    return LoopLag(here, 0.0, 0.0)
+
+
+def _gains(
+    circles: Sequence[CircleTest], window_deg: float, centre: Centre
+) -> tuple[tuple[float, float], Floats] | None:
+    """Gain errors of both loops, µm per m/s², and their standard errors; None where the tests do not show them."""
+    servo = [c for x in candidates(circles) if x.effect in ("inertia", "servo_lag") for c in x.make(0.0)]
+    used = [c.rows(~c.near_quadrant(window_deg)) for c in circles]
+    design = design_of(used, bent=True, centre=centre, more=servo)
+    kept = list(design.by_readings.kept)
+    names = [c.name for c in servo if c.name.startswith("gain_")]
+    open_ = {n for s in design.by_readings.confounded for n in s} | set(design.by_readings.never)
+    places = [design.names.index(n) for n in names]
+    if len(names) != 2 or open_ & set(names) or not set(places) <= set(kept):
+        return None
+    solved = solve(design, kept, np.concatenate([c.reading_um for c in used]), used, WHITE)
+    at = [kept.index(i) for i in places]
+    return (float(solved.found[at[0]]), float(solved.found[at[1]])), solved.errors[at]
+
+
+def if_time(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float, centre: Centre) -> Fitted:
+    """The same fit with the phase as one time where it was taken as one angle.
 
     Args:
         circles: tests of one plane.
@@ -92,11 +166,27 @@ def if_time(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float, ce
         window_deg, centre: see `fit`.
     """
     bent = fitted.model == "non-linear"
-    other = fit(by_time(circles), bent=bent, window_deg=window_deg, centre=centre, beyond=fitted.beyond)
-    pairs = zip(fitted.values, other.values, strict=True)
+    return fit(by_time(circles), bent=bent, window_deg=window_deg, centre=centre, beyond=fitted.beyond)
+
+
+def either(angle: Fitted, time: Fitted) -> Fitted:
+    """The fit with the phase as one angle, its intervals widened so that they hold both answers."""
+    values = tuple(_either(a, b) for a, b in zip(angle.values, time.values, strict=True))
+    combinations = tuple(_either(a, b) for a, b in zip(angle.combinations, time.combinations, strict=False))
+    return replace(angle, values=values, combinations=combinations)
+
+
+def shifts(angle: Fitted, time: Fitted) -> tuple[Shift, ...]:
+    """What parameters would be if the phase were one time; only those that change."""
+    pairs = zip(angle.values, time.values, strict=True)
     return tuple(
         Shift(one, two.value) for one, two in pairs if one.name != "phase" and abs(two.value - one.value) > one.se
     )
+
+
+def _either(one: FittedValue, two: FittedValue) -> FittedValue:
+    se = float(np.hypot(max(one.se, two.se), two.value - one.value))
+    return replace(one, se=se, low=min(one.low, two.low), high=max(one.high, two.high))
 
 
 def by_time(circles: Sequence[CircleTest]) -> tuple[CircleTest, ...]:
@@ -106,7 +196,7 @@ def by_time(circles: Sequence[CircleTest]) -> tuple[CircleTest, ...]:
 
 def _delay_separates(circles: Sequence[CircleTest], centre: Centre) -> bool:
     design = design_of(circles, bent=True, centre=centre)
-    known = design.columns[:, list(rank_of(design.columns, [c.name for c in design.labels]).kept)]
+    known = design.columns[:, list(design.by_readings.kept)]
     delay = next(c for c in candidates(circles) if c.name == "delay")
     return share_left(known, stacked_design(delay.make(0.0), circles)) >= APART
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.metrology.ball_bar.beyond import ExtraCause
+from rtec.metrology.ball_bar.causes import Cause
 from rtec.metrology.ball_bar.circle import CircleTest
 from rtec.metrology.ball_bar.design import CandidateTable, Centre, NotLookedFor, stacked_design, table_of
 from rtec.metrology.ball_bar.fit import Beyond, Fitted, Pick, in_a_row, solve
@@ -165,11 +166,13 @@ class NotFound:
         candidate: which.
         limit: a parameter of this size would have been found.
         unit: of it.
+        with_: causes that are not separated from it: what was looked for is what they do together.
     """
 
     candidate: ExtraCause
     limit: float
     unit: str
+    with_: tuple[ExtraCause, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -187,7 +190,9 @@ class SearchResult:
     left_out: tuple[NotLookedFor, ...] = ()
 
 
-def search(circles: Sequence[CircleTest], still: Fitted, window_deg: float, centre: Centre) -> SearchResult:
+def search(
+    circles: Sequence[CircleTest], still: Fitted, window_deg: float, centre: Centre, late_s: float
+) -> SearchResult:
     """Find what the readings show beyond [BB]'s parameters.
 
     Args:
@@ -195,13 +200,14 @@ def search(circles: Sequence[CircleTest], still: Fitted, window_deg: float, cent
         still: fit of [BB]'s parameters away from the quadrants.
         window_deg: so near to a quadrant readings have a noise of their own.
         centre: see `design_of`.
+        late_s: the axes may turn round so much later than the angles say.
     """
-    a, b = (letter.lower() for letter in circles[0].setup.letters[:2])
-    clearance = (_number(still, f"clearance_{a}"), _number(still, f"clearance_{b}"))
-    table = table_of([c.rows(~c.taking_up(clearance)) for c in circles], centre)
+    clearance = clearance_of(still, circles)
+    table = table_of([c.rows(~c.taking_up(clearance, late_s)) for c in circles], centre)
     count = sum(len(c) for c in table.circles)
     if not table.tried or count < 2 * (table.base.shape[1] + sum(c[0].shape[1] for c in table.columns)):
-        return SearchResult(Beyond(clearance_um=clearance), (), (*table.left_out, *_too_few(table, count)))
+        beyond = Beyond(clearance_um=clearance, late_s=late_s)
+        return SearchResult(beyond, (), (*table.left_out, *_too_few(table, count)))
     reading = _reading(table)
     work = work_of(table, reading, replace(WHITE, window_deg=window_deg), tuple(len(c) // 2 for c in table.columns))
     for _ in range(NOISE_ROUNDS):
@@ -215,7 +221,28 @@ def search(circles: Sequence[CircleTest], still: Fitted, window_deg: float, cent
     # The ways are finer now than those on the list.
     best = replace(table, columns=tuple(_at_best(work, picks)))
     noise = judged(work_of(best, reading, work.noise, (0,) * len(work.way)), window_deg)[0]
-    return SearchResult(Beyond(picks, noise, clearance), tuple(_limits(work, stays, rows)), table.left_out)
+    beside = tuple(_beside(picks, table.left_out))
+    beyond = Beyond(picks, noise, clearance, late_s, beside, tuple(_dropped(work, stays)))
+    return SearchResult(beyond, tuple(_limits(work, stays, rows)), table.left_out)
+
+
+def _beside(picks: Sequence[Pick], left_out: Sequence[NotLookedFor]) -> Iterator[Cause]:
+    """Causes of one size each that are not separated from one of the picks."""
+    names = {p.candidate.name for p in picks}
+    for other in left_out:
+        if other.candidate.kind == "plain" and names & set(other.twins):
+            yield from other.candidate.make(0.0)
+
+
+def _dropped(work: SearchState, stays: Sequence[int]) -> Iterator[tuple[Cause, ...]]:
+    """What was dropped, the same effect of both axes together: a pair can hide where neither of them does."""
+    out: dict[str, list[Cause]] = {}
+    for i in work.everything:
+        if i not in stays:
+            candidate = work.table.tried[i]
+            key = candidate.effect if candidate.kind == "plain" else candidate.name
+            out.setdefault(key, []).extend(candidate.make((candidate.ways_mm or (0.0,))[work.way[i]]))
+    yield from map(tuple, out.values())
 
 
 def _too_few(table: CandidateTable, count: int) -> Iterator[NotLookedFor]:
@@ -224,15 +251,25 @@ def _too_few(table: CandidateTable, count: int) -> Iterator[NotLookedFor]:
         yield NotLookedFor(replace(candidate, missing=why), why)
 
 
-def _number(fitted: Fitted, name: str) -> float:
-    value = fitted.value(name).value
-    return value if np.isfinite(value) else 0.0
+def clearance_of(fitted: Fitted, circles: Sequence[CircleTest]) -> tuple[float, float]:
+    """Clearance of both axes, µm; zero where it is not determined."""
+    a, b = (fitted.value(f"clearance_{letter}".lower()).value for letter in circles[0].setup.letters[:2])
+    return float(np.nan_to_num(a)), float(np.nan_to_num(b))
+
+
+def residual_of_all(
+    circles: Sequence[CircleTest], clearance_um: tuple[float, float], late_s: float, centre: Centre
+) -> float:
+    """Standard deviation of what [BB]'s parameters and all candidates together do not explain, µm."""
+    table = table_of([c.rows(~c.taking_up(clearance_um, late_s)) for c in circles], centre)
+    work = work_of(table, _reading(table), WHITE, tuple(len(c) // 2 for c in table.columns))
+    return least(work, work.everything).sigma
 
 
 def _reading(table: CandidateTable) -> Floats:
     """Readings less the second order of [BB]'s parameters: a large centre offset makes nearly all of it."""
     reading = np.concatenate([c.reading_um for c in table.circles])
-    kept = list(table.rank.kept)
+    kept = list(table.design.rank.kept)
     found = solve(table.design, kept, reading, table.circles, WHITE).found
     return reading - table.design.second_order_um(kept, found)
 
@@ -325,4 +362,5 @@ def _limits(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[No
         columns = work.own[i][work.way[i]].shape[1]
         se = fitted.sigma * np.sqrt(rows * np.diag(fitted.inverse)[-columns:].max())
         candidate = work.table.tried[i]
-        yield NotFound(candidate, float(SURE_SE * se), candidate.make(1.0)[0].unit)
+        with_ = tuple(x.candidate for x in work.table.left_out if candidate.name in x.twins)
+        yield NotFound(candidate, float(SURE_SE * se), candidate.make(1.0)[0].unit, with_)

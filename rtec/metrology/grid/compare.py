@@ -50,14 +50,14 @@ def places(one: GridSetup, other: GridSetup) -> tuple[Item, ...]:
     moved = moved_along(one, other)
     if one.setup.plane != other.setup.plane or squares[0] is None or squares[1] is None or len(moved) != 1:
         return ()
-    name, means, unit = _named(one, moved[0])
+    name, means, unit, rigid = _named(one, moved[0])
     value, se = (squares[0][0] - squares[1][0]) / unit, float(np.hypot(squares[0][1], squares[1][1]))
     length_m = min(e.length_mm for s in (one, other) for k in (0, 1) for e in at_corner(s, k)) * 1e-3
     plate = [0.0 if _same_plate(one, other) else plate_um(s) * np.sqrt(2.0) / length_m for s in (one, other)]
     place = "XYZ".index(moved[0])
     where = f"{moved[0].lower()} {one.setup.origin_mm[place]:g} and {other.setup.origin_mm[place]:g}"
     u = COVERAGE * float(np.sqrt(se**2 + plate[0] ** 2 + plate[1] ** 2))
-    return (Item(name, means, where, value, "µm/m", u, _chance(value, 0.5 * u)),)
+    return (Item(name, means, where, value, "µm/m", u, _chance(value, 0.5 * u), rigid),)
 
 
 def moved_along(one: GridSetup, other: GridSetup) -> tuple[str, ...]:
@@ -126,30 +126,31 @@ def feeds(setup: GridSetup, slow_mm_min: float | None = None, fast_mm_min: float
     return tuple(out)
 
 
-def _named(setup: GridSetup, moved: str) -> tuple[str, str, float]:
-    """What a difference of squareness is: name, sentence, and the squareness that one unit of it makes."""
+def _named(setup: GridSetup, moved: str) -> tuple[str, str, float, bool]:
+    """What a difference of squareness is: name, sentence, the squareness that one unit of it makes, and is it rigid?"""
     lean = setup.lean
     if moved == lean.normal:
         axis = getattr(axis_along(setup.machine, moved), "name", moved)
         rigid = _square_of_turn(setup, axis)
         if abs(rigid) > 0.5:
-            return f"E{lean.turn}{axis}", f"roll of {axis} between the two places", rigid
+            return f"E{lean.turn}{axis}", f"roll of {axis} between the two places", rigid, True
     else:
         along = lean.letters.index(moved)
         axis, other = lean.axes[along], lean.axes[1 - along]
         if arm_on(setup, along) != 0.0:
             means = f"{axis} turns about {lean.normal} between the two places"
-            return f"E{lean.turn}{axis}", means, 1.0 if along == 0 else -1.0
+            return f"E{lean.turn}{axis}", means, 1.0 if along == 0 else -1.0, True
         if arm_on(setup, 1 - along) != 0.0:
             means = (
                 f"cross-talk: where {axis} stands turns {other} about {lean.normal} (no rigid body does that, unless "
                 f"{axis}'s own line bends between the two places)"
             )
-            return f"E{lean.turn}{other}({other.lower()}, {axis.lower()})", means, -1.0 if along == 0 else 1.0
+            return f"E{lean.turn}{other}({other.lower()}, {axis.lower()})", means, -1.0 if along == 0 else 1.0, False
     return (
         f"E{lean.turn}0{lean.axes[1]}({moved.lower()})",
         f"squareness of {lean.axes[1]} to {lean.axes[0]} changes with {moved}; no rigid body of this chain does that",
         1.0,
+        False,
     )
 
 

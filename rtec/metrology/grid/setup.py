@@ -37,6 +37,7 @@ class Item:
         u: expanded uncertainty, coverage factor 2: repeatability of the readings, and the plate's own accuracy where
             that does not fall out.
         chance: how often noise alone would give as much; NaN where the question is not asked.
+        rigid: is it a component error of the rigid-body model [XT 4.1], or beyond that?
     """
 
     name: str
@@ -46,6 +47,7 @@ class Item:
     unit: str
     u: float
     chance: float = float("nan")
+    rigid: bool = False
 
 
 @dataclass(frozen=True)

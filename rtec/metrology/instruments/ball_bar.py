@@ -44,6 +44,8 @@ class BallBarSetup(InstrumentSetup):
         radius_mm: of the programmed circle.
         height_mm: of the table-side ball's centre over the circle's plane, along the third machine direction; the
             length of the bar is then √(radius² + height²).
+        height_uncertainty_mm: standard uncertainty of that height; `rtec ballbar` finds the height of each test with
+            it as what is known before. 0: it is exact.
         direction: "ccw" runs from the first letter towards the second.
         feed_mm_min: along the circle.
         start_deg: angle at which the measured arc begins.
@@ -58,6 +60,7 @@ class BallBarSetup(InstrumentSetup):
     centre_mm: Vector
     radius_mm: MillimetresPositive
     height_mm: Millimetres = 0.0
+    height_uncertainty_mm: Annotated[float, Field(ge=0, le=10)] = 0.05
     direction: Literal["ccw", "cw"]
     feed_mm_min: MillimetresPerMinute
     start_deg: Degrees = 0.0
