@@ -279,7 +279,7 @@ def ball_bar_facts(d: BallBarDiagnosis) -> dict[str, object]:
         "beyond": beyond_facts(d) if d.dynamic else None,
         "explained": d.explained,
         "explained_by_bb_alone": d.explained_bb,
-        "residual_um": d.fitted.sigma_um,
+        "left_um": d.fitted.sigma_um,
         "window_deg": d.window_deg,
         "near_quadrants": d.near_quadrants,
         "harmonics": d.spectra,
