@@ -76,7 +76,8 @@ def replay_capture(
         setup: with a `[capture]` section that names the channels.
         path: the capture.
         out: corrected capture; every line but A and B of the named axes is as it was.
-        table: counts and corrections cycle by cycle, CSV.
+        table: counts, corrections and flags cycle by cycle, CSV; where counts found no room the row has the flag
+            OUTPUT_SATURATED, and as applied what the inserted counts come to.
         progress: told stages done and stages in all.
 
     Raises:
@@ -105,14 +106,20 @@ def replay_capture(
         axis_report, corrected = _correct(setup, name, lines, capture, at, output, words)
         reports[name] = axis_report
         raw = counts_at(edges[name], at)
+        inserted = counts_at(corrected, at) - raw
+        sink = _sink(setup, name)
+        short = _short(output, inserted, axis_report.inserted_counts, sink)
+        commands.flags[short] |= int(Flag.OUTPUT_SATURATED)
+        held = inserted / sink.scale(setup.machine.axis(name)).units_per_um
         columns |= {
             f"raw_{name}_counts": raw,
-            f"inserted_{name}_counts": counts_at(corrected, at) - raw,
+            f"inserted_{name}_counts": inserted,
             f"corrected_{name}_counts": counts_at(corrected, at),
             f"requested_{name}_um": commands.requested_um[:, i],
-            f"applied_{name}_um": commands.applied_um[:, i],
+            f"applied_{name}_um": np.where(short, held, commands.applied_um[:, i]),
         }
         tell(3 + k, stages)
+    columns["flags"] = np.asarray(commands.flags, dtype=np.int64)
     sigrok.write(out, sigrok.Capture(capture.samplerate_hz, capture.channels, words, out.name))
     _write_table(table, columns)
     tell(stages, stages)
@@ -134,6 +141,17 @@ def _check_length(capture: sigrok.Capture, setup: Setup) -> None:
             f"{capture.source}: {len(capture.samples) / capture.samplerate_hz:.0f} s are {cycles:.0f} cycles of "
             f"{rate_hz:g} Hz; at most {MOST_CYCLES} are replayed; divide the capture"
         )
+
+
+def _sink(setup: Setup, name: str) -> PulseSink:
+    sink = setup.file.output.get(name, PulseSink())
+    return sink if isinstance(sink, PulseSink) else PulseSink()
+
+
+def _short(output: Ints, inserted: Ints, at_end: int, sink: PulseSink) -> NDArray[np.bool_]:
+    """Cycles whose counts found no room until the next one; a part of a whole cycle waits for the rest of it."""
+    rest = sink.quantum_counts // 2 if sink.quantum_counts > 1 else 0
+    return np.asarray(np.abs(output - np.append(inserted[1:], at_end)) > rest)
 
 
 def _flags_seen(flags: Ints) -> dict[str, float]:
@@ -202,13 +220,11 @@ def _correct(
     words: NDArray[np.uint8],
 ) -> tuple[CaptureAxisReport, Edges]:
     """Insert one axis' counts; writes its corrected lines into `words`."""
-    sink = setup.file.output.get(name, PulseSink())
-    rate = sink.max_counts_per_s if isinstance(sink, PulseSink) else 1.0
-    cycle = isinstance(sink, PulseSink) and sink.quantum_counts == 4
+    sink = _sink(setup, name)
     settings = InsertionSettings(
         max(1, round(lines.min_edge_separation_us * 1e-6 * capture.samplerate_hz)),
-        max(1, round(capture.samplerate_hz / rate)),
-        "cycle" if cycle else "count",
+        max(1, round(capture.samplerate_hz / sink.max_counts_per_s)),
+        "cycle" if sink.quantum_counts == 4 else "count",
     )
     changes = np.flatnonzero(np.diff(output, prepend=0))
     a, b = capture.line(lines.a), capture.line(lines.b)

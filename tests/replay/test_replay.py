@@ -182,6 +182,29 @@ def test_a_real_capture_goes_through_the_same_step(tmp_path: Path, name: str, qu
     assert int(rows[-1]["corrected_X_counts"]) == pytest.approx(report.axes["X"].corrected_counts, abs=1)
 
 
+def test_counts_without_room_are_flagged_in_their_row(tmp_path: Path) -> None:
+    """Oracle: by hand. Edges every 10 µs and a separation of 8 µs leave no room; then the lines stand still."""
+    made = with_capture(tmp_path, X={"a": "A", "b": "B", "start_mm": 100.0, "min_edge_separation_us": 8.0})
+    phase = np.concatenate([np.arange(200_000) // 10, np.full(200_000, 19_999)]) % 4
+    words = (np.isin(phase, (1, 2)) + 2 * np.isin(phase, (2, 3))).astype(np.uint8)
+    capture = tmp_path / "own.sr"
+    sigrok.write(capture, sigrok.Capture(1_000_000, ("A", "B"), words, capture.name))
+    report = replay_capture(made, capture, tmp_path / "o.sr", tmp_path / "o.csv")
+    assert report.axes["X"].inserted_counts != 0
+    assert 0.3 < report.flags_seen["OUTPUT_SATURATED"] < 0.7
+    with (tmp_path / "o.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    flagged = [bool(int(row["flags"]) & int(Flag.OUTPUT_SATURATED)) for row in rows]
+    assert flagged[len(rows) // 4]
+    assert not flagged[-1]
+    moving = rows[len(rows) // 4]
+    assert (int(moving["inserted_X_counts"]), float(moving["applied_X_um"])) == (0, 0.0)
+    count_um = 1e3 / made.machine.axis("X").counts_per_mm
+    assert float(rows[-1]["applied_X_um"]) == pytest.approx(
+        -count_um * int(rows[-1]["inserted_X_counts"]), abs=count_um
+    )
+
+
 def test_the_command_line_on_a_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capture = real_file("quadrature", "rotary-sin.sr")
     made = with_capture(tmp_path, X={"a": "0", "b": "1", "start_mm": 100.0})
