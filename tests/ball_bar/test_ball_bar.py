@@ -158,7 +158,12 @@ def test_positions_are_as_good_as_angles(tmp_path: Path) -> None:
     [
         (["1,0,10,0", "1,1,9,0"], None, 'direction = "ccw"', ["run 1 goes cw", "'ccw'"]),
         (["1,0,0", "1,1,0"], "run,time_s,reading_um", 'direction = "ccw"', ["'angle_deg'", "'x_mm'"]),
-        (["1,0,110,20,0", "1,1,108,20,0"], "run,time_s,x_mm,y_mm,reading_um", 'direction = "ccw"', ["row 2", "2 mm"]),
+        (
+            ["1,0,110,20,0", "1,1,108,20,0"],
+            "run,time_s,x_mm,y_mm,reading_um",
+            'direction = "ccw"',
+            ["row 2", "2.00 mm"],
+        ),
         (["1,0,10,0"], None, 'direction = "up"', ["direction", "'ccw' or 'cw'"]),
     ],
 )
