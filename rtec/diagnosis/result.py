@@ -163,6 +163,27 @@ class Unknown:
 
 
 @dataclass(frozen=True)
+class Member:
+    """One of several effects that are named together.
+
+    Attributes:
+        label: short name.
+        effect, component: of the catalogue.
+        heldout_drop: share of the mean square on held-out runs that it removes together with those before it.
+    """
+
+    label: str
+    effect: str
+    component: str
+    heldout_drop: float
+
+    @classmethod
+    def of(cls, effect: Effect, heldout_drop: float) -> "Member":
+        """Name an effect."""
+        return cls(label_of(effect), effect.effect, effect.component, heldout_drop)
+
+
+@dataclass(frozen=True)
 class Picture:
     """What a figure needs to show a finding in one reading column, less what the instruments cannot know.
 
@@ -211,6 +232,8 @@ class Diagnosis:
         not_testable, absent: what could not be checked, and what was checked and not found.
         notes: what was done to the data, in words (spikes left out, temperatures smoothed, …).
         noise: fitted noise by measurement, in words.
+        together: effects that are named together and leave something without a name, which is `unknown`; rank 1 is the
+            first of them.
         picture: of rank 1 or of the unknown, where there is one.
     """
 
@@ -229,6 +252,7 @@ class Diagnosis:
     seed: int = 1
     picture: Picture | None = field(default=None, repr=False, compare=False)
     refit: float = math.nan
+    together: tuple[Member, ...] = ()
 
     @property
     def out_of_date(self) -> bool:
@@ -253,6 +277,7 @@ class Diagnosis:
             "adequacy": self.adequacy,
             "candidates": [_finding(f) for f in self.findings],
             "unknown": _unknown(self.unknown),
+            "together": [vars(m) for m in self.together],
             "not_testable": [vars(n) for n in self.not_testable],
             "absent": [vars(a) for a in self.absent],
             "noise": list(self.noise),

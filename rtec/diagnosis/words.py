@@ -84,6 +84,8 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = ()) -> Dia
 
 def _sentence(d: Diagnosis, smallest: float) -> str:
     unit = UNITS[d.unit]
+    if d.together:
+        return _together(d)
     if d.verdict == "missing_effect":
         f = d.findings[0]
         if f.partner is not None:
@@ -115,6 +117,20 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         )
     limit = f" (half of the catalogue from {significant(smallest, 2)} {unit} on)" if math.isfinite(smallest) else ""
     return f"no effect is missing that these readings could show{limit}: {levels}"
+
+
+def _together(d: Diagnosis) -> str:
+    """Effects that are missing together, what each removes, and what stays without a name."""
+    before, parts = 0.0, []
+    for m in d.together:
+        parts.append(f"{m.label} ({m.heldout_drop - before:.0%} of the held-out mean square error)")
+        before = m.heldout_drop
+    are = "is" if len(parts) == 1 else "are"
+    named_so = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
+    if d.unknown is None:
+        return f"{named_so} {are} missing"
+    where = " and ".join(map(named, d.unknown.channels))
+    return f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}"
 
 
 def _of_the_residual(size: float, residual: float, unit: str) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Number, Picture, Unknown, label_of
+from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, Unknown, label_of
 from rtec.diagnosis.search import picture
 from rtec.diagnosis.search.candidates import Candidate, Untried
 from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, fold
@@ -57,6 +57,8 @@ class Searched:
         accepted: whether the first is named.
         adequacy: what it explains of what can be explained.
         unknown, shape: what is there if nothing has a name, and its shape.
+        chain: effects that are named together though they leave something without a name; the first is that of
+            `tried`.
         seed: of the draws.
         explain: whether to work out what only people want to know: which test tells confusions apart.
         beside: what all candidates say beside the one that was named; None where none was, or not asked for.
@@ -80,6 +82,7 @@ class Searched:
     seed: int
     explain: bool
     beside: Screen | None
+    chain: tuple[Tried, ...] = ()
 
 
 def answer(searched: Searched) -> Diagnosis:
@@ -143,6 +146,8 @@ class _Answer:
         """Whether the readings cannot tell another candidate from the winner."""
         if winner.number == other.number:
             return True
+        if self.s.chain:
+            return cosine(found.contribution(winner.number), found.contribution(other.number)) > SAME
         if other.number == self.s.partner:
             return False
         if winner.log_evidence - other.log_evidence < WITHIN:
@@ -156,6 +161,8 @@ class _Answer:
 
     def _disputes(self, winner: Tried, other: Tried) -> bool:
         """Whether the runs left out speak for a sure effect that the evidence puts behind the winner."""
+        if self.s.chain:
+            return False
         sure = other.holds and other.log_evidence - self.s.prior_odds > SURE
         return sure and 1.0 - other.drop < BETTER * (1.0 - winner.drop)
 
@@ -253,10 +260,10 @@ class _Answer:
         noise = min(floor.pooled(readings, floor.floors(self._noise(findings)), scale), rms)
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
-        if unknown is not None:
-            verdict = "unknown_effect"
-        elif accepted:
+        if accepted:
             verdict = "ambiguous" if len(group) > 1 or findings[0].confused_with else "missing_effect"
+        elif unknown is not None:
+            verdict = "unknown_effect"
         else:
             verdict = "nothing_missing"
         unit = floor.unit_of(readings)
@@ -289,6 +296,7 @@ class _Answer:
             ),
             seed=self.s.seed,
             picture=shown,
+            together=tuple(Member.of(self.s.candidates[t.number].effect, t.drop) for t in self.s.chain),
             refit=floor.pooled(
                 readings, floor.rms_by_series(readings, floor.cleaned(readings, self.s.without.left)), scale
             ),
@@ -310,7 +318,7 @@ class _Answer:
 
     def _shown(self, findings: Sequence[Finding], unknown: Unknown | None) -> Picture | None:
         """The picture of what was found."""
-        if unknown is not None:
+        if unknown is not None and not self.s.chain:
             shape = self.s.shape
             if shape is None:
                 return None

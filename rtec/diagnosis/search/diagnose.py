@@ -22,6 +22,7 @@ from rtec.diagnosis.search.refit import BESIDE, Refits, Tried, prepare
 from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
+from rtec.effects import Effect
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
@@ -40,6 +41,8 @@ ADEQUATE, LEAST = 0.95, 0.7
 one below the least describes nothing."""
 LITTLE = 0.25
 """A fall of the mean square on runs left out below this is little."""
+PLAIN = 2
+"""Numbers of a plain effect at the most."""
 MOSTLY = 0.5
 """Two effects that only help together must take away at least this share of the mean square on runs left out."""
 ALPHA, DRAWS = 0.05, 400
@@ -120,6 +123,10 @@ class _Search:
         # One that brings next to nothing alone, and is named for what it does beside another, is half of a pair.
         half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
         pair = None if accepted and named and not half else self._pair(tried)
+        chain = self._chain(tried, p) if unknown is not None and pair is None else []
+        if chain:
+            tried = [chain[0], *(t for t in tried if t.number != chain[0].number)]
+            accepted, named = True, True
         if pair is not None:
             numbers = [t.number for t in pair]
             tried = [*pair, *(t for t in tried if t.number not in numbers)]
@@ -129,6 +136,7 @@ class _Search:
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
                 self.refits.without, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
                 unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
+                tuple(chain),
             )
         )  # fmt: skip
 
@@ -206,6 +214,27 @@ class _Search:
         if best is None or (self._top_shape and self._top_shape.log_evidence + WITHIN > best[1].log_evidence):
             return None
         return best
+
+    def _chain(self, tried: Sequence[Tried], p: float) -> list[Tried]:
+        """Simple effects that are sure and take much away, though a shape without a name would take more.
+
+        A shape that is allowed everything holds a squareness too. So where a plain effect of one or two numbers is
+        sure, and a good part of the error on held-out runs goes with it, it is named, and what stays is told apart.
+        """
+        if not self._many or p >= self.alpha:
+            return []
+        bar = self._prior_odds + SURE
+
+        def plain(effect: Effect) -> bool:
+            machine = self.model.machine
+            places = {a.channel for a in machine.axes} & set(effect.channels(machine))
+            return len(places) <= 1 and len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
+
+        sure = [t for t in tried if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
+        first = max(sure, key=lambda t: t.drop, default=None)
+        if first is None or first.drop < LITTLE:
+            return []
+        return self.refits.chain(first, bar, plain)
 
     def _shapes(self, best: Tried | None) -> list[Shaped]:
         """The best shapes without a name, looked for under the noise that is known best and as if without drift."""
