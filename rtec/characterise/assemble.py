@@ -12,6 +12,8 @@ from rtec.characterise.noise import Outlier
 from rtec.characterise.result import Characterisation, Coefficient, Correlated, MeasurementFit, SearchStep
 from rtec.characterise.screen import Screened
 from rtec.characterise.warnings import all_warnings, outlier_warnings
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import Clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
@@ -30,8 +32,9 @@ def assemble(
     measurements: Sequence[Measurement],
     name: str,
     margin: Margin,
+    given: Clean | None,
 ) -> Characterisation:
-    """Give the result of a fit and of the choice before it."""
+    """Give the result of a fit and of the choice before it; with the readings given, judged as by every command."""
     table = tuple(_measurement(fit, i) for i in range(len(fit.sources)))
     units = {t.unit for t in table}
     unit = units.pop() if len(units) == 1 else "noise"
@@ -39,8 +42,14 @@ def assemble(
     inside, held_out = fit.inside * size / _unit_weight(fit, unit), fit.held_out * size / _unit_weight(fit, unit)
     rivals = choice.rivals if choice else ()
     unused = screened.unused if screened else ()
+    model = _model(fit, measurements, name, margin, (inside, held_out, unit))
+    judged = Judgement(model, given) if given is not None else None
+    if judged is not None:
+        inside, held_out, unit = judged.residual, judged.held_out, judged.unit
+        model = _model(fit, measurements, name, margin, (inside, held_out, unit))
     return Characterisation(
-        model=_model(fit, measurements, name, margin, (inside, held_out, unit)),
+        model=model,
+        judged=judged,
         measurements=table,
         coefficients=tuple(_coefficients(fit)),
         condition=fit.linear.condition(),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from rtec.characterise.equivalents import Rival
 from rtec.characterise.noise import Outlier
+from rtec.estimation.judge import Judgement
 from rtec.model import Model
 
 Floats = NDArray[np.float64]
@@ -104,6 +105,8 @@ class Characterisation:
         warnings: in words.
         notes: what was said of each measurement as it was read (missing readings, what was accepted), by its name.
         residuals: for figures: measurement name to hours, (n,), and readings minus prediction, (readings, n).
+        judged: the model on its readings as every command judges it; None of very many readings, or where stretches of
+            another length were held out.
     """
 
     model: Model
@@ -120,6 +123,7 @@ class Characterisation:
     warnings: tuple[Warn, ...] = ()
     notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
     residuals: dict[str, tuple[Floats, Floats]] = field(default_factory=dict, repr=False)
+    judged: Judgement | None = field(default=None, repr=False, compare=False)
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""
@@ -138,6 +142,7 @@ class Characterisation:
             "rms_inside": self.inside_rms,
             "rms_held_out": self.held_out_rms,
             "unit": self.unit,
+            "judged": self.judged.facts() if self.judged is not None else None,
             "condition_number": self.condition,
             **plain,
             "notes": {name: list(said) for name, said in self.notes.items()},

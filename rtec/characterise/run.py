@@ -23,11 +23,10 @@ from rtec.characterise.stream import Term, gather
 from rtec.effects import Effect
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
-from rtec.estimation.outliers import wrong_readings
-from rtec.estimation.readings import read
+from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model.fit import Margin
-from rtec.parallel import one_blas_thread
+from rtec.parallel import MANY, one_blas_thread
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
@@ -83,7 +82,8 @@ def _characterise(
     sources = [Source.of(m, leave_out_h) for m in _checked(measurements)]
     if sum(len(s.blocks.fold) for s in sources) > MANY_BLOCKS:
         sources = [replace(s, blocks=s.blocks.by_fold) for s in sources]
-    sources, spiky = _without_wrong(sources)
+    given = clean(measurements, sources[0].state.reference_degc)
+    sources, spiky = _without_wrong(sources, given)
     scaled = [s.weighted(_rough_weights(s)) for s in sources]
     exact = wanted.exact if wanted else ()
     _check_channels(sources, exact)
@@ -103,7 +103,9 @@ def _characterise(
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     tried = len(screened.candidates) if screened else 0
     fit = _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell)
-    return assemble(fit, screened, choice, spiky, measurements, name, margin)
+    # Stretches of another length would be another held-out error; of very many readings the walk through them is all.
+    judged = given if leave_out_h is None and len(given.readings) <= MANY else None
+    return assemble(fit, screened, choice, spiky, measurements, name, margin, judged)
 
 
 def _choose(screened: Screened, wanted: Wanted | None, tell: Stage) -> Choice:
@@ -173,18 +175,15 @@ def _rough_weights(source: Source) -> Floats:
     return (source.weight.reshape(-1, source.count) / noise.rough_noise(source)).ravel()
 
 
-def _without_wrong(sources: Sequence[Source]) -> tuple[list[Source], list[Outlier]]:
-    """Leave out wrong readings by the rule of `rtec.estimation.outliers`, and list them."""
-    measurements = [s.measurement for s in sources]
-    readings = read(measurements, sources[0].state.reference_degc, smooth=False)
-    off = wrong_readings(readings)
+def _without_wrong(sources: Sequence[Source], given: Clean) -> tuple[list[Source], list[Outlier]]:
+    """Leave out wrong readings, and list them."""
     kept, told = [s.weight.copy() for s in sources], []
-    for s in readings.series:
-        m = measurements[s.source]
-        for i in np.flatnonzero(np.isfinite(off[s.part])):
-            row = int(s.row[i])
-            kept[s.source][row * sources[s.source].count + s.lane] = 0.0
-            told.append(Outlier(m.name, s.column, row, int(m.run[row]), float(off[s.part][i]), left_out=True))
+    number = {s.measurement.name: i for i, s in enumerate(sources)}
+    for w in given.wrong:
+        i = number[w.measurement]
+        lane = sources[i].measurement.instrument.columns().index(w.column)
+        kept[i][w.row * sources[i].count + lane] = 0.0
+        told.append(Outlier(w.measurement, w.column, w.row, w.run, w.off, left_out=True))
     return [s.weighted(k) for s, k in zip(sources, kept, strict=True)], told
 
 

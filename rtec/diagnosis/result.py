@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import Effect
+from rtec.estimation.judge import Judgement
 
 Floats = NDArray[np.float64]
 
@@ -234,6 +235,7 @@ class Diagnosis:
         noise: fitted noise by measurement, in words.
         together: effects that are named together and leave something without a name, which is `unknown`; rank 1 is the
             first of them.
+        judged: the model as it stands, as every command judges it.
         picture: of rank 1 or of the unknown, where there is one.
     """
 
@@ -253,6 +255,7 @@ class Diagnosis:
     picture: Picture | None = field(default=None, repr=False, compare=False)
     refit: float = math.nan
     together: tuple[Member, ...] = ()
+    judged: Judgement | None = field(default=None, repr=False, compare=False)
 
     @property
     def out_of_date(self) -> bool:
@@ -280,6 +283,7 @@ class Diagnosis:
             "together": [vars(m) for m in self.together],
             "not_testable": [vars(n) for n in self.not_testable],
             "absent": [vars(a) for a in self.absent],
+            "judged": self.judged.facts() if self.judged is not None else None,
             "noise": list(self.noise),
             "notes": list(self.notes),
             "seed": self.seed,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.flexible import NEAR_DEGC, flexible_columns
 from rtec.estimation.gls import solve, without_nuisance
-from rtec.estimation.noise import Noise, Whitener, find_noise
+from rtec.estimation.noise import Noise, Whitener, found_on_stretches
 from rtec.estimation.readings import Readings, Series
 from rtec.estimation.whitening import drift_draws
 
@@ -190,8 +190,18 @@ class Floor:
     fitted: float
 
 
-def noise_floors(readings: Readings, left: Floats, columns: Floats, flexible: Whitener | None = None) -> list[Floor]:
-    """The floor of each series: repeats where there are enough, else short-time differences; one for every command.
+def flexible_noise(readings: Readings, columns: Floats) -> Whitener:
+    """Noise beside everything that goes smoothly with the channels.
+
+    Args:
+        readings: the readings.
+        columns: of the model and the set-up, (m, p).
+    """
+    return found_on_stretches(readings, lambda few, keep: flexible_columns(few, columns[keep]))
+
+
+def noise_floors(readings: Readings, left: Floats, flexible: Whitener) -> list[Floor]:
+    """The floor of each series: repeats where there are enough, else short-time differences.
 
     A drift is slow beside the readings, and so is what a model misses: neither counts as noise of a reading. What is
     slow and follows no recorded channel is shown apart.
@@ -199,13 +209,11 @@ def noise_floors(readings: Readings, left: Floats, columns: Floats, flexible: Wh
     Args:
         readings: the readings.
         left: what the model leaves of them, nuisances taken out, (m,).
-        columns: of the model and the set-up, (m, p).
-        flexible: noise beside anything smooth, where it is known already.
+        flexible: from `flexible_noise`.
     """
-    noise = flexible or find_noise(readings, flexible_columns(readings, columns))
     rms = rms_by_series(readings, left)
     out = []
-    for s, n, whole, most in zip(readings.series, noise.noises, floors(noise), rms, strict=True):
+    for s, n, whole, most in zip(readings.series, flexible.noises, floors(flexible), rms, strict=True):
         repeated = repeats_floor(readings, s, left[s.part])
         # Noise is never more than what is left.
         quick = min(_quick(s, n), float(most))

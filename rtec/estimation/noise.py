@@ -291,6 +291,24 @@ def noise_bounds(series: Series) -> Floats:
     )
 
 
+def found_on_stretches(readings: Readings, columns: Callable[[Readings, NDArray[np.bool_]], Floats]) -> Whitener:
+    """Noise of readings of which long series are searched through stretches.
+
+    Args:
+        readings: all of them.
+        columns: gives the columns of the mean for some readings, and which of all these are, (m,).
+    """
+    keep = np.ones(len(readings), dtype=bool)
+    for s in readings.series:
+        if len(s) > MANY:
+            keep[s.part] = False
+            keep[s.start + _stretches(len(s))] = True
+    few = readings if keep.all() else readings.without(~keep)
+    noises = find_noise(few, columns(few, keep)).noises
+    wides = tuple(_wide(s, readings.values[s.part]) for s in readings.series)
+    return Whitener(readings, noises, wides)
+
+
 def _stretches(n: int) -> NDArray[np.int64]:
     """Stretches of neighbouring readings, evenly over a long series: short and long memory both show; else all."""
     if n <= MANY:

@@ -17,10 +17,11 @@ from rtec.diagnosis.compare.result import Compared, Comparison, Outside, Part, R
 from rtec.diagnosis.usable import check_enough
 from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.errors import MeasurementError
-from rtec.estimation.columns import base_of, effect_columns, ordered
+from rtec.estimation.columns import effect_columns, ordered
 from rtec.estimation.flexible import flexible_columns, less
-from rtec.estimation.floor import Floor, flattened, floors, noise_floors, tails_of
-from rtec.estimation.noise import Whitener, find_noise
+from rtec.estimation.floor import Floor, flattened, floors, tails_of
+from rtec.estimation.judge import Judgement
+from rtec.estimation.noise import Whitener
 from rtec.estimation.outliers import clean, outlier_words
 from rtec.estimation.readings import Readings, Series
 from rtec.machine import Machine
@@ -61,19 +62,19 @@ def compare(
     check_enough(measurements, FEWEST)
     with one_blas_thread():
         tell("reading, predicting", 0, 1)
-        clean_ones = clean(measurements, model.reference_degc)
-        readings, notes = clean_ones.readings, outlier_words(clean_ones.wrong)
-        columns = flexible_columns(readings, base_of(model, readings).columns)
+        judged = Judgement(model, clean(measurements, model.reference_degc))
+        readings, notes = judged.readings, outlier_words(judged.given.wrong)
         traces = _traces(model, readings)
         tell("finding the noise", 0, 1)
-        flexible = find_noise(readings, columns)
-        noise = noise_floors(readings, traces.left, columns, flexible)
-        whitener = _of_chance(readings, traces.left, flexible, find_noise(readings, base_of(model, readings).columns))
+        columns = flexible_columns(readings, judged.base.columns)
+        whitener = _of_chance(readings, traces.left, judged.flexible, judged.noise)
         tails = tails_of(whitener, less(readings, columns, traces.left))
         worst = locate(readings, traces.left, whitener, tails, seed, stage)
-    items = tuple(_compared(model, traces, s, f, w) for s, f, w in zip(readings.series, noise, worst, strict=True))
+    items = tuple(
+        _compared(model, traces, s, f, w) for s, f, w in zip(readings.series, judged.floors, worst, strict=True)
+    )
     odd = odd_scales(readings, traces.measured, traces.predicted)
-    return Comparison(model.name, items, (*odd, *_stuck(readings), *notes), seed, traces)
+    return Comparison(model.name, items, (*odd, *_stuck(readings), *notes), seed, judged, traces)
 
 
 def _stuck(readings: Readings) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.estimation.floor import Floor
+from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
@@ -219,6 +220,7 @@ class Comparison:
         items: one for each reading column of each measurement.
         notes: what was done to the data, in words.
         seed: of the draws of chance.
+        judged: all reading columns together.
         traces: for the figures.
     """
 
@@ -226,6 +228,7 @@ class Comparison:
     items: tuple[Compared, ...]
     notes: tuple[str, ...]
     seed: int
+    judged: Judgement = field(repr=False, compare=False)
     traces: Traces = field(repr=False, compare=False)
 
     def facts(self) -> dict[str, Any]:
@@ -233,6 +236,7 @@ class Comparison:
         return {
             "model": self.model,
             "measurements": [c.facts() for c in self.items],
+            "together": self.judged.facts(),
             "notes": list(self.notes),
             "seed": self.seed,
         }

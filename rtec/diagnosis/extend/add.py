@@ -26,6 +26,7 @@ from rtec.estimation import floor
 from rtec.estimation.floor import Unit
 from rtec.estimation.gls import held_out
 from rtec.estimation.joint import LOOSE, Joint, joint_fit
+from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
@@ -222,7 +223,8 @@ def _add(
     _check_new(model, new)
     check_enough(measurements)
     tell("refitting the model as it is", 0, 3)
-    readings = (given or clean(measurements, model.reference_degc)).readings
+    there = given or clean(measurements, model.reference_degc)
+    readings = there.readings
     check_scales(readings, predicted(model.effects, readings))
     # Readings that the model was fitted to before say nothing new of how sure its numbers are.
     again = any(m.sha256 in model.measurements.values() for m in measurements)
@@ -231,7 +233,7 @@ def _add(
     tell("refitting with what is new" if new else "refitting", 1, 3)
     after, searched = _with_new(model, new, before, readings, loose) if new else (no_worse(model, before), ())
     tell("held-out runs", 2, 3)
-    made = _judged(model, new, measurements, readings, (before, after), margin)
+    made = _judged(model, new, measurements, there, after, margin)
     tell("held-out runs", 3, 3)
     return replace(made, notes=(*made.notes, *searched))
 
@@ -285,38 +287,34 @@ def _judged(
     model: Model,
     new: Sequence[FittedEffect],
     measurements: Sequence[Measurement],
-    readings: Readings,
-    fits: tuple[Joint, Joint],
+    given: Clean,
+    after: Joint,
     margin: Margin,
 ) -> Added:
-    """What both fits leave, and the model with its history."""
-    after, unit = fits[1], floor.unit_of(readings)
-    noises = floor.noise_floors(readings, floor.cleaned(readings, after.left), after.columns)
-    floors, sources = np.array([n.value for n in noises]), [n.source for n in noises]
-    scale = 1.0 / np.maximum(floors, 1e-12) if unit == "noise" else np.ones(len(floors))
-    was, now = (_errors(j, after, readings, scale) for j in fits)
-    left = floor.cleaned(readings, readings.values - predicted(model.effects, readings))
-    given = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-    # What a refit is compared with is the model as it stands; and to readings that it was not fitted to, that is
-    # what it leaves of held-out runs.
+    """What the model left before and leaves after, and the model with its history."""
+    effects = after.effects
+    grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
+    now = Judgement(grown, given)
+    was = Judgement(model, given, tuple(now.scale))
+    # To readings that the model was not fitted to, what it leaves is its error on held-out runs.
     fresh = not any(m.sha256 in model.measurements.values() for m in measurements)
-    was = Errors(given, was.inside, min(was.held_out, given) if fresh else was.held_out)
-    was = was if new else Errors(given, given, given)
-    noise, source = floor.pooled(readings, floors, scale), " and ".join(sorted(set(sources)))
-    labels = tuple(f.label for f in new)
-    entry = entry_of(labels, was, now, (noise, source), unit, measurements, len(readings), model)
+    held = min(was.held_out, was.residual) if fresh else was.held_out
+    before = Errors(was.residual, was.residual, held if new else was.residual)
+    after_it = Errors(None, now.residual, now.held_out)
+    noise, labels = now.noise_floor, tuple(f.label for f in new)
+    entry = entry_of(
+        labels, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model
+    )
     made = replace(
-        model,
-        effects=after.effects,
-        valid_range=ranges_of(model, after.effects, readings, margin),
-        noise_um=noise if unit == "um" else model.noise_um,
+        grown,
+        noise_um=noise if now.unit == "um" else model.noise_um,
         measurements={**model.measurements, **{m.name: m.sha256 for m in measurements if m.sha256}},
         history=(*model.history, entry),
     )
-    better = now.held_out < (1.0 - WORTH) * was.held_out
-    smooth = _with_smooth(after, scale)
-    notes = (*after.disputed, *unsure(after.effects[len(model.effects) :]), *notes_of(model, measurements))
-    return Added(made, labels, was, now, noise, unit, better, smooth, notes, source)
+    better = now.held_out < (1.0 - WORTH) * before.held_out
+    smooth = _with_smooth(after, now.scale)
+    notes = (*after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
+    return Added(made, labels, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from)
 
 
 def refused(added: Added) -> str:
@@ -343,13 +341,6 @@ def _check_new(model: Model, new: Sequence[FittedEffect]) -> None:
             raise ModelError(
                 f"add: {fitted.label} is in the model already; its numbers are refitted whenever something is added"
             )
-
-
-def _errors(joint: Joint, after: Joint, readings: Readings, scale: Floats) -> Errors:
-    """Both fits are judged under the same weights, those of the better known model."""
-    left = floor.cleaned(readings, joint.left)
-    inside = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-    return Errors(None, inside, held_out(after.weights, joint.columns, scale).rms)
 
 
 def _with_smooth(joint: Joint, scale: Floats) -> float:

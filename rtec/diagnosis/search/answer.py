@@ -26,6 +26,7 @@ from rtec.errors import RtecError
 from rtec.estimation import floor
 from rtec.estimation.columns import slope
 from rtec.estimation.gls import Fit, inverse, resolved, solve
+from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
 from rtec.estimation.outliers import outlier_words
 from rtec.model import FittedEffect, Model
@@ -57,6 +58,7 @@ class Searched:
         accepted: whether the first is named.
         adequacy: what it explains of what can be explained.
         unknown, shape: what is there if nothing has a name, and its shape.
+        judged: the model as it stands.
         chain: effects that are named together though they leave something without a name; the first is that of
             `tried`.
         seed: of the draws.
@@ -82,6 +84,7 @@ class Searched:
     seed: int
     explain: bool
     beside: Screen | None
+    judged: Judgement
     chain: tuple[Tried, ...] = ()
 
 
@@ -232,18 +235,12 @@ class _Answer:
         base = self.s.prepared.base
         part = part - base @ solve(t.fit.whitener(base), t.fit.whitener(part))
         part = floor.cleaned(self.readings, part)
-        scale = self._scale()
-        return numbers, floor.pooled(self.readings, floor.rms_by_series(self.readings, part), scale)
+        return numbers, self.s.judged.pooled(part)
 
     def _noise(self, findings: Sequence[Finding]) -> Whitener:
         """The noise as it is known best: with what was found in the mean."""
         accepted = bool(findings) and findings[0].accepted
         return self.s.tried[0].fit.whitener if accepted and self.s.tried else self.s.prepared.whitener
-
-    def _scale(self) -> Floats:
-        if floor.unit_of(self.readings) != "noise":
-            return np.ones(len(self.readings.series))
-        return 1.0 / np.maximum(floor.floors(self.s.prepared.whitener), 1e-12)
 
     def _answer(
         self,
@@ -252,12 +249,8 @@ class _Answer:
         adequacy: float | None,
         unknown: Unknown | None,
     ) -> Diagnosis:
-        readings, prepared = self.readings, self.s.prepared
-        scale = self._scale()
-        measured, said = (floor.cleaned(readings, v) for v in (readings.values, prepared.predicted))
-        left, odd = measured - said, odd_scales(readings, measured, said)
-        rms = floor.pooled(readings, floor.rms_by_series(readings, left), scale)
-        noise = min(floor.pooled(readings, floor.floors(self._noise(findings)), scale), rms)
+        readings, prepared, judged = self.readings, self.s.prepared, self.s.judged
+        odd = odd_scales(readings, *(floor.cleaned(readings, v) for v in (readings.values, prepared.predicted)))
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
         if accepted:
@@ -266,7 +259,6 @@ class _Answer:
             verdict = "unknown_effect"
         else:
             verdict = "nothing_missing"
-        unit = floor.unit_of(readings)
         beside = self.s.beside or found
         speaks = [label_of(self.s.candidates[i].effect) for i in speaking_up(beside, self.s.prior_odds)]
         absent, unseen = absent_ones((found, beside), findings if accepted else (), self.s.prior_odds)
@@ -275,9 +267,9 @@ class _Answer:
         draft = Diagnosis(
             verdict=verdict,  # type: ignore[arg-type]
             sentence="",
-            unit=unit,
-            rms_residual=rms,
-            noise_floor=noise,
+            unit=judged.unit,
+            rms_residual=judged.residual,
+            noise_floor=judged.noise_floor,
             adequacy=adequacy,
             findings=findings,
             unknown=self._located(unknown),
@@ -297,9 +289,8 @@ class _Answer:
             seed=self.s.seed,
             picture=shown,
             together=tuple(Member.of(self.s.candidates[t.number].effect, t.drop) for t in self.s.chain),
-            refit=floor.pooled(
-                readings, floor.rms_by_series(readings, floor.cleaned(readings, self.s.without.left)), scale
-            ),
+            refit=judged.refitted,
+            judged=judged,
         )
         return words.with_sentence(draft, smallest, odd)
 

@@ -23,6 +23,7 @@ from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
+from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
@@ -100,6 +101,7 @@ class _Search:
         self.model, self.seed, self.alpha, self.draws, self.stage = model, seed, alpha, draws, stage
         self.explain = explain
         self.prepared = prepare(model, given)
+        self.judged = Judgement(model, given)
         self.readings = self.prepared.readings
         known = [f.effect for f in model.effects]
         candidates, self.untried = library(self.readings, only)
@@ -136,7 +138,7 @@ class _Search:
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
                 self.refits.without, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
                 unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
-                tuple(chain),
+                self.judged, tuple(chain),
             )
         )  # fmt: skip
 

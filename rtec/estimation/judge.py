@@ -1,0 +1,132 @@
+"""One judgement of a model on measurements: the same residual, noise floor and held-out error in every command."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.estimation import floor
+from rtec.estimation.columns import Base, base_of
+from rtec.estimation.floor import Floor, Unit
+from rtec.estimation.gls import HeldOut, held_out
+from rtec.estimation.noise import Whitener, found_on_stretches
+from rtec.estimation.outliers import Clean
+from rtec.estimation.plain import Plain, as_good, plain_fit
+from rtec.estimation.readings import Readings
+from rtec.model import Model
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A model as it stands, on readings that count.
+
+    Attributes:
+        model: as given.
+        given: the readings, with those that were left out.
+        scales: one over the unit of each series, (series,); None for those of its own floors.
+    """
+
+    model: Model
+    given: Clean
+    scales: tuple[float, ...] | None = None
+
+    @property
+    def readings(self) -> Readings:
+        """Those that count."""
+        return self.given.readings
+
+    @cached_property
+    def base(self) -> Base:
+        """The model's columns and prediction."""
+        return base_of(self.model, self.readings)
+
+    @cached_property
+    def left(self) -> Floats:
+        """Residual, less what the instruments cannot know, (m,)."""
+        return floor.cleaned(self.readings, self.readings.values - self.base.predicted)
+
+    @cached_property
+    def floors(self) -> list[Floor]:
+        """Noise of each series."""
+        return floor.noise_floors(self.readings, self.left, self.flexible)
+
+    @cached_property
+    def flexible(self) -> Whitener:
+        """Noise beside everything that goes smoothly with the channels."""
+        return floor.flexible_noise(self.readings, self.base.columns)
+
+    @property
+    def unit(self) -> Unit:
+        """Of all that follows."""
+        return floor.unit_of(self.readings)
+
+    @cached_property
+    def scale(self) -> Floats:
+        """One over the unit of each series, (series,)."""
+        if self.unit != "noise":
+            return np.ones(len(self.readings.series))
+        if self.scales is not None:
+            return np.array(self.scales)
+        return 1.0 / np.maximum([f.value for f in self.floors], 1e-12)
+
+    def pooled(self, left: Floats) -> float:
+        """Root mean square of residuals, (m,)."""
+        return floor.pooled(self.readings, floor.rms_by_series(self.readings, left), self.scale)
+
+    @cached_property
+    def residual(self) -> float:
+        """Root mean square of the residual."""
+        return self.pooled(self.left)
+
+    @cached_property
+    def noise_floor(self) -> float:
+        """Root mean square of the noise."""
+        return floor.pooled(self.readings, np.array([f.value for f in self.floors]), self.scale)
+
+    @property
+    def floor_from(self) -> str:
+        """Where the noise floor comes from."""
+        return " and ".join(sorted({f.source for f in self.floors}))
+
+    @cached_property
+    def _plain(self) -> tuple[Plain, Floats]:
+        return plain_fit(self.readings, self.noise, self.base.columns)
+
+    @cached_property
+    def noise(self) -> Whitener:
+        """Noise beside the model's own columns."""
+        return found_on_stretches(self.readings, lambda _, keep: self.base.columns[keep])
+
+    @cached_property
+    def refitted(self) -> float:
+        """Residual with the model's own numbers refitted by ordinary least squares."""
+        columns, values = self.base.columns, self._plain[1]
+        return min(self.pooled(floor.cleaned(self.readings, self.readings.values - columns @ values)), self.residual)
+
+    @cached_property
+    def _held_out(self) -> HeldOut:
+        """On held-out runs, with the numbers refitted to the others by the better of both kinds of least squares."""
+        columns = self.base.columns
+        weighted, plain = (held_out(w, columns, self.scale) for w in (self.noise, self._plain[0]))
+        return weighted if as_good(weighted, plain) else plain
+
+    @property
+    def held_out(self) -> float:
+        """Root mean square error on held-out runs."""
+        return self._held_out.rms
+
+    def facts(self) -> dict[str, Any]:
+        """As plain data; keys as in the documented JSON."""
+        return {
+            "unit": self.unit,
+            "rms_residual": self.residual,
+            "noise_floor": self.noise_floor,
+            "noise_floor_from": self.floor_from,
+            "rms_held_out": self.held_out,
+            "readings": len(self.readings),
+            "wrong_readings": [vars(w) for w in self.given.wrong],
+        }
