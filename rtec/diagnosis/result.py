@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis.doubts import Doubt
 from rtec.effects import Effect
 from rtec.estimation.judge import Judgement
 
@@ -236,6 +237,7 @@ class Diagnosis:
         together: effects that are named together and leave something without a name, which is `unknown`; rank 1 is the
             first of them.
         judged: the model as it stands, as every command judges it.
+        doubts: about the record itself.
         picture: of rank 1 or of the unknown, where there is one.
     """
 
@@ -256,6 +258,7 @@ class Diagnosis:
     refit: float = math.nan
     together: tuple[Member, ...] = ()
     judged: Judgement | None = field(default=None, repr=False, compare=False)
+    doubts: tuple[Doubt, ...] = ()
 
     @property
     def out_of_date(self) -> bool:
@@ -284,6 +287,7 @@ class Diagnosis:
             "not_testable": [vars(n) for n in self.not_testable],
             "absent": [vars(a) for a in self.absent],
             "judged": self.judged.facts() if self.judged is not None else None,
+            "doubts": [vars(d) for d in self.doubts],
             "noise": list(self.noise),
             "notes": list(self.notes),
             "seed": self.seed,

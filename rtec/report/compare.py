@@ -174,8 +174,13 @@ def _worst(c: Comparison) -> Section:
         for r in i.worst
         if r.apart is not None
     ]
-    if not rows and apart:
-        return Section("Where the residual is largest", apart)
+    shapes = [
+        f"{_name(i, c)}: the residual {i.shape.words}; that is {i.shape.share:.0%} of its mean square."
+        for i in c.items
+        if i.shape is not None
+    ]
+    if not rows and (apart or shapes):
+        return Section("Where the residual is largest", [*apart, *shapes])
     if not rows:
         return Section("Where the residual is largest", ["No place stands out from noise."])
     head = ("measurement", "where", "residual there", "elsewhere", "mean there", "readings", "unit")
@@ -188,7 +193,7 @@ def _worst(c: Comparison) -> Section:
     if words:
         words.append("Places with the same readings cannot be distinguished from these data.")
     caption = "Strongest evidence first; root mean squares, mean with its sign. Elsewhere: in none of these places."
-    return Section("Where the residual is largest", [*apart, *words], Table(head, rows, caption, (0, 1, 6)))
+    return Section("Where the residual is largest", [*apart, *shapes, *words], Table(head, rows, caption, (0, 1, 6)))
 
 
 def _outside(c: Comparison) -> list[Section]:

@@ -12,6 +12,7 @@ from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.add import add, new_effect, refused
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.extend.parameter_scan import ranged
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects.expression import expression_from_text
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation import floor
@@ -207,3 +208,26 @@ def test_words_for_slips(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         expression_from_text("A*X", [], "EXX", small_machine())
     assert status(["add", "--help"]) == 0
     assert "A*sin(2*pi*x/p + phi)" in capsys.readouterr().out
+
+
+def test_a_harmonic_is_found_beside_its_wave() -> None:
+    """Oracle: the second wave, of half the period, that was made true beside one that the model has."""
+    second = "cyclic_pole,component=EXX,axis=X,s=1.5,c=1,period=3.7"
+    measured = [laser([SCALE, WAVE, second], 4, targets={"step_mm": 1.13}, protocol="cold", cycles=2)]
+    model = model_of(SCALE, WAVE)
+    found = diagnose(model, measured, draws=50, only=["cyclic_pole"])
+    assert found.findings[0].accepted
+    assert found.findings[0].theta["period"] == pytest.approx(3.7, rel=0.01)
+    wave = effects(second)[0].effect
+    added = add(model, [new_effect(wave, model, {"period": 3.7})], measured)
+    assert added.model.effects[-1].theta["period"] == pytest.approx(3.7, rel=0.002)
+    assert added.after.held_out < 1.2 * NOISE_UM
+    with pytest.raises(ModelError, match="in the model already"):
+        add(model, [new_effect(wave, model, {"period": 5.05})], measured)
+
+
+def test_what_the_model_has_under_another_name_is_not_added() -> None:
+    """Oracle: a straight line is a straight line."""
+    effect = new_effect(expression_from_text("A*x", [], "EXX", small_machine()), model_of(SCALE))
+    with pytest.raises(ModelError, match="cannot be distinguished from what the model has"):
+        add(model_of(SCALE), [effect], [laser([SCALE], 6)])

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from rtec.diagnosis.compare.bins import MOVES, unit_of
 from rtec.diagnosis.compare.locate import locate
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside, Part, Region, Size, Traces
+from rtec.diagnosis.compare.shape import shape_of
+from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.usable import check_enough
-from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.errors import MeasurementError
 from rtec.estimation.columns import effect_columns, ordered
 from rtec.estimation.flexible import flexible_columns, less
@@ -73,8 +74,9 @@ def compare(
     items = tuple(
         _compared(model, traces, s, f, w) for s, f, w in zip(readings.series, judged.floors, worst, strict=True)
     )
-    odd = odd_scales(readings, traces.measured, traces.predicted)
-    return Comparison(model.name, items, (*odd, *_stuck(readings), *notes), seed, judged, traces)
+    doubted = doubts(judged)
+    notes = (*(d.words for d in doubted), *_stuck(readings), *notes)
+    return Comparison(model.name, items, notes, seed, judged, traces, doubted)
 
 
 def _stuck(readings: Readings) -> tuple[str, ...]:
@@ -129,6 +131,7 @@ def _compared(model: Model, traces: Traces, s: Series, noise: Floor, worst: tupl
         measured, size_of(traces.predicted[s.part]), left, noise,
         explained(measured.rms, left.rms, noise.value), _sees(readings, s), _parts(model, traces, s),
         _outside(model, readings, s), worst,
+        shape_of(readings, s, traces.left[s.part]) if left.rms > SURELY * noise.value else None,
     )  # fmt: skip
 
 

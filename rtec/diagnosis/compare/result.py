@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis.compare.shape import ResidualShape
+from rtec.diagnosis.doubts import Doubt
 from rtec.estimation.floor import Floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings
@@ -137,6 +139,7 @@ class Compared:
         parts: what each effect adds, largest first; those that add nothing are left out.
         outside: where the readings leave the model's range.
         worst: regions, best evidence first.
+        shape: the plainest shape of the residual; None at the floor, or where it has none.
     """
 
     name: str
@@ -154,6 +157,7 @@ class Compared:
     parts: tuple[Part, ...]
     outside: tuple[Outside, ...]
     worst: tuple[Region, ...]
+    shape: ResidualShape | None = None
 
     @property
     def floor(self) -> float:
@@ -187,6 +191,7 @@ class Compared:
             ],
             "outside_valid_range": [vars(o) for o in self.outside],
             "worst": [r.facts() for r in self.worst],
+            "shape": vars(self.shape) if self.shape else None,
         }
 
 
@@ -222,6 +227,7 @@ class Comparison:
         seed: of the draws of chance.
         judged: all reading columns together.
         traces: for the figures.
+        doubts: about the record itself.
     """
 
     model: str
@@ -230,6 +236,7 @@ class Comparison:
     seed: int
     judged: Judgement = field(repr=False, compare=False)
     traces: Traces = field(repr=False, compare=False)
+    doubts: tuple[Doubt, ...] = ()
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data; keys as in the documented JSON."""
@@ -237,6 +244,7 @@ class Comparison:
             "model": self.model,
             "measurements": [c.facts() for c in self.items],
             "together": self.judged.facts(),
+            "doubts": [vars(d) for d in self.doubts],
             "notes": list(self.notes),
             "seed": self.seed,
         }

@@ -24,7 +24,7 @@ from rtec.effects import Effect, all_effects, effect_class
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.floor import Unit
-from rtec.estimation.gls import held_out
+from rtec.estimation.gls import held_out, solve, without_nuisance
 from rtec.estimation.joint import LOOSE, Joint, joint_fit
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import least_noise
@@ -238,6 +238,25 @@ def _add(
     return replace(made, notes=(*made.notes, *searched))
 
 
+NEAR = 0.02
+"""Periods and time constants that differ by less than this share are one."""
+TAKEN_UP = 1e-3
+"""A column of which the model's own leave less than this share of its norm is confounded with them."""
+
+
+def _near(one: float, other: float) -> bool:
+    return abs(one - other) <= NEAR * max(abs(one), abs(other))
+
+
+def _taken_up(columns: Floats, before: Joint) -> bool:
+    """Whether the model's own columns, (m, p), explain all of the new ones, (m, k)."""
+    readings = before.weights.readings
+    mine, base = (without_nuisance(readings, c) for c in (columns, before.columns))
+    left = mine - base @ np.column_stack([solve(base, c) for c in mine.T])
+    size = np.linalg.norm(mine, axis=0)
+    return bool(np.all(np.linalg.norm(left, axis=0) <= TAKEN_UP * np.maximum(size, 1e-300)))
+
+
 def no_worse(model: Model, refitted: Joint) -> Joint:
     """A refit that leaves no more of the readings than the model as it stands: else the ordinary fit, else none."""
     readings = refitted.weights.readings
@@ -277,6 +296,11 @@ def _with_new(
         columns = check_finite(placed, readings)
         if not any(_moves(readings, column) for column in columns.T):
             raise ModelError(f"add: no reading shows {fitted.label}; nothing that it depends on was moved")
+        if before.columns.shape[1] and _taken_up(columns, before):
+            raise ModelError(
+                f"add: {fitted.label} cannot be distinguished from what the model has already (confounded); measure "
+                "where they differ"
+            )
         found.append(placed)
         words += said
     least = least_noise(readings, floor.cleaned(readings, before.left))
@@ -335,9 +359,10 @@ def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:
 
 
 def _check_new(model: Model, new: Sequence[FittedEffect]) -> None:
-    there = [f.effect for f in model.effects]
     for fitted in new:
-        if fitted.effect in there:
+        same = [f for f in model.effects if f.effect == fitted.effect]
+        # A wave or a delay may be there twice, with another period or time constant.
+        if any(not f.theta or all(_near(f.theta[n], fitted.theta[n]) for n in f.theta) for f in same):
             raise ModelError(
                 f"add: {fitted.label} is in the model already; its numbers are refitted whenever something is added"
             )

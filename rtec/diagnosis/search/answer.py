@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
+from rtec.diagnosis.doubts import Doubt
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, Unknown, label_of
 from rtec.diagnosis.search import picture
@@ -20,7 +21,6 @@ from rtec.diagnosis.search.refit import Prepared, Tried
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped
-from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import Effect
 from rtec.errors import RtecError
 from rtec.estimation import floor
@@ -59,6 +59,7 @@ class Searched:
         adequacy: what it explains of what can be explained.
         unknown, shape: what is there if nothing has a name, and its shape.
         judged: the model as it stands.
+        doubts: about the record itself.
         chain: effects that are named together though they leave something without a name; the first is that of
             `tried`.
         seed: of the draws.
@@ -85,6 +86,7 @@ class Searched:
     explain: bool
     beside: Screen | None
     judged: Judgement
+    doubts: tuple[Doubt, ...]
     chain: tuple[Tried, ...] = ()
 
 
@@ -250,7 +252,6 @@ class _Answer:
         unknown: Unknown | None,
     ) -> Diagnosis:
         readings, prepared, judged = self.readings, self.s.prepared, self.s.judged
-        odd = odd_scales(readings, *(floor.cleaned(readings, v) for v in (readings.values, prepared.predicted)))
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
         if accepted:
@@ -276,7 +277,7 @@ class _Answer:
             not_testable=(*untestable(self.s.untried, found), *unseen),
             absent=absent,
             notes=(
-                *odd,
+                *(d.words for d in self.s.doubts),
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
                 *outlier_words(prepared.wrong),
@@ -291,8 +292,9 @@ class _Answer:
             together=tuple(Member.of(self.s.candidates[t.number].effect, t.drop) for t in self.s.chain),
             refit=judged.refitted,
             judged=judged,
+            doubts=self.s.doubts,
         )
-        return words.with_sentence(draft, smallest, odd)
+        return words.with_sentence(draft, smallest, [d.words for d in self.s.doubts if d.fatal])
 
     @cached_property
     def _typed(self) -> Typed | None:

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
+from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
 from rtec.diagnosis.search.answer import Searched, answer
-from rtec.diagnosis.search.candidates import library
-from rtec.diagnosis.search.confounded import WITHIN
+from rtec.diagnosis.search.candidates import Candidate, library
+from rtec.diagnosis.search.confounded import PERIODS, WITHIN
 from rtec.diagnosis.search.not_found import SURE
 from rtec.diagnosis.search.refit import BESIDE, Refits, Tried, prepare
 from rtec.diagnosis.search.screen import Projected, Screen, screen
@@ -86,6 +87,10 @@ def diagnose(
         return _Search(model, there, seed, alpha, draws, only, explain, tell).diagnosis()
 
 
+def _periodic(candidate: Candidate) -> bool:
+    return any(name in PERIODS for theta in candidate.thetas for name in theta)
+
+
 class _Search:
     def __init__(
         self,
@@ -102,10 +107,12 @@ class _Search:
         self.explain = explain
         self.prepared = prepare(model, given)
         self.judged = Judgement(model, given)
+        self.doubts = doubts(self.judged)
         self.readings = self.prepared.readings
         known = [f.effect for f in model.effects]
         candidates, self.untried = library(self.readings, only)
-        self.candidates = [c for c in candidates if c.effect not in known]
+        # A wave may be there twice: with its harmonic.
+        self.candidates = [c for c in candidates if c.effect not in known or _periodic(c)]
         self.refits = Refits(self.prepared, self.candidates, stage)
         self.rng = np.random.default_rng([seed, 400])
         self._top_shape: Shaped | None = None
@@ -138,7 +145,7 @@ class _Search:
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
                 self.refits.without, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
                 unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
-                self.judged, tuple(chain),
+                self.judged, self.doubts, tuple(chain),
             )
         )  # fmt: skip
 
@@ -156,6 +163,8 @@ class _Search:
         make chance look better than it is.
         """
         beyond = best.log_evidence - self._prior_odds
+        if any(d.kind == "contradiction" for d in self.doubts):
+            return False  # files that contradict each other prove no effect of the machine
         return best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
 
     @cached_property

@@ -1,0 +1,86 @@
+"""The record in doubt. Oracle: what was done to the file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from tests.support.characterise_examples import Probe, ProbeSetup, measurement, runs
+from tests.support.diagnosis_examples import effects, laser, small_machine
+
+Floats = NDArray[np.float64]
+TRUTH = ["scale,component=EXX,axis=X,k=40", "servo_lag,component=EXX,axis=X,tau=300"]
+BENT = ["scale,component=EXX,axis=X,k=30"]
+
+
+def model(*texts: str) -> Model:
+    return Model(small_machine(), effects(*texts), name="base")
+
+
+def kinds(doubts: tuple[Doubt, ...]) -> list[str]:
+    return [d.kind for d in doubts]
+
+
+def test_a_good_record_is_not_doubted() -> None:
+    assert not compare(model(*BENT), [laser(BENT, 4), laser(BENT, 5)]).doubts
+
+
+def test_files_that_contradict_each_other_blame_no_effect() -> None:
+    """One of three files with its sign turned: it is named, and no effect is."""
+    good = [laser(BENT, seed) for seed in (11, 12)]
+    bad = laser(BENT, 13)
+    turned = replace(bad, readings={k: -v for k, v in bad.readings.items()})
+    d = diagnose(model(), [*good, turned], draws=50)
+    assert kinds(d.doubts) == ["contradiction"]
+    assert "laser-x-13 contradicts laser-x-11, laser-x-12" in d.sentence
+    assert not d.findings[0].accepted
+
+
+@pytest.mark.parametrize("factor", [60.0, 1 / 25.4])
+def test_a_wrong_unit_of_a_channel_is_no_new_effect(factor: float) -> None:
+    """A position in other units; the model, which was made with the right ones, says which."""
+    m = laser(BENT, 14, protocol="cold")
+    odd = replace(m, channels={**m.channels, "x": m.channels["x"] * factor})
+    (doubt,) = compare(model(*BENT), [odd]).doubts
+    assert doubt.kind == "wrong_channel"
+    assert doubt.message.startswith(f"with x times {'1/60' if factor == 60.0 else '25.4'} ")
+
+
+def test_a_corrected_machine_is_not_called_a_wrong_model() -> None:
+    """The loop was on: the readings hold noise, where the model says 20 µm."""
+    (doubt,) = compare(model("scale,component=EXX,axis=X,k=300"), [laser([], 15)]).doubts
+    assert doubt.kind == "corrected"
+    assert "correction" in doubt.next_step
+
+
+def one_pass() -> Measurement:
+    x = np.linspace(0.0, 180.0, 60)
+    rng = np.random.default_rng(1)
+    return replace(
+        measurement(runs([60]), instrument=Probe(ProbeSetup(zero="setup"), component="EXX")),
+        channels={"x": x, "d_x": np.ones(60)},
+        readings={"reading_um": 0.155 * x + 0.3 * rng.standard_normal(60)},
+    )
+
+
+def test_one_pass_is_said_to_be_one() -> None:
+    m = one_pass()
+    d = diagnose(Model(m.machine), [m], draws=50)
+    assert "one_pass" in kinds(d.doubts)
+    assert any("there and back" in n for n in d.notes)
+
+
+def test_compare_names_the_shape() -> None:
+    """Oracle: 155 µm/m were put in."""
+    m = one_pass()
+    item = compare(Model(m.machine), [m]).items[0]
+    assert item.shape is not None
+    assert item.shape.words == "rises straight along X, 155 µm/m"
+    assert item.shape.share > 0.99
+    assert compare(model(*BENT), [laser(BENT, 16)]).items[0].shape is None
