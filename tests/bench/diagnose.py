@@ -7,8 +7,8 @@ from timeit import default_timer
 
 import numpy as np
 
-from rtec.diagnosis.search.candidates import library
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
 from rtec.machine import Machine, load_machine
 from rtec.metrology.instruments.registry import make_instrument

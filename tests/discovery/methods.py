@@ -89,7 +89,7 @@ def naive(model: Model, measurements: Sequence[Measurement]) -> Answer:
 
     Candidates come from the program's catalogue; the non-linear numbers stand at the values that it tries.
     """
-    from rtec.diagnosis.search.candidates import library
+    from rtec.estimation.candidates import library
     from rtec.estimation.columns import base_of
     from rtec.estimation.readings import read
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec.diagnosis.search.candidates import surroundings, visible
 from rtec.effects import Effect, effect_class
 from rtec.errors import ConfigError
+from rtec.estimation.candidates import surroundings, visible
 from rtec.estimation.readings import read
 from rtec.machine import Machine
 from rtec.metrology.files.load import load_measurements

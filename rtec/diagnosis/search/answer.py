@@ -13,7 +13,6 @@ from rtec.diagnosis.doubts import Doubt
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, Unknown, label_of
 from rtec.diagnosis.search import picture
-from rtec.diagnosis.search.candidates import Candidate, Untried
 from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, fold
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
@@ -24,6 +23,7 @@ from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.errors import RtecError
 from rtec.estimation import floor
+from rtec.estimation.candidates import Candidate, Untried
 from rtec.estimation.columns import slope
 from rtec.estimation.gls import Fit, inverse, resolved, solve
 from rtec.estimation.judge import Judgement

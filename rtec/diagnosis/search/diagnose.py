@@ -16,7 +16,6 @@ from rtec.diagnosis import words
 from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
 from rtec.diagnosis.search.answer import Searched, answer
-from rtec.diagnosis.search.candidates import Candidate, library
 from rtec.diagnosis.search.confounded import PERIODS, WITHIN
 from rtec.diagnosis.search.not_found import SURE
 from rtec.diagnosis.search.refit import BESIDE, Refits, Tried, prepare
@@ -24,6 +23,7 @@ from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
+from rtec.estimation.candidates import Candidate, library
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean

@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.candidates import visible
 from rtec.diagnosis.search.confounded import STEPS
 from rtec.diagnosis.search.screen import Projected
 from rtec.diagnosis.search.shapes import Ground, weigh
@@ -25,6 +24,7 @@ from rtec.effects import Effect
 from rtec.effects.base import component_kind
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
+from rtec.estimation.candidates import visible
 from rtec.estimation.gls import solve
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at

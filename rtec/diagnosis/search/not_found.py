@@ -7,8 +7,8 @@ import numpy as np
 
 from rtec.diagnosis import words
 from rtec.diagnosis.result import Absent, Finding, NotTestable
-from rtec.diagnosis.search.candidates import Untried
 from rtec.diagnosis.search.screen import Screen
+from rtec.estimation.candidates import Untried
 from rtec.estimation.floor import unit_of
 
 SURE = math.log(20.0)

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.candidates import Candidate
 from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse, plausibility
 from rtec.diagnosis.search.screen import UNMOVED, Memory, Projected, Screen, screen
 from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
+from rtec.estimation.candidates import Candidate
 from rtec.estimation.columns import base_of
 from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out, solve
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift

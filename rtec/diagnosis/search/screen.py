@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.candidates import Candidate
 from rtec.errors import ModelError
+from rtec.estimation.candidates import Candidate
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings
 from rtec.parallel import MANY

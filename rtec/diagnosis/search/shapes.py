@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.candidates import real
 from rtec.diagnosis.search.screen import ABSORBED, Projected
+from rtec.estimation.candidates import real
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
