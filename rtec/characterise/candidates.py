@@ -8,10 +8,14 @@ from typing import Any
 import numpy as np
 
 from rtec.characterise.coverage import followed, several_speeds
-from rtec.characterise.source import Seen, Source, both_ways, gone_along, lags_s, reads, speed_varies, visited
+from rtec.characterise.source import Source, both_ways, gone_along, lags_s, reads, speed_varies, visited
 from rtec.characterise.stream import Term
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind
+from rtec.effects.registry import all_effects
+from rtec.estimation.candidates import library
+from rtec.estimation.readings import read
+from rtec.estimation.visible import VisibleComponent
 from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
@@ -24,13 +28,20 @@ EXPONENTS = (1.0, 1.5, 2.0)
 """Heat of a spindle grows with its speed to such a power."""
 
 
+THERMAL = {
+    "axis_expansion", "axis_expansion_nonuniform", "column_tilt", "mount_expansion", "spindle_growth", "spindle_tilt",
+}  # fmt: skip
+"""Effects that `thermal` gives."""
+
+
 @dataclass(frozen=True, eq=True)
 class Candidate:
     """A term that may be chosen.
 
     Attributes:
         term: effect with fixed non-linear parameters, and the columns that it stands for.
-        kind: "position", "direction", "velocity", "region", "cross", "cyclic", "temperature", "difference", "speed".
+        kind: "position", "direction", "velocity", "region", "cross", "cyclic", "temperature", "difference", "speed",
+            "other".
         feature: what drives it: sensors or speed, and how they are lagged; empty for geometry.
         channels: sensors, or the speed, or the axis, that drive it.
     """
@@ -60,7 +71,7 @@ class Candidate:
         return tuple(str(i) for i in self.term.only or ())
 
 
-def geometry(seen: Seen, sources: Sequence[Source]) -> list[Candidate]:
+def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[Candidate]:
     """Position, direction, region and cyclic candidates of a component."""
     axis, name = seen.axis, seen.name
     if axis is None or not seen.moves:
@@ -85,7 +96,7 @@ def geometry(seen: Seen, sources: Sequence[Source]) -> list[Candidate]:
     return out
 
 
-def extended(seen: Seen, sources: Sequence[Source]) -> Iterator[Candidate]:
+def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Candidate]:
     """What no rigid body does [XT 2]: a component that goes with the speed, or that changes with another axis.
 
     Only where the measurements that read it cover it: several speeds, all thirds of both axes.
@@ -107,7 +118,7 @@ def extended(seen: Seen, sources: Sequence[Source]) -> Iterator[Candidate]:
             yield _candidate("cross", "cross_talk", name, only=(k,), axis=axis.name, other=other.name)
 
 
-def thermal(seen: Seen, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[Candidate]:
+def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[Candidate]:
     """Temperature, difference and speed candidates of a component: alone, times position, times its square."""
     axis, taus = seen.axis, lags_s(sources)
     for sensor in varying:
@@ -132,6 +143,31 @@ def thermal(seen: Seen, sources: Sequence[Source], varying: Sequence[str]) -> It
             said = f"spindle_rpm to the {p:g} lagged {tau:g} s"
             theta = {"tau": tau, "p": p}
             yield _candidate("speed", _growth(seen.name), seen.name, theta, feature=said, channels=("spindle_rpm",))
+
+
+def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: set[str]) -> list[Candidate]:
+    """Effects of the registry that were named, or come from a plug-in, and that are no candidates otherwise.
+
+    Args:
+        sources: measurements.
+        allowed: names of the effects that may be candidates; None for a free choice, which takes plug-ins along.
+        there: names of effects that are candidates already.
+    """
+    kinds = all_effects()
+    names = (
+        [n for n, k in kinds.items() if not k.__module__.startswith("rtec.effects.")] if allowed is None else allowed
+    )
+    wanted = [n for n in names if n not in there and n not in THERMAL]
+    if not wanted:
+        return []
+    found, _ = library(read([s.measurement for s in sources], smooth=False), wanted)
+    out = []
+    for c in found:
+        channels = c.effect.channels(sources[0].measurement.machine)
+        for theta in c.thetas:
+            at = "".join(f" {n} {v:.4g}" for n, v in theta.items())
+            out.append(Candidate(Term(c.effect, dict(theta)), "other", f"{c.effect.effect}{at}", channels))
+    return out
 
 
 def _growth(component: str) -> str:

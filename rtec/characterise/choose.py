@@ -141,7 +141,18 @@ PATIENCE = 2
 SIMPLER = 0.005
 """Of candidates whose left-out errors differ by less than this share, the simplest is taken."""
 SWAPS = 3
-KINDS = ("position", "direction", "velocity", "temperature", "speed", "difference", "cross", "region", "cyclic")
+KINDS = (
+    "position",
+    "direction",
+    "velocity",
+    "temperature",
+    "speed",
+    "difference",
+    "cross",
+    "region",
+    "cyclic",
+    "other",
+)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.result import Warn
-from rtec.characterise.source import Source, moves, reads
+from rtec.characterise.source import Source, reads
+from rtec.estimation.visible import moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.grid_encoder import GridEncoder
 
@@ -29,7 +30,7 @@ def visited_cells(sources: Sequence[Source], axis: Axis, other: Axis) -> Bools:
     """Which thirds of an axis' travel were visited with the other in which of its own, (3 of the axis, 3 of other)."""
     count = np.zeros((PARTS, PARTS), dtype=np.int64)
     for source in sources:
-        if moves(source, axis):
+        if moves(source.measurement, axis):
             poses = source.state.positions_mm()
             machine = source.measurement.machine
             part = [_part(poses[:, machine.axes.index(a)], a) for a in (axis, other)]
@@ -60,7 +61,7 @@ def cover_warnings(sources: Sequence[Source]) -> list[Warn]:
         return []
     machine, out = plates[0].measurement.machine, []
     for axis, other in itertools.permutations(machine.axes, 2):
-        mine = [s for s in plates if moves(s, axis)]
+        mine = [s for s in plates if moves(s.measurement, axis)]
         cells = visited_cells(mine, axis, other)
         if mine and not cells.all():
             said = f"{int(cells.sum())} of the {PARTS * PARTS} thirds of {axis.name} and {other.name}"

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.candidates import Candidate, extended, geometry, thermal
+from rtec.characterise.candidates import Candidate, catalogue, extended, geometry, thermal
 from rtec.characterise.normal import Normal
-from rtec.characterise.source import Seen, Source, reads, seen_components, thinned, varying_sensors
+from rtec.characterise.source import Source, reads, thinned, varying_sensors
 from rtec.characterise.stream import gather
+from rtec.estimation.visible import VisibleComponent, visible_components
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ class Screened:
     """
 
     sources: tuple[Source, ...]
-    seen: tuple[Seen, ...]
+    seen: tuple[VisibleComponent, ...]
     candidates: tuple[Candidate, ...]
     correlations: tuple[Correlation, ...]
     unused: tuple[str, ...]
@@ -74,7 +75,7 @@ def screen(
     few = [thinned(s, READINGS) for s in sources]
     few = [replace(s, blocks=s.blocks.by_fold) for s in few]
     whole = [replace(s, blocks=s.blocks.one) for s in few]
-    seen = seen_components(few)
+    seen = visible_components([s.measurement for s in few])
     sensors, unused = varying_sensors(few)
 
     def may(candidate: Candidate) -> bool:
@@ -84,8 +85,10 @@ def screen(
     budget = max(LEAST, (COLUMNS - len(shapes)) // max(len(seen), 1))
     kept: list[Candidate] = []
     table: list[Correlation] = []
+    others = catalogue(few, allowed, {c.term.effect.effect for c in shapes})
     for component in seen:
         hot = [c for c in thermal(component, few, sensors) if may(c)]
+        hot += [c for c in others if c.component == component.name and c not in hot]
         if hot:
             base = [c for c in shapes if _simple(c)]
             base += [c for c in known if c.feature and c.component != component.name]

@@ -6,7 +6,7 @@ for what a whole set-up shares, the columns are explicit.
 
 Fewer readings of a long measurement, for choosing; what is chosen is fitted to all of them.
 
-What the measurements can see: component errors, axes that moved, temperatures that varied.
+Which temperatures varied, which axes went both ways.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from rtec.effects import State
 from rtec.estimation.held_out import Blocks, cut
-from rtec.machine import Axis, Machine
+from rtec.estimation.visible import NO_ARM, longest_arms
+from rtec.machine import Axis
 from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
 
-SAMPLE = 2000
-"""Instants at which lever arms are looked at."""
 EMPTY = 1e-9
 """What is left of a nuisance, relative to its size, below which it is a copy of those before it."""
 
@@ -83,9 +82,7 @@ class Source:
     @cached_property
     def longest_arms(self) -> Floats:
         """Longest lever arm of each component on any reading, (components,)."""
-        rows = np.unique(np.linspace(0, len(self.measurement) - 1, SAMPLE).astype(np.int64))
-        arms = self.measurement.instrument.arms(self.measurement.machine, self.state.positions_mm()[rows])
-        return np.asarray(np.abs(arms).max(axis=(0, 1)))
+        return longest_arms(self.measurement)
 
     def speeds(self, axis: Axis) -> Floats | None:
         """Velocity of an axis, mm/s, (n,): as recorded; zero where it never moved; None where nobody knows."""
@@ -224,9 +221,6 @@ def thinned(source: Source, most: int) -> Source:
 
 
 TAU_S = (150.0, 300.0, 600.0, 1200.0, 2400.0, 4800.0, 9600.0, 19200.0)
-MOVES = 0.01
-"""An axis that moves by at least this share of its travel is seen."""
-NO_ARM = 1e-12
 REAL_K = 0.5
 """Temperatures that vary by less are not a cause but the sensor's noise."""
 INNER = (1.0, 99.0)
@@ -234,78 +228,9 @@ INNER = (1.0, 99.0)
 REAL_RPM = 1.0
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A component error that the readings can see.
-
-    Attributes:
-        name: of the component.
-        axis: whose motion it is; None for a fixed link.
-        moves: whether that axis moved; where it did not, only changes with temperature are seen.
-    """
-
-    name: str
-    axis: Axis | None
-    moves: bool
-
-
-def seen_components(sources: Sequence[Source]) -> list[Seen]:
-    """Component errors that the measurements can see: read directly first, then by moving axes, then of the spindle.
-
-    An instrument that names its component is believed to read that one: its lever arms to others are for those that
-    another instrument reads. Among fixed links only the spindle's errors are candidates, or where there is no link of
-    that name those of the first link of the work chain: constant errors of one link or another look the same.
-    """
-    machine = sources[0].measurement.machine
-    moving = {a.name for a in machine.axes if any(moves(s, a) for s in sources)}
-    found: dict[str, None] = {}
-    for source in sources:
-        direct = source.measurement.instrument.component
-        if direct is not None:
-            found[direct] = None
-    for source in sources:
-        if source.measurement.instrument.component is None:
-            found |= dict.fromkeys(_through_arms(source, machine))
-    return [Seen(c, axis_of(c, machine), _axis_name(c, machine) in moving) for c in found]
-
-
 def reads(source: Source, component: str) -> bool:
     """Whether an instrument's reading moves with a component error at all."""
     return bool(source.longest_arms[source.measurement.machine.components.index(component)] > NO_ARM)
-
-
-def _through_arms(source: Source, machine: Machine) -> list[str]:
-    there = source.longest_arms > NO_ARM
-    moving = {a.name for a in machine.axes if moves(source, a)}
-    links = {*moving, _spindle(machine)}
-    names = [
-        c for c, ok in zip(machine.components, there, strict=True) if ok and (_axis_name(c, machine) or c[3:]) in links
-    ]
-    # A fixed link before the axes: of shifts that only follow a temperature, the spindle's is the likelier name.
-    return sorted(names, key=lambda c: (_axis_name(c, machine) is not None, machine.components.index(c)))
-
-
-def _spindle(machine: Machine) -> str:
-    fixed = [n for n in (*machine.work_chain, *machine.tool_chain) if n not in machine.axis_names]
-    named = [n for n in fixed if "spindle" in n.lower() or n.lower() == "s"]
-    return (named or fixed or [""])[0]
-
-
-def moves(source: Source, axis: Axis) -> bool:
-    """Whether an axis moved by enough to be seen."""
-    position = source.measurement.channels.get(axis.channel)
-    return position is not None and float(np.ptp(position)) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0])
-
-
-def _axis_name(component: str, machine: Machine) -> str | None:
-    name = component[2:].removeprefix("0")
-    return name if name in machine.axis_names else None
-
-
-def axis_of(component: str, machine: Machine) -> Axis | None:
-    """The axis of `EXX` and `EC0X`; None for a fixed link's component."""
-    name = _axis_name(component, machine)
-    return None if name is None else machine.axis(name)
 
 
 def varying_sensors(sources: Sequence[Source]) -> tuple[list[str], list[str]]:

@@ -14,7 +14,8 @@ from rtec.characterise.estimate import Estimate
 from rtec.characterise.identifiable import label
 from rtec.characterise.noise import Outlier, rough_noise
 from rtec.characterise.result import Warn
-from rtec.characterise.source import Source, moves, reads
+from rtec.characterise.source import Source, reads
+from rtec.estimation.visible import moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
@@ -59,7 +60,7 @@ def _in_step_with_pitch(sources: Sequence[Source], axis: Axis) -> list[Warn]:
     component = f"E{axis.direction}{axis.name}"
     if axis.pitch_mm is None or component not in sources[0].measurement.machine.components:
         return []
-    seen = [s for s in sources if moves(s, axis) and reads(s, component)]
+    seen = [s for s in sources if moves(s.measurement, axis) and reads(s, component)]
     if not seen:
         return []
     places = np.unique(np.concatenate([s.measurement.channels[axis.channel] for s in seen]))

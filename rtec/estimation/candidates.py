@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.source import Seen, Source, seen_components
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
 from rtec.effects.registry import all_effects
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
+from rtec.estimation.visible import VisibleComponent, visible_components
 from rtec.machine import Machine
 
 Floats = NDArray[np.float64]
@@ -75,12 +75,12 @@ def library(readings: Readings, only: Sequence[str] | None = None) -> tuple[list
     return out, untried
 
 
-def visible(readings: Readings) -> list[Seen]:
+def visible(readings: Readings) -> list[VisibleComponent]:
     """Component errors that the readings see."""
-    return seen_components([Source.of(m) for m in readings.measurements])
+    return visible_components(readings.measurements)
 
 
-def surroundings(readings: Readings, seen: Seen) -> Surroundings:
+def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
     """What the readings that see a component offer to an effect."""
     machine = readings.machine
     arms = readings.arms(seen.name)
@@ -122,7 +122,7 @@ def real(machine: Machine, channel: str) -> float:
     return REAL[kinds.get(head, "other")]
 
 
-def _names(machine: Machine, seen: Seen) -> list[str]:
+def _names(machine: Machine, seen: VisibleComponent) -> list[str]:
     out = [*machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "time_s", "feed_mm_min"]
     for axis in machine.axes:
         out += [axis.channel, axis.direction_channel, axis.velocity_channel, axis.acceleration_channel]

@@ -341,3 +341,16 @@ def test_tidied_terms_say_the_same() -> None:
     assert [getattr(t.effect, "degrees", None) for t in out] == [(1, 3), (2,), None]
     assert out[2].only == (1, 2)
     assert out[2].effect == effect("backlash_position", "EXX", axis="X", degree=2)
+
+
+def test_the_whole_catalogue_may_be_asked_for() -> None:
+    """Oracle: a lost motion of 4 µm that fades over 20 mm, beside a scale; `fit` looks for both by name."""
+    m = measurement(runs([40] * 20), noise_um=0.2)
+    x, d = m.channels["x"], m.channels["d_x"]
+    since = m.state().value("s_x")
+    readings = {"reading_um": m.readings["reading_um"] + 12e-3 * x + 2.0 * d * np.exp(-since / 20.0)}
+    result = characterise([replace(m, readings=readings)], wanted=read_wanted("scale,lost_motion", m.machine))
+    found = {f.effect.effect: f for f in result.model.effects}
+    assert set(found) == {"scale", "lost_motion"}
+    assert found["lost_motion"].values["A"] == pytest.approx(4.0, rel=0.05)
+    assert found["lost_motion"].theta["s0"] == pytest.approx(20.0, rel=0.1)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.candidates import extended
-from rtec.characterise.source import Source, seen_components
+from rtec.characterise.source import Source
+from rtec.estimation.visible import visible_components
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, load_model, save_model
@@ -160,7 +161,7 @@ def test_where_plates_do_not_cover_it_the_places_to_add_are_said() -> None:
 def asked(heights_mm: tuple[float, ...]) -> set[tuple[str, str]]:
     """Effects beyond the rigid body that are looked for in Y's pitch, and what they go with."""
     sources = [Source.of(m) for m in plates(heights_mm)]
-    pitch = next(s for s in seen_components(sources) if s.name == "EAY")
+    pitch = next(s for s in visible_components([s.measurement for s in sources]) if s.name == "EAY")
     made = [c.term.effect.model_dump() for c in extended(pitch, sources)]
     return {(e["effect"], e.get("other", "speed")) for e in made}
 

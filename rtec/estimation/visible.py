@@ -1,0 +1,94 @@
+"""What measurements can see: component errors, and axes that moved."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.machine import Axis, Machine
+from rtec.metrology.measurement import Measurement
+
+Floats = NDArray[np.float64]
+
+MOVES = 0.01
+"""An axis that moves by at least this share of its travel is seen."""
+NO_ARM = 1e-12
+SAMPLE = 2000
+"""Instants at which lever arms are looked at."""
+
+
+def longest_arms(measurement: Measurement) -> Floats:
+    """Longest lever arm of each component on any reading, (components,)."""
+    rows = np.unique(np.linspace(0, len(measurement) - 1, SAMPLE).astype(np.int64))
+    pose = measurement.state().positions_mm()[rows]
+    return np.asarray(np.abs(measurement.instrument.arms(measurement.machine, pose)).max(axis=(0, 1)))
+
+
+@dataclass(frozen=True)
+class VisibleComponent:
+    """A component error that the readings can see.
+
+    Attributes:
+        name: of the component.
+        axis: whose motion it is; None for a fixed link.
+        moves: whether that axis moved; where it did not, only changes with temperature are seen.
+    """
+
+    name: str
+    axis: Axis | None
+    moves: bool
+
+
+def visible_components(measurements: Sequence[Measurement]) -> list[VisibleComponent]:
+    """Component errors that the measurements can see: read directly first, then by moving axes, then of the spindle.
+
+    An instrument that names its component is believed to read that one: its lever arms to others are for those that
+    another instrument reads. Among fixed links only the spindle's errors are candidates, or where there is no link of
+    that name those of the first link of the work chain: constant errors of one link or another look the same.
+    """
+    machine = measurements[0].machine
+    moving = {a.name for a in machine.axes if any(moves(m, a) for m in measurements)}
+    found: dict[str, None] = {}
+    for m in measurements:
+        direct = m.instrument.component
+        if direct is not None:
+            found[direct] = None
+    for m in measurements:
+        if m.instrument.component is None:
+            found |= dict.fromkeys(_through_arms(m, machine))
+    return [VisibleComponent(c, axis_of(c, machine), _axis_name(c, machine) in moving) for c in found]
+
+
+def _through_arms(m: Measurement, machine: Machine) -> list[str]:
+    there = longest_arms(m) > NO_ARM
+    moving = {a.name for a in machine.axes if moves(m, a)}
+    links = {*moving, _spindle(machine)}
+    names = [
+        c for c, ok in zip(machine.components, there, strict=True) if ok and (_axis_name(c, machine) or c[3:]) in links
+    ]
+    # A fixed link before the axes: of shifts that only follow a temperature, the spindle's is the likelier name.
+    return sorted(names, key=lambda c: (_axis_name(c, machine) is not None, machine.components.index(c)))
+
+
+def _spindle(machine: Machine) -> str:
+    fixed = [n for n in (*machine.work_chain, *machine.tool_chain) if n not in machine.axis_names]
+    named = [n for n in fixed if "spindle" in n.lower() or n.lower() == "s"]
+    return (named or fixed or [""])[0]
+
+
+def moves(measurement: Measurement, axis: Axis) -> bool:
+    """Whether an axis moved by enough to be seen."""
+    position = measurement.channels.get(axis.channel)
+    return position is not None and float(np.ptp(position)) > MOVES * (axis.travel_mm[1] - axis.travel_mm[0])
+
+
+def _axis_name(component: str, machine: Machine) -> str | None:
+    name = component[2:].removeprefix("0")
+    return name if name in machine.axis_names else None
+
+
+def axis_of(component: str, machine: Machine) -> Axis | None:
+    """The axis of `EXX` and `EC0X`; None for a fixed link's component."""
+    name = _axis_name(component, machine)
+    return None if name is None else machine.axis(name)
