@@ -20,6 +20,8 @@ from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
 """Quadratics are typically enough [G 3.6]; higher degrees where they pay on held-out runs."""
+MOST_OF_TRAVEL, STEADY = 0.7, 2
+"""A polynomial of a higher degree runs away beyond the readings: no candidate where less of the travel was visited."""
 REGIONS = (5, 9)
 """Knots of the split of an axis into regions."""
 LIFTS = (0.5, 0.75, 1.0)
@@ -81,7 +83,10 @@ def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[Candidat
     along: dict[str, Any] = {"axis": axis.name}
     linear = name[1] == axis.direction
     out = [_candidate("position", "scale", name, **along)] if linear else []
-    out += [_candidate("position", "polynomial_position", name, degrees=(k,), **along) for k in DEGREES]
+    low, high = visited(axis, sources)
+    whole = high - low >= MOST_OF_TRAVEL * (axis.travel_mm[1] - axis.travel_mm[0])
+    degrees = DEGREES if whole else [k for k in DEGREES if k <= STEADY]
+    out += [_candidate("position", "polynomial_position", name, degrees=(k,), **along) for k in degrees]
     if both_ways(axis, sources):
         out.append(_candidate("direction", "backlash", name, **along))
         out += [_candidate("direction", "backlash_position", name, only=(k,), degree=k, **along) for k in (1, 2)]

@@ -23,6 +23,9 @@ ROUNDS = 6
 THREE = 0.00135
 """What is beyond three standard deviations, on one side."""
 LEAST_FREEDOM = 4.0
+EQUAL = 1.25
+"""Residuals of equal instruments, over their noise between neighbours, count as differing by no more than this factor
+either way."""
 SAME = 0.2
 """Noise of columns that changed against each other by less than this share is not worth another fit."""
 FEWER = 10_000
@@ -209,4 +212,24 @@ def _noise(sources: Sequence[Source], residuals: Sequence[Floats], normal: Norma
         squares = (np.nan_to_num(left) ** 2 * trust).sum(axis=1) / np.maximum(trust.sum(axis=1), 1.0)
         least = np.maximum(1e-9 * np.nanmax(np.abs(source.measurement.matrix()), axis=1, initial=0.0), 1e-12)
         out.append(np.maximum(np.sqrt(squares) / max(share, 1e-3), least))
+    return _alike(sources, residuals, out)
+
+
+def _alike(sources: Sequence[Source], residuals: Sequence[Floats], spread: Sequence[Floats]) -> list[Floats]:
+    """Residuals with those of equal instruments held together, over their noise between neighbours.
+
+    A cold day that hardly errs would else outweigh the hot one that shows the error: what is left of the hot one is
+    not its noise but what the model misses.
+    """
+    kinds = [(s.measurement.instrument.name, s.measurement.instrument.component) for s in sources]
+    out = [s.copy() for s in spread]
+    for kind in set(kinds):
+        mine = [i for i, k in enumerate(kinds) if k == kind]
+        if len(mine) < 2:
+            continue
+        rough = np.stack([noise.quick_noise(residuals[i], sources[i].measurement.run) for i in mine])
+        ratio = np.stack([spread[i] for i in mine]) / rough
+        level = np.sqrt(np.mean(ratio**2, axis=0))
+        for i, r, own in zip(mine, np.clip(ratio, level / EQUAL, level * EQUAL), rough, strict=True):
+            out[i] = r * own
     return out

@@ -12,7 +12,7 @@ from rtec.characterise.coverage import cover_warnings
 from rtec.characterise.equivalents import Rival
 from rtec.characterise.estimate import Estimate
 from rtec.characterise.identifiable import label
-from rtec.characterise.noise import Outlier, rough_noise
+from rtec.characterise.noise import Outlier, quick_noise, rough_noise
 from rtec.characterise.result import Warn
 from rtec.characterise.source import Source, reads
 from rtec.estimation.visible import moves
@@ -83,6 +83,8 @@ OVER_FITTED = 1.5
 """Held-out error over in-sample error."""
 LEFT_OVER = 2.0
 """What is left over the noise between neighbouring readings."""
+UNEVEN = 2.5
+"""Residuals over the noise between neighbours that differ by more than this factor."""
 ILL = 30.0
 """Condition number of scaled columns from which coefficients are told apart badly (Belsley, Kuh and Welsch)."""
 COLLINEAR = 0.98
@@ -98,6 +100,7 @@ def all_warnings(fit: Estimate, undecided: Sequence[Rival], unused: Sequence[str
     found = [
         *_over_fitted(fit),
         *_left_over(fit),
+        *_uneven(fit),
         *_undecided(fit, undecided),
         *_ill_conditioned(fit),
         *_collinear(fit),
@@ -142,6 +145,25 @@ def _left_over(fit: Estimate) -> list[Warn]:
                     "an effect is missing from the model: see where and when the residual is large (`--report`)",
                 )
             )
+    return out
+
+
+def _uneven(fit: Estimate) -> list[Warn]:
+    """Measurements by equal instruments of which one is met far worse, though neighbouring readings differ alike."""
+    ratios: dict[tuple[str, str | None], list[tuple[float, str]]] = {}
+    for source, left in zip(fit.sources, fit.residuals, strict=True):
+        m = source.measurement
+        size = float(np.max(np.sqrt(np.nanmean(left**2, axis=1)) / quick_noise(left, m.run)))
+        ratios.setdefault((m.instrument.name, m.instrument.component), []).append((size, m.name))
+    out = []
+    for found in ratios.values():
+        (low, best), (high, worst) = min(found), max(found)
+        if len(found) > 1 and high > UNEVEN * max(low, 1.0):
+            text = (
+                f"{worst} is met {high / low:.0f} times worse than {best}, though their neighbouring readings differ "
+                "alike: what differs between them (heat, load, place) is not in the model"
+            )
+            out.append(Warn("uneven", text, f"fit them apart, or add what changed; without {best} the numbers differ"))
     return out
 
 

@@ -33,8 +33,8 @@ COMMON, OPPOSITE = 5, -0.8
 """Places that two files share at the least, and the correlation of their means from which on they contradict."""
 BETTER = 0.5
 """A factor in a channel is proposed where it leaves less than this share of the residual,"""
-NEAR_FLOOR = 3.0
-"""and no more than so many times the noise."""
+NEAR_FLOOR, ABOVE = 1.25, 3.0
+"""and no more than so many times the noise; it is asked only where the model leaves more than so many times that."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
 FLAT, MUCH = 1.5, 5.0
 """Readings of less than so many times the noise are flat; a model that says more than so many times has much to say."""
@@ -68,7 +68,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     readings = judged.readings
     measured, predicted = (floor.cleaned(readings, v) for v in (readings.values, judged.base.predicted))
     found = [Doubt("wrong_scale", said, "", fatal=True) for said in odd_scales(readings, measured, predicted)]
-    found += _contradictions(readings, measured)
+    found = found or _contradictions(readings, measured)
     found += _corrected(judged, measured, predicted)
     if not found:
         found += _wrong_channels(judged)
@@ -152,7 +152,7 @@ def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[D
 def _wrong_channels(judged: Judgement) -> list[Doubt]:
     """Channels that fit the model far better when they are multiplied with a factor that only a file can have."""
     model, readings = judged.model, judged.readings
-    if judged.residual < NEAR_FLOOR * judged.noise_floor:
+    if judged.residual < ABOVE * judged.noise_floor:
         return []
     channels = {c for f in model.effects for c in f.effect.channels(model.machine)}
     best: tuple[float, str, float] | None = None

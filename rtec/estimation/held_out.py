@@ -19,6 +19,7 @@ MOST_BLOCKS = 40
 FOLDS = 10
 STRETCH_H = 4.0
 """A thermal cycle's part: long against the machine's quick drift, short against a day."""
+STILL_MM = 1e-3
 FEWEST = 8
 """A measurement too short for five such stretches is cut into so many equal ones."""
 
@@ -71,13 +72,22 @@ def cut(measurement: Measurement, leave_out_h: float | None = None) -> Blocks:
 
     Args:
         measurement: its rows are in order of time; a run number that comes back later is another run.
-        leave_out_h: length of what is left out, hours; None: whole runs where there are at least 6, else 4 h, or an
-            eighth where the whole is shorter than 20 h.
+        leave_out_h: length of what is left out, hours; None: whole runs where there are at least 6 and an axis moves or
+            each has a zero of its own, else 4 h, or an eighth where the whole is shorter than 20 h.
     """
     run_edges = edges_of(measurement.run)
-    if leave_out_h is None and len(run_edges) > ENOUGH_RUNS:
+    if leave_out_h is None and len(run_edges) > ENOUGH_RUNS and _runs_matter(measurement):
         return _by_runs(run_edges)
     return _by_time(measurement, run_edges, leave_out_h)
+
+
+def _runs_matter(measurement: Measurement) -> bool:
+    """Whether an axis moves, or each run has something of its own; else runs are but a way of numbering."""
+    machine, channels = measurement.machine, measurement.channels
+    if any(np.ptp(channels[a.channel]) > STILL_MM for a in machine.axes if a.channel in channels):
+        return True
+    nuisances = measurement.instrument.nuisance(measurement.state(), measurement.run)
+    return any(n.per == "run" for n in nuisances)
 
 
 def edges_of(label: Ints) -> Ints:

@@ -354,3 +354,30 @@ def test_the_whole_catalogue_may_be_asked_for() -> None:
     assert set(found) == {"scale", "lost_motion"}
     assert found["lost_motion"].values["A"] == pytest.approx(4.0, rel=0.05)
     assert found["lost_motion"].theta["s0"] == pytest.approx(20.0, rel=0.1)
+
+
+def test_a_cold_day_does_not_outweigh_a_hot_one() -> None:
+    """Oracle: ordinary least squares over both; the cold file hardly errs, the hot one rises by 75 µm/m more."""
+    cold, hot = (measurement(runs([40] * 10), seed=s, noise_um=0.3, name=n) for s, n in ((1, "cold"), (2, "hot")))
+    place = [(m.channels["x"] - 100.0) / 1e3 for m in (cold, hot)]
+    slow = 8.0 * np.sin(hot.time_s / 5e3) * (hot.channels["x"] - 100.0) / 90.0
+    made = [
+        replace(cold, readings={"reading_um": cold.readings["reading_um"] + 4.0 * place[0]}),
+        replace(hot, readings={"reading_um": hot.readings["reading_um"] + 79.0 * place[1] + slow}),
+    ]
+    result = characterise(made, wanted=read_wanted("scale:EXX,backlash:EXX", cold.machine))
+    assert next(c for c in result.coefficients if c.name == "k").value > 20.0
+    assert "uneven" in {w.code for w in result.warnings}
+
+
+def test_the_numbers_of_runs_do_not_matter_where_nothing_is_anew() -> None:
+    """A drift test, all of it one run, or each ten minutes another: one choice, one held-out error."""
+    probe = Probe(ProbeSetup(zero="setup"), component="EX0spindle")
+    one = measurement(runs([480]), instrument=probe, noise_um=0.3)
+    table = {k: v for k, v in one.channels.items() if k.startswith("T_")}
+    values = one.readings["reading_um"] + 2.0 * table["T_spindle"]
+    one = replace(one, channels=table, readings={"reading_um": values})
+    many = replace(one, run=runs([10] * 48))
+    first, second = (characterise([m]) for m in (one, many))
+    assert [f.effect for f in first.model.effects] == [f.effect for f in second.model.effects]
+    assert first.held_out_rms == pytest.approx(second.held_out_rms, rel=1e-3)

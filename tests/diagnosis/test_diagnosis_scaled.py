@@ -51,9 +51,9 @@ def test_a_machine_that_changed_is_fitted(factor: float) -> None:
 
 
 def test_what_does_not_follow_the_model_is_not_judged() -> None:
-    """Noise alone, and a model that says nothing."""
+    """Noise alone may be of a machine that is corrected, and has no sign; and a model that says nothing."""
     m = laser([], 43)
-    assert not compare(model(*TRUTH), [m]).notes
+    assert [d.kind for d in compare(model(*TRUTH), [m]).doubts] == ["corrected"]
     assert not compare(model(), [times(laser(TRUTH, 44), -1.0)]).notes
 
 

@@ -137,7 +137,8 @@ def test_the_floor_is_that_of_compare() -> None:
 def test_the_floor_of_a_series_without_repeats_is_of_neighbours() -> None:
     """Oracle: one run only has no repeats; the noise that was simulated."""
     readings = clean([laser([SCALE], 3, protocol="cold", cycles=1)]).readings
-    (found,) = floor.noise_floors(readings, floor.cleaned(readings, readings.values), readings.setup)
+    left = floor.cleaned(readings, readings.values)
+    (found,) = floor.noise_floors(readings, left, floor.flexible_noise(readings, readings.setup))
     assert found.source == "short-time differences"
     assert found.value == pytest.approx(NOISE_UM, rel=0.3)
 
