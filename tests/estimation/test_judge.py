@@ -1,6 +1,6 @@
 """One question has one number: every command judges the same model on the same files alike. Oracle: each other."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,7 @@ def shipped(name: str, instrument: str, axis: str, *truth: str) -> list[Measurem
     return [m]
 
 
-EXAMPLES = {
+EXAMPLES: dict[str, tuple[Callable[[], list[Measurement]], str]] = {
     "turning centre": (
         lambda: shipped("turning-centre", "laser_linear", "X", "scale,component=EXX,axis=X,k=12"),
         "scale,backlash",
