@@ -358,11 +358,15 @@ def predicted(effects: Sequence[FittedEffect], readings: Readings) -> Floats:
     return out
 
 
+def is_there(model: Model, fitted: FittedEffect) -> bool:
+    """Whether a model has an effect already; a wave may be there twice, with another period, and a delay likewise."""
+    same = [f for f in model.effects if f.effect == fitted.effect]
+    return any(not f.theta or all(_near(f.theta[n], fitted.theta[n]) for n in f.theta) for f in same)
+
+
 def _check_new(model: Model, new: Sequence[FittedEffect]) -> None:
     for fitted in new:
-        same = [f for f in model.effects if f.effect == fitted.effect]
-        # A wave or a delay may be there twice, with another period or time constant.
-        if any(not f.theta or all(_near(f.theta[n], fitted.theta[n]) for n in f.theta) for f in same):
+        if is_there(model, fitted):
             raise ModelError(
                 f"add: {fitted.label} is in the model already; its numbers are refitted whenever something is added"
             )

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from rtec.diagnosis.extend.add import WORTH, Added, add, new_effect, residual_size, rivals_of, said
+from rtec.diagnosis.extend.add import WORTH, Added, add, is_there, new_effect, residual_size, rivals_of, said
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import ALPHA, DRAWS, diagnose
 from rtec.diagnosis.search.not_found import SURE
@@ -169,6 +169,8 @@ class _Growth:
         for finding in findings:
             pair = [finding] if finding.partner is None else [finding, finding.partner]
             new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
+            if any(is_there(model, n) for n in new):
+                continue
             added = add(model, new, self.measurements, stage=self.stage, given=self.given)
             if added.after.held_out <= (1.0 - LITTLE) * added.before.held_out and self._no_worse(added):
                 return _with_rivals(added, found, finding)

@@ -5,7 +5,7 @@ unlikely (family-wise), the evidence holds with the noise found anew, and runs t
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -87,8 +87,20 @@ def diagnose(
         return _Search(model, there, seed, alpha, draws, only, explain, tell).diagnosis()
 
 
-def _periodic(candidate: Candidate) -> bool:
-    return any(name in PERIODS for theta in candidate.thetas for name in theta)
+ANOTHER = 0.05
+"""Periods that differ by less than this share are one."""
+
+
+def _beside(candidate: Candidate, model: Model) -> Candidate | None:
+    """A wave of an effect that the model has, at other periods than those there; None for anything else."""
+    there = [f.theta for f in model.effects if f.effect == candidate.effect]
+
+    def apart(theta: Mapping[str, float]) -> bool:
+        names = [n for n in theta if n in PERIODS]
+        return bool(names) and all(any(abs(t[n] / theta[n] - 1.0) > ANOTHER for n in names) for t in there)
+
+    thetas = tuple(t for t in candidate.thetas if apart(t))
+    return replace(candidate, thetas=thetas) if thetas else None
 
 
 class _Search:
@@ -112,7 +124,9 @@ class _Search:
         known = [f.effect for f in model.effects]
         candidates, self.untried = library(self.readings, only)
         # A wave may be there twice: with its harmonic.
-        self.candidates = [c for c in candidates if c.effect not in known or _periodic(c)]
+        self.candidates = [
+            c for c in (_beside(c, model) if c.effect in known else c for c in candidates) if c is not None
+        ]
         self.refits = Refits(self.prepared, self.candidates, stage)
         self.rng = np.random.default_rng([seed, 400])
         self._top_shape: Shaped | None = None
