@@ -167,8 +167,10 @@ class MemoryState:
                 os.close(fd)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; one in which nothing was ever kept, as after a start that failed, goes."""
         if self._fd >= 0:
+            if os.fstat(self._fd).st_nlink and not any(os.pread(self._fd, IMAGE_BYTES, 0)):
+                self.path.unlink(missing_ok=True)
             os.close(self._fd)
             self._fd = -1
 
@@ -240,6 +242,8 @@ class DiskState:
             if not stat.S_ISREG(os.fstat(fd).st_mode):
                 raise OSError(errno.EINVAL, "is no ordinary file")
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not os.fstat(fd).st_nlink:  # its owner removed it while we waited: not the file of that name any more
+                raise BlockingIOError(errno.EAGAIN, "was removed")
             os.posix_fallocate(fd, 0, IMAGE_BYTES)  # so that a full disk stops nothing later
         except OSError:
             os.close(fd)
@@ -247,8 +251,10 @@ class DiskState:
         self._fd, self._next, self._marked = fd, _older(_bytes(self.path)), False
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; one in which nothing was ever kept, as after a start that failed, goes."""
         if self._fd >= 0:
+            if os.fstat(self._fd).st_nlink and not any(os.pread(self._fd, IMAGE_BYTES, 0)):
+                self.path.unlink(missing_ok=True)
             os.close(self._fd)
             self._fd = -1
 

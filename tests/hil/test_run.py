@@ -224,7 +224,7 @@ def test_a_dry_run_commands_nothing(tmp_path: Path) -> None:
             "has units of 0.1 µm (its option unit_um), the output has 0.5 µm",
         ),
         (lambda t: t["run"].update(model="absent.toml"), "absent.toml: no such file"),
-        (lambda t: t["run"].update(rate_hz=5000.0), "less than or equal to 4000, found 5000.0"),
+        (lambda t: t["run"].update(rate_hz=5000.0), "must be from 1 to 4000, found 5000.0"),
     ],
 )
 def test_a_wrong_run_file_is_told_in_one_line(tmp_path: Path, spoil: Any, message: str) -> None:
