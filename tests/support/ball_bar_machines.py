@@ -217,7 +217,9 @@ def _headline(m: TrueMachine, bars: Sequence[Bar], found: BallBarDiagnosis) -> b
         if m[cause]:
             alone = replace(m, size={cause: m[cause], "stick_mm": m["stick_mm"]})
             by_itself[cause] = max(_g_of(alone, bar) for bar in bars)
-    if m["lag_ms"]:  # both loops together keep the circle round; each by itself does not
+    by_itself.pop("lag_ms", None)
+    if m["lag_ms"] and found.circles[0].setup.zero == "none":
+        # Both loops together keep the circle round, and a bar of unknown length does not show them.
         by_itself["lag_ms"] = max(0.5 * m["lag_ms"] ** 2 * (c.feed / 60.0 / c.r) ** 2 * c.r * 1e-3 for c in bars)
     mine = [g for cause, g in by_itself.items() if groups[cause].lower() in found.named.group.lower()]
     # A servo's part is a scale, and its phase a squareness, where one feed does not tell them apart.
