@@ -1,7 +1,7 @@
 """Characterisation: measurements in, geometric-thermal model out, with what to beware of in words."""
 
-from rtec.characterise.effect_list import Wanted, read_wanted
+from rtec.characterise.effect_list import AskedEffects, read_wanted
 from rtec.characterise.result import Characterisation
 from rtec.characterise.run import characterise
 
-__all__ = ["Characterisation", "Wanted", "characterise", "read_wanted"]
+__all__ = ["AskedEffects", "Characterisation", "characterise", "read_wanted"]

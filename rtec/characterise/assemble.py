@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.choose import Choice
+from rtec.characterise.choose import TermChoice
 from rtec.characterise.estimate import Estimate
 from rtec.characterise.noise import Outlier
 from rtec.characterise.result import Characterisation, Coefficient, Correlated, MeasurementFit, SearchStep
@@ -27,7 +27,7 @@ TOLD = 5
 def assemble(
     fit: Estimate,
     screened: Screened | None,
-    choice: Choice | None,
+    choice: TermChoice | None,
     spikes: Sequence[Outlier],
     measurements: Sequence[Measurement],
     name: str,
@@ -187,7 +187,7 @@ def content_sum(measurement: Measurement) -> str:
     return digest([measurement.name, measurement.run.tolist(), measurement.time_s.tolist(), plain])
 
 
-def _steps(choice: Choice | None) -> tuple[SearchStep, ...]:
+def _steps(choice: TermChoice | None) -> tuple[SearchStep, ...]:
     if choice is None:
         return ()
     whole = max(choice.steps[0].inside, 1e-300)

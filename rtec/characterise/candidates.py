@@ -37,7 +37,7 @@ THERMAL = {
 
 
 @dataclass(frozen=True, eq=True)
-class Candidate:
+class TermCandidate:
     """A term that may be chosen.
 
     Attributes:
@@ -73,7 +73,7 @@ class Candidate:
         return tuple(str(i) for i in self.term.only or ())
 
 
-def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[Candidate]:
+def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[TermCandidate]:
     """Position, direction, region and cyclic candidates of a component."""
     axis, name = seen.axis, seen.name
     if axis is None or not seen.moves:
@@ -101,7 +101,7 @@ def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[Candidat
     return out
 
 
-def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Candidate]:
+def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[TermCandidate]:
     """What no rigid body does [XT 2]: a component that goes with the speed, or that changes with another axis.
 
     Only where the measurements that read it cover it: several speeds, all thirds of both axes.
@@ -123,7 +123,7 @@ def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Cand
             yield _candidate("cross", "cross_talk", name, only=(k,), axis=axis.name, other=other.name)
 
 
-def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[Candidate]:
+def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence[str]) -> Iterator[TermCandidate]:
     """Temperature, difference and speed candidates of a component: alone, times position, times its square."""
     axis, taus = seen.axis, lags_s(sources)
     for sensor in varying:
@@ -150,7 +150,7 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
             yield _candidate("speed", _growth(seen.name), seen.name, theta, feature=said, channels=("spindle_rpm",))
 
 
-def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: set[str]) -> list[Candidate]:
+def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: set[str]) -> list[TermCandidate]:
     """Effects of the registry that were named, or come from a plug-in, and that are no candidates otherwise.
 
     Args:
@@ -171,7 +171,7 @@ def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: s
         channels = c.effect.channels(sources[0].measurement.machine)
         for theta in c.thetas:
             at = "".join(f" {n} {v:.4g}" for n, v in theta.items())
-            out.append(Candidate(Term(c.effect, dict(theta)), "other", f"{c.effect.effect}{at}", channels))
+            out.append(TermCandidate(Term(c.effect, dict(theta)), "other", f"{c.effect.effect}{at}", channels))
     return out
 
 
@@ -189,9 +189,9 @@ def _candidate(
     feature: str = "",
     channels: tuple[str, ...] = (),
     **arguments: Any,
-) -> Candidate:
+) -> TermCandidate:
     made = effect_class(effect, "fit").model_validate({"effect": effect, "component": component, **arguments})
-    return Candidate(
+    return TermCandidate(
         Term(made, dict(theta or {}), only),
         kind,
         feature,

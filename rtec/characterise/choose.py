@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.candidates import Candidate
-from rtec.characterise.equivalents import Rival, find_rivals
+from rtec.characterise.candidates import TermCandidate
+from rtec.characterise.equivalents import UndecidedTerm, find_rivals
 from rtec.characterise.normal import NOTHING, Normal, solve, squares_left
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
 from rtec.characterise.stream import Progress
@@ -33,10 +33,10 @@ BLOCKS_EACH = 2
 """And no more of them than one for so many left-out blocks: each must be seen to come and go more than once."""
 
 
-class Table:
+class HeldOutTable:
     """Left-out errors of choices, from the normal equations of all candidates."""
 
-    def __init__(self, normal: Normal, candidates: Sequence[Candidate]) -> None:
+    def __init__(self, normal: Normal, candidates: Sequence[TermCandidate]) -> None:
         self.normal, self.candidates = normal, candidates
         self.columns = [np.flatnonzero(normal.owner == i) for i in range(len(candidates))]
         self.most_features = max(1, min(MOST_FEATURES, len(normal.fold_numbers) // BLOCKS_EACH))
@@ -156,7 +156,7 @@ KINDS = (
 
 
 @dataclass(frozen=True)
-class Step:
+class ChoiceStep:
     """One step of the search: what was added, and the error, in units of the rough noise, inside and left out."""
 
     label: str
@@ -165,7 +165,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Choice:
+class TermChoice:
     """What was chosen.
 
     Attributes:
@@ -176,19 +176,19 @@ class Choice:
     """
 
     chosen: tuple[int, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[ChoiceStep, ...]
     held_out: float
-    rivals: tuple[Rival, ...]
+    rivals: tuple[UndecidedTerm, ...]
 
 
 def choose(
     normal: Normal,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[TermCandidate],
     forced: Sequence[int] = (),
     progress: Progress | None = None,
-) -> Choice:
+) -> TermChoice:
     """Choose among candidates by their left-out errors; those that are forced stay."""
-    table = Table(normal, candidates)
+    table = HeldOutTable(normal, candidates)
     forced = independent(normal, [table.columns[i] for i in forced], forced)
     path, steps = _forward(table, forced, progress)
     chosen = _smallest_good(table, path)
@@ -200,7 +200,7 @@ def choose(
         best = min((table.errors(c)[0] for c in (better, _best(table, path))), key=np.sum)
         chosen = _joined(table, _drop(table, better, forced, best), forced)
     held_out = float(np.sqrt(table.held_out(chosen)))
-    return Choice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(find_rivals(table, chosen)))
+    return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(find_rivals(table, chosen)))
 
 
 def one_standard_error(worse: Floats, better: Floats) -> bool:
@@ -222,7 +222,9 @@ def independent(normal: Normal, columns: Sequence[Ints], items: Sequence[int]) -
     return kept
 
 
-def _forward(table: Table, forced: list[int], progress: Progress | None) -> tuple[list[list[int]], list[Step]]:
+def _forward(
+    table: HeldOutTable, forced: list[int], progress: Progress | None
+) -> tuple[list[list[int]], list[ChoiceStep]]:
     path: list[list[int]] = [forced]
     steps = [_step(table, forced, "what was asked for" if forced else "nothing")]
     best, vain = table.held_out(forced), 0
@@ -245,27 +247,27 @@ def _forward(table: Table, forced: list[int], progress: Progress | None) -> tupl
     return path, steps
 
 
-def _complexity(table: Table, i: int) -> tuple[int, int, int]:
+def _complexity(table: HeldOutTable, i: int) -> tuple[int, int, int]:
     candidate = table.candidates[i]
     return len(table.columns[i]), KINDS.index(candidate.kind), len(candidate.term.theta)
 
 
-def _step(table: Table, chosen: Sequence[int], label: str) -> Step:
+def _step(table: HeldOutTable, chosen: Sequence[int], label: str) -> ChoiceStep:
     out, inside = table.errors(chosen)
-    return Step(label, float(np.sqrt(inside.sum())), float(np.sqrt(out.sum())))
+    return ChoiceStep(label, float(np.sqrt(inside.sum())), float(np.sqrt(out.sum())))
 
 
-def _best(table: Table, path: Sequence[list[int]]) -> list[int]:
+def _best(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:
     return min(path, key=table.held_out)
 
 
-def _smallest_good(table: Table, path: Sequence[list[int]]) -> list[int]:
+def _smallest_good(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:
     """The first choice of the path that is within one standard error of the path's best."""
     best = table.errors(_best(table, path))[0]
     return next(c for c in path if one_standard_error(table.errors(c)[0], best))
 
 
-def _drop(table: Table, chosen: list[int], forced: list[int], best: Floats) -> list[int]:
+def _drop(table: HeldOutTable, chosen: list[int], forced: list[int], best: Floats) -> list[int]:
     """Drop terms, the least missed first, while what is left stays within one standard error of the best."""
     while len(chosen) > len(forced):
         fewer = min(([j for j in chosen if j != i] for i in chosen if i not in forced), key=table.held_out)
@@ -275,7 +277,7 @@ def _drop(table: Table, chosen: list[int], forced: list[int], best: Floats) -> l
     return chosen
 
 
-def _swapped(table: Table, chosen: list[int], forced: list[int]) -> list[int] | None:
+def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int] | None:
     """The choice with terms exchanged one by one, where that lowers the left-out error for good."""
     now, changed = list(chosen), False
     for i in chosen:
@@ -289,7 +291,7 @@ def _swapped(table: Table, chosen: list[int], forced: list[int]) -> list[int] | 
     return now if changed else None
 
 
-def _joined(table: Table, chosen: list[int], forced: list[int]) -> list[int]:
+def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
     """The choice with several terms of one component and form replaced by one, where that is as good.
 
     Forward search often takes two near-enough temperatures before it has seen the right one.

@@ -16,7 +16,7 @@ ALL = "*"
 
 
 @dataclass(frozen=True)
-class Wanted:
+class AskedEffects:
     """What was asked for.
 
     Attributes:
@@ -28,7 +28,7 @@ class Wanted:
     exact: tuple[Effect, ...]
 
 
-def read_wanted(text: str, machine: Machine) -> Wanted:
+def read_wanted(text: str, machine: Machine) -> AskedEffects:
     """Read `scale,backlash,mount_expansion:EXX:sensor=T_bed`.
 
     A name alone lets components and sensors be chosen. A name with a component, and arguments as `key=value`, is
@@ -51,7 +51,7 @@ def read_wanted(text: str, machine: Machine) -> Wanted:
         for sensor in sensors:
             more = {**arguments, **({} if sensor is None else {"sensor": sensor})}
             exact.append(_made(name, rest[0], more, machine, where))
-    return Wanted(tuple(dict.fromkeys(names)), tuple(exact))
+    return AskedEffects(tuple(dict.fromkeys(names)), tuple(exact))
 
 
 def _made(name: str, component: str, arguments: dict[str, Any], machine: Machine, where: str) -> Effect:

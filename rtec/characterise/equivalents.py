@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rtec.characterise.normal import solve
 
 if TYPE_CHECKING:
-    from rtec.characterise.choose import Table
+    from rtec.characterise.choose import HeldOutTable
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ TRIED = 80
 
 
 @dataclass(frozen=True)
-class Rival:
+class UndecidedTerm:
     """Another choice that is as good on the left-out blocks.
 
     Attributes:
@@ -42,19 +42,19 @@ class Rival:
     apart: float
 
 
-def find_rivals(table: "Table", chosen: Sequence[int]) -> list[Rival]:
+def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedTerm]:
     """Exchange each temperature, difference or speed of a choice for every other, and list what is as good.
 
     Another lag of the same sensor is no rival, nor is what predicts the same.
     """
-    out: list[Rival] = []
+    out: list[UndecidedTerm] = []
     here = float(np.sqrt(table.held_out(chosen)))
     for i in chosen:
         mine = table.candidates[i]
         if not mine.feature:
             continue
         rest = [j for j in chosen if j != i]
-        best: dict[tuple[str, ...], Rival] = {}
+        best: dict[tuple[str, ...], UndecidedTerm] = {}
         for k in table.shortlist(rest, TRIED):
             other = table.candidates[k]
             if not other.feature or other.channels == mine.channels or other.component != mine.component:
@@ -64,14 +64,14 @@ def find_rivals(table: "Table", chosen: Sequence[int]) -> list[Rival]:
                 continue
             apart = _apart(table, chosen, [*rest, k])
             if apart > SAME * here:
-                best[other.channels] = Rival(
+                best[other.channels] = UndecidedTerm(
                     mine.label, other.label, mine.component, other.channels, there, here, apart
                 )
         out += sorted(best.values(), key=lambda r: r.held_out)
     return out
 
 
-def _apart(table: "Table", one: Sequence[int], other: Sequence[int]) -> float:
+def _apart(table: "HeldOutTable", one: Sequence[int], other: Sequence[int]) -> float:
     """Root mean square difference of two choices' predictions, nuisances left free."""
     union = sorted({*one, *other})
     columns = [table.columns[i] for i in union]

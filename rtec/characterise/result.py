@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.equivalents import Rival
+from rtec.characterise.equivalents import UndecidedTerm
 from rtec.characterise.noise import Outlier
 from rtec.estimation.judge import Judgement
 from rtec.model import Model
@@ -117,7 +117,7 @@ class Characterisation:
     held_out_rms: float
     unit: str
     steps: tuple[SearchStep, ...] = ()
-    undecided: tuple[Rival, ...] = ()
+    undecided: tuple[UndecidedTerm, ...] = ()
     correlations: tuple[Correlated, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     warnings: tuple[Warn, ...] = ()

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from rtec.characterise import noise
 from rtec.characterise.assemble import assemble
-from rtec.characterise.choose import Choice, choose
-from rtec.characterise.effect_list import Wanted
+from rtec.characterise.choose import TermChoice, choose
+from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.estimate import Estimate, estimate
 from rtec.characterise.grouping import tidied
 from rtec.characterise.identifiable import check_seen, tellable
@@ -44,7 +44,7 @@ MANY_BLOCKS = 400
 def characterise(
     measurements: Sequence[Measurement],
     *,
-    wanted: Wanted | None = None,
+    wanted: AskedEffects | None = None,
     leave_out_h: float | None = None,
     name: str = "model",
     margin: Margin | None = None,
@@ -72,7 +72,7 @@ def characterise(
 
 def _characterise(
     measurements: Sequence[Measurement],
-    wanted: Wanted | None,
+    wanted: AskedEffects | None,
     leave_out_h: float | None,
     name: str,
     margin: Margin,
@@ -89,7 +89,7 @@ def _characterise(
     _check_channels(sources, exact)
     chosen: list[Term] = []
     screened: Screened | None = None
-    choice: Choice | None = None
+    choice: TermChoice | None = None
     if wanted is None or wanted.names:
         tell("looking for what goes with what", 0, 1)
         names = wanted.names if wanted else None
@@ -108,7 +108,7 @@ def _characterise(
     return assemble(fit, screened, choice, spiky, measurements, name, margin, judged)
 
 
-def _choose(screened: Screened, wanted: Wanted | None, tell: Stage) -> Choice:
+def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> TermChoice:
     candidates = screened.candidates
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
@@ -122,7 +122,7 @@ def _asked(effect: Effect, kind: str) -> bool:
     return kind in ("position", "direction", "cyclic") and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
 
 
-def _asked_terms(wanted: Wanted | None) -> Callable[[Term], bool]:
+def _asked_terms(wanted: AskedEffects | None) -> Callable[[Term], bool]:
     names = wanted.names if wanted else ()
     return lambda term: term.effect.effect in names
 

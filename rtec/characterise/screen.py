@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.candidates import Candidate, catalogue, extended, geometry, thermal
+from rtec.characterise.candidates import TermCandidate, catalogue, extended, geometry, thermal
 from rtec.characterise.normal import Normal
 from rtec.characterise.source import Source, reads, thinned, varying_sensors
 from rtec.characterise.stream import gather
@@ -36,7 +36,7 @@ class Correlation:
         kept: whether it goes on to the choice.
     """
 
-    candidate: Candidate
+    candidate: TermCandidate
     r: float
     left: float
     kept: bool = False
@@ -56,13 +56,13 @@ class Screened:
 
     sources: tuple[Source, ...]
     seen: tuple[VisibleComponent, ...]
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[TermCandidate, ...]
     correlations: tuple[Correlation, ...]
     unused: tuple[str, ...]
 
 
 def screen(
-    sources: Sequence[Source], allowed: Sequence[str] | None = None, known: Sequence[Candidate] = ()
+    sources: Sequence[Source], allowed: Sequence[str] | None = None, known: Sequence[TermCandidate] = ()
 ) -> Screened:
     """Find the candidates of every component error that the measurements can see.
 
@@ -78,12 +78,12 @@ def screen(
     seen = visible_components([s.measurement for s in few])
     sensors, unused = varying_sensors(few)
 
-    def may(candidate: Candidate) -> bool:
+    def may(candidate: TermCandidate) -> bool:
         return allowed is None or candidate.term.effect.effect in allowed
 
     shapes = [c for s in seen for c in (*geometry(s, few), *extended(s, few)) if may(c)]
     budget = max(LEAST, (COLUMNS - len(shapes)) // max(len(seen), 1))
-    kept: list[Candidate] = []
+    kept: list[TermCandidate] = []
     table: list[Correlation] = []
     others = catalogue(few, allowed, {c.term.effect.effect for c in shapes})
     for component in seen:
@@ -100,12 +100,14 @@ def screen(
     return Screened(tuple(few), tuple(seen), (*shapes, *kept), tuple(table), tuple(unused))
 
 
-def _simple(candidate: Candidate) -> bool:
+def _simple(candidate: TermCandidate) -> bool:
     degrees = getattr(candidate.term.effect, "degrees", (0,))
     return candidate.kind in ("position", "direction") and max(degrees) <= BASE_DEGREE
 
 
-def _correlate(sources: Sequence[Source], base: Sequence[Candidate], hot: Sequence[Candidate]) -> list[Correlation]:
+def _correlate(
+    sources: Sequence[Source], base: Sequence[TermCandidate], hot: Sequence[TermCandidate]
+) -> list[Correlation]:
     normal = gather(sources, [c.term for c in (*base, *hot)])
     first = int(np.searchsorted(normal.owner, len(base)))
     shown = np.flatnonzero(normal.share_left()[:first] > VISIBLE)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.coverage import cover_warnings
-from rtec.characterise.equivalents import Rival
+from rtec.characterise.equivalents import UndecidedTerm
 from rtec.characterise.estimate import Estimate
 from rtec.characterise.identifiable import label
 from rtec.characterise.noise import Outlier, quick_noise, rough_noise
@@ -95,7 +95,7 @@ LITTLE_INFORMATION = 0.05
 OPPOSITE = 0.5
 
 
-def all_warnings(fit: Estimate, undecided: Sequence[Rival], unused: Sequence[str]) -> list[Warn]:
+def all_warnings(fit: Estimate, undecided: Sequence[UndecidedTerm], unused: Sequence[str]) -> list[Warn]:
     """Everything to beware of, what matters most first."""
     found = [
         *_over_fitted(fit),
@@ -167,7 +167,7 @@ def _uneven(fit: Estimate) -> list[Warn]:
     return out
 
 
-def _undecided(fit: Estimate, rivals: Sequence[Rival]) -> list[Warn]:
+def _undecided(fit: Estimate, rivals: Sequence[UndecidedTerm]) -> list[Warn]:
     del fit
     out = []
     for component in dict.fromkeys(r.component for r in rivals):

@@ -10,7 +10,7 @@ from rtec.cli.common import Full, Json, Report
 
 if TYPE_CHECKING:
     from rtec.diagnosis.extend.add import Added
-    from rtec.diagnosis.extend.improve import Choice
+    from rtec.diagnosis.extend.improve import ProposedStep
     from rtec.diagnosis.result import Finding
 
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", help="Model file.", show_default=False)]
@@ -256,7 +256,7 @@ def _asked(
     return asked_effect(effect, component, settings, known)
 
 
-def _ask(choice: "Choice") -> "Finding | None":
+def _ask(choice: "ProposedStep") -> "Finding | None":
     """Show the candidates and ask; the number of another candidate may be given instead."""
     from rtec.cli.common import show_page
     from rtec.report.diagnosis import diagnosis_page

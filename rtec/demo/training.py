@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.effect_list import Wanted
+from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.run import characterise
 from rtec.demo.hidden import Fault, with_fault
 from rtec.effects import Effect, State, effect_class
@@ -179,7 +179,7 @@ def fit_day(day: MeasuringDay, tip_um: Floats | None = None, name: str = "turnin
         name: of the model.
     """
     readings = measurement_of(day, day.tip_um if tip_um is None else tip_um)
-    return characterise([readings], wanted=Wanted((), tuple(effects())), name=name).model
+    return characterise([readings], wanted=AskedEffects((), tuple(effects())), name=name).model
 
 
 def held_out_rms_um(day: MeasuringDay) -> tuple[float, float]:

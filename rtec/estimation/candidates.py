@@ -31,7 +31,7 @@ JITTER_MM = 1e-3
 
 
 @dataclass(frozen=True)
-class Candidate:
+class EffectCandidate:
     """An effect that may be missing.
 
     Attributes:
@@ -52,14 +52,14 @@ class Untried:
     why: str
 
 
-def library(readings: Readings, only: Sequence[str] | None = None) -> tuple[list[Candidate], list[Untried]]:
+def library(readings: Readings, only: Sequence[str] | None = None) -> tuple[list[EffectCandidate], list[Untried]]:
     """Give every candidate, and what could not be one.
 
     Args:
         readings: what was measured.
         only: names of effects; None for all.
     """
-    out: list[Candidate] = []
+    out: list[EffectCandidate] = []
     untried: list[Untried] = []
     kinds = all_effects()
     for seen in visible(readings):
@@ -147,12 +147,12 @@ def _span(states: Sequence[State], name: str) -> tuple[float, float] | None:
     return min(float(v.min()) for v in values), max(float(v.max()) for v in values)
 
 
-def _candidate(effect: Effect, readings: Readings) -> Candidate | None:
+def _candidate(effect: Effect, readings: Readings) -> EffectCandidate | None:
     try:
         effect.check(readings.machine, "diagnose")
     except ModelError:
         return None
-    return Candidate(effect, tuple(_thetas(effect.nonlinear(readings.machine), readings)))
+    return EffectCandidate(effect, tuple(_thetas(effect.nonlinear(readings.machine), readings)))
 
 
 def _thetas(parameters: Sequence[Parameter], readings: Readings) -> Iterator[Mapping[str, float]]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import characterise
-from rtec.characterise.effect_list import Wanted
+from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.estimate import Estimate, estimate
 from rtec.characterise.projection import starting_terms
 from rtec.characterise.source import Source, thinned
@@ -82,7 +82,7 @@ def test_wrong_readings_are_left_out_and_told() -> None:
     spoilt = m.readings["reading_um"].copy()
     for row, by in bad.items():
         spoilt[row] += by
-    asked = Wanted((), (SCALE, BACKLASH, LAGGED))
+    asked = AskedEffects((), (SCALE, BACKLASH, LAGGED))
     fit, clean = (
         characterise([replace(m, readings={"reading_um": r})], wanted=asked) for r in (spoilt, m.readings["reading_um"])
     )
@@ -110,7 +110,7 @@ def test_wrong_readings_in_company_count_less_and_are_told() -> None:
 def test_clean_readings_have_no_outliers() -> None:
     """Oracle: normal noise; six standard deviations happen once in 5e8."""
     assert not fitted(example()).outliers
-    assert not characterise([example()], wanted=Wanted((), (SCALE, BACKLASH, LAGGED))).outliers
+    assert not characterise([example()], wanted=AskedEffects((), (SCALE, BACKLASH, LAGGED))).outliers
 
 
 def test_a_wave_is_no_outlier() -> None:
@@ -118,7 +118,7 @@ def test_a_wave_is_no_outlier() -> None:
     m = example()
     wave = np.where(np.sin(2 * np.pi * m.channels["x"] / 25.0) > 0.8, 6.0, 0.0)
     wavy = replace(m, readings={"reading_um": m.readings["reading_um"] + wave})
-    assert not characterise([wavy], wanted=Wanted((), (SCALE, BACKLASH, LAGGED))).outliers
+    assert not characterise([wavy], wanted=AskedEffects((), (SCALE, BACKLASH, LAGGED))).outliers
 
 
 def test_measurements_are_weighed_by_their_noise() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.bins import MOVES, unit_of
 from rtec.diagnosis.compare.locate import locate
-from rtec.diagnosis.compare.result import Compared, Comparison, Outside, Part, Region, Size, Traces
+from rtec.diagnosis.compare.result import Compared, Comparison, EffectShare, Outside, Region, Size, Traces
 from rtec.diagnosis.compare.shape import shape_of
 from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.usable import check_enough
@@ -179,12 +179,12 @@ def _travel(ends: Sequence[float]) -> float:
     return float(ends[1] - ends[0])
 
 
-def _parts(model: Model, traces: Traces, s: Series) -> tuple[Part, ...]:
+def _parts(model: Model, traces: Traces, s: Series) -> tuple[EffectShare, ...]:
     out = []
     for (label, values), fitted in zip(traces.parts.items(), model.effects, strict=True):
         size = size_of(values[s.part])
         if size.rms > NOTHING:
-            out.append(Part(label, fitted.effect.component, size.rms, size.most))
+            out.append(EffectShare(label, fitted.effect.component, size.rms, size.most))
     return tuple(sorted(out, key=lambda p: -p.rms))
 
 

@@ -80,7 +80,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Part:
+class EffectShare:
     """What one effect of the model adds to a reading column, nuisances taken out.
 
     Attributes:
@@ -154,7 +154,7 @@ class Compared:
     noise: Floor
     explained: float | None
     sees: tuple[str, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[EffectShare, ...]
     outside: tuple[Outside, ...]
     worst: tuple[Region, ...]
     shape: ResidualShape | None = None

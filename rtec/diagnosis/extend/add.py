@@ -42,7 +42,7 @@ TOLD = 4
 
 
 @dataclass(frozen=True)
-class Rival:
+class PassedOver:
     """An effect that would have done as well.
 
     Attributes:
@@ -63,7 +63,7 @@ class Rival:
         return out | ({"separating_test": self.test} if self.test else {})
 
 
-def rivals_of(found: Diagnosis, taken: Finding) -> tuple[Rival, ...]:
+def rivals_of(found: Diagnosis, taken: Finding) -> tuple[PassedOver, ...]:
     """Everything that these readings cannot tell from what was taken, likeliest first.
 
     What explains another part of the readings is no rival of it: it is looked for again once this one is in the model.
@@ -82,10 +82,10 @@ def rivals_of(found: Diagnosis, taken: Finding) -> tuple[Rival, ...]:
         for f, label in zip(found.findings, labels(found.findings), strict=True)
         if f.group and f is not taken and f.effect != partner and _key(f) not in apart
     ]
-    out = [Rival(label, f.confidence, _test(known.get(_key(f)))) for f, label in group]
+    out = [PassedOver(label, f.confidence, _test(known.get(_key(f)))) for f, label in group]
     there = {_key(taken), *(_key(f) for f, _ in group)} | apart
     others = [a for key, a in known.items() if key not in there]
-    out += [Rival(a.label or f"{a.effect}({a.component})", None, _test(a)) for a in others]
+    out += [PassedOver(a.label or f"{a.effect}({a.component})", None, _test(a)) for a in others]
     return tuple(out)
 
 
@@ -97,7 +97,7 @@ def _test(alike: Alike | None) -> str:
     return alike.separating_test if alike is not None else ""
 
 
-def said(taken: Finding, rivals: Sequence[Rival]) -> tuple[str, ...]:
+def said(taken: Finding, rivals: Sequence[PassedOver]) -> tuple[str, ...]:
     """That the readings did not decide, which rivals there were, and what tells each apart."""
     named = ", ".join(
         r.label + (f" ({percent(r.confidence)})" if r.confidence is not None else "") for r in rivals[:TOLD]
@@ -145,7 +145,7 @@ class Added:
     smoothed: float
     notes: tuple[str, ...] = ()
     floor_from: str = ""
-    passed_over: tuple[Rival, ...] = ()
+    passed_over: tuple[PassedOver, ...] = ()
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""

@@ -24,7 +24,7 @@ MOST = 8
 
 
 @dataclass(frozen=True)
-class Choice:
+class ProposedStep:
     """What is asked before an effect is added.
 
     Attributes:
@@ -71,7 +71,7 @@ def improve(
     model: Model,
     measurements: Sequence[Measurement],
     *,
-    ask: Callable[[Choice], Finding | None] | None = None,
+    ask: Callable[[ProposedStep], Finding | None] | None = None,
     ask_refit: Callable[[Added], bool] | None = None,
     seed: int = 1,
     alpha: float = ALPHA,
@@ -136,7 +136,7 @@ class _Growth:
             return None
         return made if ask is None or ask(made) else None
 
-    def grown(self, model: Model, ask: Callable[[Choice], Finding | None] | None) -> Improved:
+    def grown(self, model: Model, ask: Callable[[ProposedStep], Finding | None] | None) -> Improved:
         """Diagnose and add, again and again."""
         seed, alpha, draws = self.chance
         steps: list[Added] = []
@@ -150,7 +150,7 @@ class _Growth:
             if not found.findings or not found.findings[0].accepted:
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
             choice = found.findings[0]
-            picked = ask(Choice(found, choice, len(steps) + 1)) if ask else choice
+            picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
             others = [] if ask else [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]

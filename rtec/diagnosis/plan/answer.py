@@ -10,7 +10,7 @@ import numpy as np
 from rtec.diagnosis.plan.ideas import extra_tests
 from rtec.diagnosis.plan.parameters import Planned, Stays, ball_bar_set, centres, planned
 from rtec.diagnosis.plan.plan import WEAK, Extra, Proposal, Separation, judge, propose, route, told, told_by
-from rtec.diagnosis.plan.separating import Rival, Separator, ranked
+from rtec.diagnosis.plan.separating import Separator, SimulatedRival, ranked
 from rtec.diagnosis.plan.tests import wanted_effects
 from rtec.errors import ConfigError
 from rtec.machine import Machine
@@ -211,14 +211,14 @@ def _separators(
     return ranked(here, more, base, rivals) if len(rivals) > 1 else []
 
 
-def _rivals(parameters: Sequence[Planned], names: Sequence[str]) -> list[Rival]:
+def _rivals(parameters: Sequence[Planned], names: Sequence[str]) -> list[SimulatedRival]:
     """One for each effect, at its usual size; a parameter of a ball bar is one by itself."""
     groups: dict[str, list[int]] = {}
     for i, p in enumerate(parameters):
         if p.name in names:
             groups.setdefault(p.name.partition(") ")[0], []).append(i)
     return [
-        Rival(parameters[rows[0]].name if len(rows) == 1 else f"{name})", np.array(rows),
+        SimulatedRival(parameters[rows[0]].name if len(rows) == 1 else f"{name})", np.array(rows),
               np.array([parameters[i].typical for i in rows]))
         for name, rows in groups.items()
     ]  # fmt: skip

@@ -41,7 +41,7 @@ TINY = 1e-11
 
 
 @dataclass(frozen=True)
-class Rival:
+class SimulatedRival:
     """One of several explanations, as columns.
 
     Attributes:
@@ -128,14 +128,14 @@ def separating(
     told = [(t, _of_test(model, rivals, t.measurement, noise)) for t in tests]
     edges = np.cumsum([_width(model.effects, machine), *(_width([f], machine) for f in rivals)])
     split = [
-        Rival(label(f.effect), np.arange(first, last), _values(f, machine))
+        SimulatedRival(label(f.effect), np.arange(first, last), _values(f, machine))
         for f, first, last in zip(rivals, edges[:-1], edges[1:], strict=True)
     ]
     return ranked(here, told, np.arange(edges[0]), split)
 
 
 def ranked(
-    here: Floats, tests: Sequence[tuple[Extra, Floats]], base: NDArray[np.int64], rivals: Sequence[Rival]
+    here: Floats, tests: Sequence[tuple[Extra, Floats]], base: NDArray[np.int64], rivals: Sequence[SimulatedRival]
 ) -> list[Separator]:
     """Rank tests by how well they would tell rivals apart, from what each tells, (p, p).
 
@@ -171,7 +171,7 @@ def usual_size(effect: Effect, machine: Machine) -> FittedEffect:
     return FittedEffect(effect, values, {p.name: p.start for p in effect.nonlinear(machine)})
 
 
-def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[Rival]) -> Floats:
+def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[SimulatedRival]) -> Floats:
     """Half the squared misfit that rival j leaves of rival i, (rivals, rivals)."""
     out = np.zeros((len(rivals), len(rivals)))
     for i, one in enumerate(rivals):
@@ -183,7 +183,7 @@ def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[Rival]) -> F
     return out
 
 
-def _pairs(rivals: Sequence[Rival], before: Floats, after: Floats) -> tuple[Pair, ...]:
+def _pairs(rivals: Sequence[SimulatedRival], before: Floats, after: Floats) -> tuple[Pair, ...]:
     """Every two rivals, the smaller of the two ways round."""
     before, after = np.minimum(before, before.T), np.minimum(after, after.T)
     return tuple(

@@ -16,14 +16,14 @@ from rtec.diagnosis.search import picture
 from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, fold
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
-from rtec.diagnosis.search.refit import Prepared, Tried
+from rtec.diagnosis.search.refit import Prepared, Refitted
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped
 from rtec.effects import Effect
 from rtec.errors import RtecError
 from rtec.estimation import floor
-from rtec.estimation.candidates import Candidate, Untried
+from rtec.estimation.candidates import EffectCandidate, Untried
 from rtec.estimation.columns import slope
 from rtec.estimation.gls import Fit, inverse, resolved, solve
 from rtec.estimation.judge import Judgement
@@ -42,7 +42,7 @@ BETTER = 0.9
 
 
 @dataclass(frozen=True)
-class Searched:
+class SearchResult:
     """All that a search found out.
 
     Attributes:
@@ -69,13 +69,13 @@ class Searched:
 
     model: Model
     prepared: Prepared
-    candidates: Sequence[Candidate]
+    candidates: Sequence[EffectCandidate]
     untried: Sequence[Untried]
     prior_odds: float
     projected: Projected
     found: Screen
     without: Fit
-    tried: Sequence[Tried]
+    tried: Sequence[Refitted]
     partner: int | None
     p: float
     accepted: bool
@@ -87,16 +87,16 @@ class Searched:
     beside: Screen | None
     judged: Judgement
     doubts: tuple[Doubt, ...]
-    chain: tuple[Tried, ...] = ()
+    chain: tuple[Refitted, ...] = ()
 
 
-def answer(searched: Searched) -> Diagnosis:
+def answer(searched: SearchResult) -> Diagnosis:
     """Put the answer together."""
     return _Answer(searched).diagnosis()
 
 
 class _Answer:
-    def __init__(self, searched: Searched) -> None:
+    def __init__(self, searched: SearchResult) -> None:
         self.s = searched
         self.readings = searched.prepared.readings
 
@@ -106,7 +106,7 @@ class _Answer:
             findings = (replace(findings[0], partner=findings[1]), *findings[1:])
         return self._answer(self.s.found, findings, self.s.adequacy, self.s.unknown)
 
-    def _findings(self, found: Screen, tried: list[Tried], p: float, accepted: bool) -> tuple[Finding, ...]:
+    def _findings(self, found: Screen, tried: list[Refitted], p: float, accepted: bool) -> tuple[Finding, ...]:
         if not tried:
             return ()
         odds = np.array([t.log_evidence for t in tried])
@@ -119,7 +119,7 @@ class _Answer:
         )
 
     def _finding(
-        self, found: Screen, rank: int, t: Tried, tried: Sequence[Tried], p: float, share: float, accepted: bool
+        self, found: Screen, rank: int, t: Refitted, tried: Sequence[Refitted], p: float, share: float, accepted: bool
     ) -> Finding:
         candidate, winner = self.s.candidates[t.number], tried[0]
         same = self._same(found, winner, t) or (t.number != self.s.partner and self._disputes(winner, t))
@@ -142,12 +142,12 @@ class _Answer:
             why_not="" if rank == 1 else self._why_not(t, winner, same and accepted),
         )
 
-    def _why_not(self, t: Tried, winner: Tried, same: bool) -> str:
+    def _why_not(self, t: Refitted, winner: Refitted, same: bool) -> str:
         if t.number == self.s.partner:
             return words.TOGETHER
         return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same)
 
-    def _same(self, found: Screen, winner: Tried, other: Tried) -> bool:
+    def _same(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
         """Whether the readings cannot tell another candidate from the winner."""
         if winner.number == other.number:
             return True
@@ -164,14 +164,14 @@ class _Answer:
         cos = cosine(found.contribution(winner.number), found.contribution(other.number))
         return cos > SAME and winner.log_evidence - other.log_evidence < 2.0 * WITHIN
 
-    def _disputes(self, winner: Tried, other: Tried) -> bool:
+    def _disputes(self, winner: Refitted, other: Refitted) -> bool:
         """Whether the runs left out speak for a sure effect that the evidence puts behind the winner."""
         if self.s.chain:
             return False
         sure = other.holds and other.log_evidence - self.s.prior_odds > SURE
         return sure and 1.0 - other.drop < BETTER * (1.0 - winner.drop)
 
-    def _alikes(self, found: Screen, winner: Tried, tried: Sequence[Tried]) -> list[Alike]:
+    def _alikes(self, found: Screen, winner: Refitted, tried: Sequence[Refitted]) -> list[Alike]:
         """What cannot be told from the winner: of those fitted anew by their evidence, of the others by their shape."""
         mine = self.s.candidates[winner.number].effect
         shape = found.contribution(winner.number)
@@ -197,7 +197,7 @@ class _Answer:
         folded = fold(self.readings, mine, winner.theta)
         return [*said, *([folded] if folded is not None else [])]
 
-    def _separated(self, found: Screen, winner: Tried, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
+    def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same with the test that this machine can take and that tells them apart soonest."""
         whitener, base = self.s.prepared.whitener, self.s.prepared.base
 
@@ -213,7 +213,7 @@ class _Answer:
         except RtecError:  # a machine that no planned test can be simulated on: the catalogue's words stand
             return [a for a, _ in alikes]
 
-    def _numbers(self, effect: Effect, theta: Mapping[str, float], t: Tried) -> tuple[dict[str, Number], float]:
+    def _numbers(self, effect: Effect, theta: Mapping[str, float], t: Refitted) -> tuple[dict[str, Number], float]:
         machine = self.s.model.machine
         at = dict(theta)
         linear = effect.coefficients(machine)

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.result import Diagnosis, Number, Unknown
-from rtec.diagnosis.search.answer import Searched, answer
+from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import PERIODS, WITHIN
 from rtec.diagnosis.search.not_found import SURE
-from rtec.diagnosis.search.refit import BESIDE, Refits, Tried, prepare
+from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, prepare
 from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
-from rtec.estimation.candidates import Candidate, library
+from rtec.estimation.candidates import EffectCandidate, library
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import without_drift
 from rtec.estimation.outliers import Clean, clean
@@ -91,7 +91,7 @@ ANOTHER = 0.05
 """Periods that differ by less than this share are one."""
 
 
-def _beside(candidate: Candidate, model: Model) -> Candidate | None:
+def _beside(candidate: EffectCandidate, model: Model) -> EffectCandidate | None:
     """A wave of an effect that the model has, at other periods than those there; None for anything else."""
     there = [f.theta for f in model.effects if f.effect == candidate.effect]
 
@@ -155,7 +155,7 @@ class _Search:
             tried = [*pair, *(t for t in tried if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
         return answer(
-            Searched(
+            SearchResult(
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
                 self.refits.without, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
                 unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
@@ -163,14 +163,14 @@ class _Search:
             )
         )  # fmt: skip
 
-    def _next(self, tried: Sequence[Tried], pair: Sequence[Tried] | None, named: bool) -> Screen | None:
+    def _next(self, tried: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
         """All candidates beside what was named; of very many readings only some are looked at, which tells no sizes."""
         if not self.explain or not named or self.refits.few[1] is not self.readings:
             return None
         fit = (pair[1] if pair is not None else tried[0]).fit
         return self.refits.look(lambda w: w, fit.whitener, fit.columns)
 
-    def _accepts(self, best: Tried, p: float) -> bool:
+    def _accepts(self, best: Refitted, p: float) -> bool:
         """Chance is unlikely, or the evidence with the noise found anew is overwhelming; and left-out runs agree.
 
         The draws of chance know only the noise that was found without the effect; where that noise swallowed it, they
@@ -196,7 +196,7 @@ class _Search:
         """Log of how much likelier nothing is than any one effect of one component, before the readings."""
         return math.log(max(len(self.refits.alternatives), 2))
 
-    def _adequate(self, best: Tried | None) -> tuple[bool, float | None, Unknown | None]:
+    def _adequate(self, best: Refitted | None) -> tuple[bool, float | None, Unknown | None]:
         """Is the best effect as good as a shape without a name; and if none is, what is there?"""
         self.stage("shapes without a name", 0, 1)
         tops = self._shapes(best)
@@ -214,11 +214,11 @@ class _Search:
         named = share >= ADEQUATE or self._with_another(best) > top.log_evidence
         return named, share, None if named else self._unknown(top)
 
-    def _with_another(self, best: Tried) -> float:
+    def _with_another(self, best: Refitted) -> float:
         """Log evidence of the best effect together with the best one beside it."""
         return max((t.log_evidence for t in self.refits.beside(best)), default=-math.inf)
 
-    def _pair(self, tried: Sequence[Tried]) -> tuple[Tried, Tried] | None:
+    def _pair(self, tried: Sequence[Refitted]) -> tuple[Refitted, Refitted] | None:
         """Two effects of which each alone makes runs left out no better, and which together leave little.
 
         Such are an effect at once and the same effect late with the other sign: a part that bends while it is being
@@ -228,7 +228,7 @@ class _Search:
         if not self._many:
             return None
         width, bar = self.prepared.base.shape[1], self._prior_odds + OVERWHELMING
-        best: tuple[Tried, Tried] | None = None
+        best: tuple[Refitted, Refitted] | None = None
         firsts = [t for t in sorted(tried, key=lambda t: -t.log_evidence)[:BESIDE] if t.log_evidence >= bar]
         for first, seconds in zip(firsts, each(self.refits.beside, firsts, len(self.readings)), strict=True):
             for second in seconds:
@@ -240,7 +240,7 @@ class _Search:
             return None
         return best
 
-    def _chain(self, tried: Sequence[Tried], p: float) -> list[Tried]:
+    def _chain(self, tried: Sequence[Refitted], p: float) -> list[Refitted]:
         """Simple effects that are sure and take much away, though a shape without a name would take more.
 
         A shape that is allowed everything holds a squareness too. So where a plain effect of one or two numbers is
@@ -261,7 +261,7 @@ class _Search:
             return []
         return self.refits.chain(first, bar, plain)
 
-    def _shapes(self, best: Tried | None) -> list[Shaped]:
+    def _shapes(self, best: Refitted | None) -> list[Shaped]:
         """The best shapes without a name, looked for under the noise that is known best and as if without drift."""
         known = best.fit.whitener if best is not None else self.prepared.whitener
         noises = (known, without_drift(self.prepared.whitener))

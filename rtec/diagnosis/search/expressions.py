@@ -69,7 +69,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Searched:
+class ExpressionSearch:
     """A non-linear parameter: where it may lie, and what is tried; `ratio` where steps are ratios."""
 
     name: str
@@ -102,7 +102,7 @@ class Form:
 
     kind: Literal["polynomial", "hump", "step", "wave"]
     expression: str
-    searched: tuple[Searched, ...] = ()
+    searched: tuple[ExpressionSearch, ...] = ()
     along: int = 0
     grows: int | None = None
 
@@ -150,14 +150,14 @@ def _grown(spans: Sequence[Span], along: int, factor: str) -> Iterator[Form]:
         yield Form(kind, _sum([text, f"{factor}*{text}"]), searched, along)
 
 
-def _local(span: Span) -> Iterator[tuple[Literal["hump", "step"], str, tuple[Searched, ...]]]:
+def _local(span: Span) -> Iterator[tuple[Literal["hump", "step"], str, tuple[ExpressionSearch, ...]]]:
     wide = span.high - span.low
     narrow = max(NARROWEST * wide, span.step)
     if narrow >= WIDEST * wide:
         return
-    centre = Searched("centre", span.low, span.high, tuple(np.linspace(span.low, span.high, CENTRES + 2)[1:-1]))
+    centre = ExpressionSearch("centre", span.low, span.high, tuple(np.linspace(span.low, span.high, CENTRES + 2)[1:-1]))
     widths = tuple(np.geomspace(narrow, WIDEST * wide, WIDTHS))
-    width = Searched("width", 0.5 * narrow, wide, widths, ratio=True)
+    width = ExpressionSearch("width", 0.5 * narrow, wide, widths, ratio=True)
     yield "hump", f"exp(-(({span.name} - centre)/width)**2)", (centre, width)
     yield "step", f"tanh(({span.name} - centre)/width)", (centre, width)
 
@@ -169,13 +169,13 @@ def _waves(spans: Sequence[Span], period: float | None) -> Iterator[Form]:
     if period is not None:
         # Farther off than this, the wave is out of step at the ends.
         off = 0.5 * period / max(wide, period)
-        searched = Searched("period", period * (1.0 - off), period * (1.0 + off), (period,))
+        searched = ExpressionSearch("period", period * (1.0 - off), period * (1.0 + off), (period,))
     else:
         shortest, longest = max(SAMPLED * first.step, NARROWEST * wide), wide / TURNS
         if shortest >= longest:
             return
         grid = tuple(1.0 / np.linspace(1.0 / longest, 1.0 / shortest, PERIODS))
-        searched = Searched("period", shortest, longest, grid)
+        searched = ExpressionSearch("period", shortest, longest, grid)
     waves = [f"{f}(2*pi*{first.name}/period)" for f in ("sin", "cos")]
     yield Form("wave", _sum(waves), (searched,))
     for place, span in enumerate(spans):

@@ -24,7 +24,7 @@ from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse
 from rtec.diagnosis.search.screen import UNMOVED, Memory, Projected, Screen, screen
 from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
-from rtec.estimation.candidates import Candidate
+from rtec.estimation.candidates import EffectCandidate
 from rtec.estimation.columns import base_of
 from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out, solve
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
@@ -153,7 +153,7 @@ def prepare(model: Model, given: Clean) -> Prepared:
 
 
 @dataclass(frozen=True)
-class Tried:
+class Refitted:
     """A candidate fitted along with the current model and a noise found anew."""
 
     number: int
@@ -203,18 +203,18 @@ class Refits:
         columns_of_few: whitened columns that were made already.
     """
 
-    def __init__(self, prepared: Prepared, candidates: Sequence[Candidate], stage: Stage) -> None:
+    def __init__(self, prepared: Prepared, candidates: Sequence[EffectCandidate], stage: Stage) -> None:
         self.prepared, self.readings, self.candidates, self.stage = prepared, prepared.readings, candidates, stage
         self.alternatives = Counter((c.effect.effect, c.effect.component) for c in candidates)
         self.columns_of_few: Memory = {}
-        self._found_beside: dict[int, list[Tried]] = {}
+        self._found_beside: dict[int, list[Refitted]] = {}
 
     @cached_property
     def without(self) -> Fit:
         """The model as it is."""
         return self.fit(self.prepared.base)
 
-    def anew(self, found: Screen, calm: Screen) -> list[Tried]:
+    def anew(self, found: Screen, calm: Screen) -> list[Refitted]:
         """Fit the best of both weighings anew, noise and all; best first."""
         base = self.prepared.base
         without = self.without
@@ -224,7 +224,7 @@ class Refits:
         n = math.log(len(self.readings))
         counted = itertools.count()
 
-        def tried(which: tuple[Screen, int]) -> Tried:
+        def tried(which: tuple[Screen, int]) -> Refitted:
             self.stage("refitting the best", next(counted), len(looks))
             look, number = which
             variant = look.variants[look.best[number]]
@@ -234,7 +234,7 @@ class Refits:
             evidence = fit.log_likelihood - without.log_likelihood - 0.5 * variant.count * n
             evidence -= look.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
-            return Tried(number, theta, columns, fit, evidence, *self.left_out(fit.whitener, columns))
+            return Refitted(number, theta, columns, fit, evidence, *self.left_out(fit.whitener, columns))
 
         # What does worse on runs left out is no winner, whatever its evidence.
         return sorted(each(tried, looks, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
@@ -257,18 +257,18 @@ class Refits:
         # So many readings tell after one round which is the likelier; the rest is for that alone.
         return fit_columns(best.whitener, columns, ROUNDS - 1) if many else best
 
-    def beside(self, first: Tried) -> list[Tried]:
+    def beside(self, first: Refitted) -> list[Refitted]:
         """The best beside an effect, each fitted together with it; the evidence is that of both."""
         if first.number not in self._found_beside:
             self._found_beside[first.number] = self._look_beside(first)
         return self._found_beside[first.number]
 
-    def _look_beside(self, first: Tried) -> list[Tried]:
+    def _look_beside(self, first: Refitted) -> list[Refitted]:
         width = self.prepared.base.shape[1]
         base = np.concatenate([self.prepared.base, first.columns], axis=1)
         found = self.look(lambda w: w, first.fit.whitener, base)
 
-        def tried(number: int) -> Tried:
+        def tried(number: int) -> Refitted:
             variant = found.variants[found.best[number]]
             theta = self._polished(number, variant.theta, found.projected.whitener, base)
             columns = self._columns(number, theta)
@@ -276,11 +276,11 @@ class Refits:
             gain = fit.log_likelihood - first.fit.log_likelihood - 0.5 * variant.count * math.log(len(self.readings))
             evidence = first.log_evidence + gain - found.search_cost(number) - self._choice_cost(number)
             drop, left_out = self.left_out(fit.whitener, fit.columns[:, width:])
-            return Tried(number, theta, columns, fit, evidence, drop, left_out, base.shape[1])
+            return Refitted(number, theta, columns, fit, evidence, drop, left_out, base.shape[1])
 
         return each(tried, self._distinct(found)[:BESIDE], len(self.readings))
 
-    def chain(self, first: Tried, bar: float, may: Callable[[Effect], bool]) -> list[Tried]:
+    def chain(self, first: Refitted, bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """An effect and those that the readings call for beside it, one after the other; evidence is that of all.
 
         Each must be as sure as a first one, and lower the error on held-out runs by `MORE`.
@@ -296,7 +296,7 @@ class Refits:
             found = self.look(without_drift, last.fit.whitener, last.fit.columns)
             there = [self.candidates[t.number].effect for t in out]
             order = [i for i in self._distinct(found) if may(e := self.candidates[i].effect) and e not in there]
-            more: list[Tried] = []
+            more: list[Refitted] = []
             for number in order[:BESIDE]:
                 variant = found.variants[found.best[number]]
                 theta = self._polished(number, variant.theta, found.projected.whitener, last.fit.columns)
@@ -307,7 +307,9 @@ class Refits:
                 drop, left_out = self.left_out(fit.whitener, fit.columns[:, width:])
                 if gain > bar and 1.0 - drop < (1.0 - MORE) * (1.0 - last.drop):
                     evidence = last.log_evidence + gain
-                    more.append(Tried(number, theta, columns, fit, evidence, drop, left_out, last.fit.columns.shape[1]))
+                    more.append(
+                        Refitted(number, theta, columns, fit, evidence, drop, left_out, last.fit.columns.shape[1])
+                    )
             if not more:
                 break
             out.append(max(more, key=lambda t: t.log_evidence))

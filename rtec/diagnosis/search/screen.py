@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ModelError
-from rtec.estimation.candidates import Candidate
+from rtec.estimation.candidates import EffectCandidate
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings
 from rtec.parallel import MANY
@@ -108,7 +108,7 @@ class Screen:
     """
 
     projected: Projected
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[EffectCandidate, ...]
     variants: tuple[Variant, ...]
     directions: Single
     log_evidence: Floats
@@ -192,7 +192,7 @@ class Screen:
 
 def screen(
     readings: Readings,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[EffectCandidate],
     projected: Projected,
     tell: Tell | None = None,
     memory: Memory | None = None,
@@ -286,7 +286,7 @@ class _Columns:
         self,
         readings: Readings,
         projected: Projected,
-        candidates: Sequence[Candidate],
+        candidates: Sequence[EffectCandidate],
         memory: Memory,
         remember: bool,
     ) -> None:
@@ -303,7 +303,7 @@ class _Columns:
         self._worker = ThreadPoolExecutor(1) if len(readings) > MANY else None
         self._working: Future[None] | None = None
 
-    def add(self, number: int, theta_number: int, candidate: Candidate, theta: Mapping[str, float]) -> None:
+    def add(self, number: int, theta_number: int, candidate: EffectCandidate, theta: Mapping[str, float]) -> None:
         """Take one variant."""
         key = number, theta_number
         columns = self._memory[key] if key in self._memory else self._made(candidate, theta)
@@ -322,7 +322,7 @@ class _Columns:
             self._wait()
             self._worker.shutdown()
 
-    def _made(self, candidate: Candidate, theta: Mapping[str, float]) -> Floats | None:
+    def _made(self, candidate: EffectCandidate, theta: Mapping[str, float]) -> Floats | None:
         try:
             columns = self.readings.columns(candidate.effect, theta)
         except ModelError:
