@@ -229,6 +229,6 @@ def _few_runs(readings: Readings) -> list[Doubt]:
     for s in readings.series:
         runs = int(s.run[-1]) + 1
         if 1 < runs < FEW_RUNS and s.nuisance.shape[1]:
-            message = f"{_name(readings, s)} has {runs} runs, each with a zero of its own: too few to tell runs apart."
+            message = f"{_name(readings, s)} has {runs} runs, each with a zero of its own: too few to separate them."
             out.append(Doubt("few_runs", message, f"Measure at least {FEW_RUNS} runs."))
     return out
