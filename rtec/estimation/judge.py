@@ -94,7 +94,7 @@ class Judgement:
 
     @cached_property
     def _plain(self) -> tuple[Plain, Floats]:
-        return plain_fit(self.readings, self.noise, self.base.columns)
+        return plain_fit(self.readings, self.flexible, self.base.columns)
 
     @cached_property
     def noise(self) -> Whitener:
