@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rtec.doctor.found import DeviceFound, Examination, PcFound
 
 
-class Screen:
+class DoctorScreen:
     """Shows what devices read while they are read; gone afterwards."""
 
     def __init__(self, quiet: bool) -> None:
@@ -77,7 +77,7 @@ def _devices(config: Path, seconds: float, quiet: bool) -> "Examination":
     from rtec.doctor.devices import examine
     from rtec.report.doctor import doctor_page
 
-    with Screen(quiet) as screen:
+    with DoctorScreen(quiet) as screen:
         found = examine(config, seconds, screen.update)
     if not quiet:
         show_page(doctor_page(found))

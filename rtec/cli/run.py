@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 REFRESH_S = 0.2
 
 
-class Screen:
+class RunScreen:
     """A live table on a terminal; where there is none, a line when the loop begins. And a line for every event."""
 
     def __init__(self, setup: "Setup", duration_s: float | None, log: Path | None, quiet: bool) -> None:
@@ -206,7 +206,7 @@ def run(
     path = log or (None if step else new_log_path(setup))
     for axis, um in setup.step_um.items():
         typer.echo(f"sign check: axis {axis} goes by {um:+g} µm; it goes back when you end this with Ctrl-C", err=True)
-    with Screen(setup, duration, path, quiet=as_json) as screen:
+    with RunScreen(setup, duration, path, quiet=as_json) as screen:
         supervisor = Supervisor(setup, path, screen.update, screen.started, on_event=screen.event)
         with Control(setup, supervisor, RealClock()):
             report = supervisor.run(duration)

@@ -42,7 +42,7 @@ _NOTED: Final = {Order.MARK: ("mark",), Order.RELOAD: ("reloaded", "not reloaded
 
 
 @dataclass(frozen=True)
-class Place:
+class DaemonPlace:
     """Where a daemon answers.
 
     Attributes:
@@ -57,7 +57,7 @@ class Place:
         return str(self.path) if self.path is not None else shlex.join(self.command)
 
 
-def find(config: Path | None, at: str | None, key: Path | None) -> Place:
+def find(config: Path | None, at: str | None, key: Path | None) -> DaemonPlace:
     """Find the daemon that is meant.
 
     Args:
@@ -69,13 +69,13 @@ def find(config: Path | None, at: str | None, key: Path | None) -> Place:
         RtecError: none runs, several run, or it may not be used; the message says what to do.
     """
     if at is not None:
-        return Place(command=_by_ssh(config, at, key))
+        return DaemonPlace(command=_by_ssh(config, at, key))
     candidates = all_of() if config is None else of_config(config)
     alive = [path for path in candidates if answers(path)]
     if config is not None and alive:
-        return Place(alive[0])
+        return DaemonPlace(alive[0])
     if len(alive) == 1:
-        return Place(alive[0])
+        return DaemonPlace(alive[0])
     raise RtecError(_several(alive) if alive else _none(config))
 
 
@@ -102,7 +102,7 @@ def _none(config: Path | None) -> str:
 def _several(alive: list[Path]) -> str:
     names = []
     for path in alive:
-        with Client(Place(path)) as client:
+        with Client(DaemonPlace(path)) as client:
             names.append(str(client.status()["config"]))
     return f"{len(alive)} daemons run: name the run file of one: {', '.join(names)}"
 
@@ -118,7 +118,7 @@ class Client:
         RtecError: nobody is there.
     """
 
-    def __init__(self, place: Place, wait_s: float | None = None) -> None:
+    def __init__(self, place: DaemonPlace, wait_s: float | None = None) -> None:
         self._place = place
         self._wait_s = (SSH_WAIT_S if place.path is None else WAIT_S) if wait_s is None else wait_s
         self._id = self._seq = 0

@@ -36,7 +36,7 @@ FIRST = ("EXX", "EYX", "EBX", "EAX", "EYZ", "EC0Y", "EA0Z", "EZ0spindle", "EB0sp
 
 
 @dataclass(frozen=True)
-class Curve:
+class EffectCurve:
     """One line: what is held the while, in words ("" where nothing is), and the error (n,)."""
 
     held: str
@@ -44,7 +44,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Shape:
+class EffectShape:
     """Curves of an effect.
 
     Attributes:
@@ -60,7 +60,7 @@ class Shape:
     unit: str
     over: str
     x: Floats
-    curves: tuple[Curve, ...]
+    curves: tuple[EffectCurve, ...]
     sizes: str
 
 
@@ -73,7 +73,7 @@ def example_machine() -> Machine:
     )
 
 
-def shape_of(kind: type[Effect]) -> Shape | None:
+def shape_of(kind: type[Effect]) -> EffectShape | None:
     """Give the shape of an effect; None where it has none of its own, as the user's expression has not."""
     machine = example_machine()
     effect = example_of(kind, machine)
@@ -81,11 +81,11 @@ def shape_of(kind: type[Effect]) -> Shape | None:
         return None
     theta = {p.name: p.start for p in effect.nonlinear(machine)}
     view = _view(effect, machine, theta)
-    curves = tuple(Curve(held, _error(effect, machine, theta, view.x, channels)) for held, channels in view.curves)
+    curves = tuple(EffectCurve(held, _error(effect, machine, theta, view.x, channels)) for held, channels in view.curves)
     if not all(np.isfinite(c.error).all() for c in curves):
         return None
     unit = "µrad" if effect.unit == "urad" else "µm"
-    return Shape(effect.component, unit, view.over, view.x, curves, _sizes(effect, machine))
+    return EffectShape(effect.component, unit, view.over, view.x, curves, _sizes(effect, machine))
 
 
 def example_of(kind: type[Effect], machine: Machine) -> Effect | None:
@@ -256,7 +256,7 @@ SAMPLES = ("⠤⠤⠤⠤", "⠤⠤⠀⠤", "⠄⠄⠄⠄")
 PLOT_LINES = ("-", "--", ":")
 
 
-def sketch(shape: Shape, columns: int = 60, rows: int = 10) -> list[str]:
+def sketch(shape: EffectShape, columns: int = 60, rows: int = 10) -> list[str]:
     """Lines of a drawing for the terminal.
 
     Args:
@@ -284,7 +284,7 @@ def sketch(shape: Shape, columns: int = 60, rows: int = 10) -> list[str]:
 
 
 @as_png
-def figure(title: str, equation: str, shape: Shape) -> "MplFigure":
+def figure(title: str, equation: str, shape: EffectShape) -> "MplFigure":
     """Give the shape as a PNG.
 
     Args:
@@ -327,7 +327,7 @@ def write_figure(name: str, path: Path) -> None:
         raise ConfigError(f"{path}: cannot be written: {e.strerror}") from e
 
 
-def _plot(ax: "Axes", shape: Shape) -> None:
+def _plot(ax: "Axes", shape: EffectShape) -> None:
     for curve, colour, line in zip(shape.curves, (ON, OFF, LINES[3]), PLOT_LINES, strict=False):
         ax.plot(shape.x, curve.error, color=colour, linestyle=line, label=curve.held)
     ax.axhline(0.0, color="black", linewidth=1)
@@ -338,7 +338,7 @@ def _plot(ax: "Axes", shape: Shape) -> None:
         ax.legend(frameon=True, facecolor="white", framealpha=0.9, edgecolor="none", loc="best")
 
 
-def _ends(shape: Shape) -> tuple[float, float]:
+def _ends(shape: EffectShape) -> tuple[float, float]:
     """Ends of the scale: hold every value and zero, with two digits; a little apart where all is zero."""
     low = min(0.0, *(float(c.error.min()) for c in shape.curves))
     high = max(0.0, *(float(c.error.max()) for c in shape.curves))
@@ -352,7 +352,7 @@ def _row(value: float, low: float, high: float, rows: int) -> int:
     return round((high - value) / (high - low) * (rows - 1))
 
 
-def _draw(dots: NDArray[np.bool_], curve: Curve, low: float, high: float, on: int, off: int) -> None:
+def _draw(dots: NDArray[np.bool_], curve: EffectCurve, low: float, high: float, on: int, off: int) -> None:
     """Set the dots of a curve; steps are joined by a vertical line."""
     rows, columns = dots.shape
     place = np.linspace(0.0, len(curve.error) - 1.0, columns)
@@ -375,7 +375,7 @@ def _characters(dots: NDArray[np.bool_]) -> list[str]:
     return ["".join(map(chr, line)) for line in codes]
 
 
-def _legend(curves: Sequence[Curve]) -> list[str]:
+def _legend(curves: Sequence[EffectCurve]) -> list[str]:
     named = [(s, c.held) for s, c in zip(SAMPLES, curves, strict=False) if c.held]
     if len(named) == 1:
         return [named[0][1]]

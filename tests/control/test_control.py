@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from rtec.control.client import Client, Place, find
+from rtec.control.client import Client, DaemonPlace, find
 from rtec.control.messages import LARGEST_REQUEST
 from rtec.control.places import answers, listen, socket_path
 from rtec.control.server import LARGEST_BUFFER, MOST_CONNECTIONS, Control, Guests
@@ -120,7 +120,7 @@ def test_a_path_too_long_for_a_socket_is_told(tmp_path: Path) -> None:
 
 def test_finding_a_daemon(setup: Setup, control: Control, tmp_path: Path) -> None:
     del control
-    assert find(setup.path, None, None) == Place(socket_path(setup.path))
+    assert find(setup.path, None, None) == DaemonPlace(socket_path(setup.path))
     with pytest.raises(RtecError, match=r"no daemon runs with .*other.toml.*start one with `rtec run .*other.toml`"):
         find(tmp_path / "other.toml", None, None)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from rtec.control.client import Client, Place, find
+from rtec.control.client import Client, DaemonPlace, find
 from rtec.control.relay import relay
 from rtec.control.server import Control
 from rtec.errors import ConfigError, RtecError
@@ -82,7 +82,7 @@ def test_it_hands_on_both_ways_and_ends_when_all_is_answered(setup: Setup, daemo
 def test_who_reads_and_who_operates(setup: Setup, daemon: FakeDaemon) -> None:
     """By the command that the key is bound to. Oracle: the orders that the daemon was given."""
     relays = {
-        role: Place(command=(*RTEC.split(), "ctl", "relay", str(setup.path), "--role", role, "--name", role))
+        role: DaemonPlace(command=(*RTEC.split(), "ctl", "relay", str(setup.path), "--role", role, "--name", role))
         for role in ("read", "operate")
     }
     with Client(relays["read"]) as office:
@@ -96,8 +96,8 @@ def test_who_reads_and_who_operates(setup: Setup, daemon: FakeDaemon) -> None:
 
 def test_the_client_says_why() -> None:
     with pytest.raises(RtecError, match="cannot be started: No such file"):
-        Client(Place(command=("no-such-ssh",)))
-    with Client(Place(command=("false",))) as client, pytest.raises(RtecError, match="no answer by `false`"):
+        Client(DaemonPlace(command=("no-such-ssh",)))
+    with Client(DaemonPlace(command=("false",))) as client, pytest.raises(RtecError, match="no answer by `false`"):
         client.status()
 
 
@@ -129,10 +129,10 @@ def test_through_a_real_sshd(setup: Setup, daemon: FakeDaemon, tmp_path: Path) -
     if os.geteuid() == 0:
         Path("/run/sshd").mkdir(exist_ok=True)
 
-    def at(name: str) -> Place:
+    def at(name: str) -> DaemonPlace:
         place = find(setup.path, f"127.0.0.1:{port}", tmp_path / name)
         trust = ("-o", "StrictHostKeyChecking=no", "-o", f"UserKnownHostsFile={tmp_path}/known")
-        return Place(command=(place.command[0], *trust, *place.command[1:]))
+        return DaemonPlace(command=(place.command[0], *trust, *place.command[1:]))
 
     with subprocess.Popen([SSHD, "-D", "-e", "-f", str(tmp_path / "config")], stderr=subprocess.PIPE) as sshd:
         try:

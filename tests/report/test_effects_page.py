@@ -17,7 +17,7 @@ from rtec.effects.time_data import NOT_EFFECTS
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.report import effects as effects_page
 from rtec.report import effects_figures as effects_figure
-from rtec.report.effects_figures import POINTS, Curve, Shape, example_machine, example_of, shape_of
+from rtec.report.effects_figures import POINTS, EffectCurve, EffectShape, example_machine, example_of, shape_of
 
 ABOUTS = {**{name: kind.about for name, kind in EFFECTS.items()}, **NOT_EFFECTS}
 OWN = {"expression"}
@@ -147,9 +147,9 @@ def test_shapes_that_are_known_by_heart() -> None:
     assert growth.curves[0].error[0] == 0.0
 
 
-def line_shape(*errors: np.ndarray) -> Shape:
+def line_shape(*errors: np.ndarray) -> EffectShape:
     names = ("up", "down", "third")
-    return Shape("EXX", "µm", "x, mm", np.linspace(0, 1, 97), tuple(map(Curve, names, errors)), "A = 1 µm")
+    return EffectShape("EXX", "µm", "x, mm", np.linspace(0, 1, 97), tuple(map(EffectCurve, names, errors)), "A = 1 µm")
 
 
 def dots(lines: list[str]) -> np.ndarray:

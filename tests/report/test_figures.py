@@ -21,7 +21,7 @@ from rtec.report import (
     hil,
     procedures_figures,
 )
-from rtec.report.effects_figures import Curve, Shape
+from rtec.report.effects_figures import EffectCurve, EffectShape
 from tests.support.figures import drawn, lines
 
 Floats = NDArray[np.float64]
@@ -82,8 +82,8 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     ),
     "hil": lambda: drawn(hil.tip_errors, HOURS, [("X", NOISE[:25], NOISE[25:50])], [("silent", 3.0, 6.0)]),
     "shape": lambda: drawn(
-        effects_figures.figure, "Backlash", "e = B", Shape(
-            "EXX", "µm", "position of X, mm", HOURS, (Curve("moving +", HOURS), Curve("moving -", -HOURS)), "B = 1 µm"
+        effects_figures.figure, "Backlash", "e = B", EffectShape(
+            "EXX", "µm", "position of X, mm", HOURS, (EffectCurve("moving +", HOURS), EffectCurve("moving -", -HOURS)), "B = 1 µm"
         )
     ),
     "demo, over time": lambda: drawn(demo.over_time, HOURS, BOTH, 8.0),

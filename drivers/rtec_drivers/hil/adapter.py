@@ -26,7 +26,7 @@ Value = Callable[[], float]
 
 
 @dataclass
-class Number:
+class SignalNumber:
     """A number in a frame: what it is, how it becomes a raw one, what says that its wire is broken.
 
     Attributes:
@@ -55,7 +55,7 @@ class FrameOut:
     identifier: int
     extended: bool
     pack: Callable[[Mapping[str, float]], bytes]
-    numbers: dict[str, Number] = field(default_factory=dict)
+    numbers: dict[str, SignalNumber] = field(default_factory=dict)
 
     def line(self, shift: int) -> bytes:
         """It as the adapter says it."""
@@ -141,9 +141,9 @@ def adapter(
     dbc = _dbc(base / options.dbc) if options.dbc is not None else None
     frames: dict[tuple[int, bool], FrameOut] = {}
     for name, table in options.temperature.items():
-        _put(frames, dbc, table, Number(sensors[name], table.scale, table.offset, _open_code(table)))
+        _put(frames, dbc, table, SignalNumber(sensors[name], table.scale, table.offset, _open_code(table)))
     if options.spindle is not None:
-        _put(frames, dbc, options.spindle, Number(rpm, options.spindle.scale, 0.0, None))
+        _put(frames, dbc, options.spindle, SignalNumber(rpm, options.spindle.scale, 0.0, None))
     return SlcanSimulator(list(frames.values()), [n.id for n in options.node.values()])
 
 
@@ -152,7 +152,7 @@ def _open_code(table: TemperatureSignal) -> float:
     return table.open_codes[0] if table.open_codes else beyond
 
 
-def _put(frames: dict[tuple[int, bool], FrameOut], dbc: Any, options: SignalOptions, number: Number) -> None:
+def _put(frames: dict[tuple[int, bool], FrameOut], dbc: Any, options: SignalOptions, number: SignalNumber) -> None:
     """Give a number its place; several signals may share a frame."""
     if options.node is not None:
         identifier = options.cob_id or PDO_BASE + (options.pdo - 1) * PDO_STEP + options.node

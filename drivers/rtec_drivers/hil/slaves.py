@@ -22,7 +22,7 @@ Value = Callable[[], float]
 
 
 @dataclass(frozen=True)
-class Place:
+class RegisterPlace:
     """Where a slave keeps a number, and what the number is."""
 
     register: Register
@@ -40,7 +40,7 @@ class SlaveSimulator:
         open: its first thermocouple is open.
     """
 
-    def __init__(self, number: int, places: list[Place]) -> None:
+    def __init__(self, number: int, places: list[RegisterPlace]) -> None:
         self.number = self.answers_as = number
         self.silent, self.open, self.late_ns = False, False, 0
         self._places = places
@@ -120,7 +120,7 @@ def slave_line(options: ModbusOptions, sensors: Mapping[str, Value], where: str)
     return SlaveLine([SlaveSimulator(t.id, _places(t, sensors, where)) for t in options.slave.values()])
 
 
-def _places(table: SlaveOptions, sensors: Mapping[str, Value], where: str) -> list[Place]:
+def _places(table: SlaveOptions, sensors: Mapping[str, Value], where: str) -> list[RegisterPlace]:
     registers = dict(table.register_)
     if table.profile is not None:
         profile = load_profile(table.profile)
@@ -128,7 +128,7 @@ def _places(table: SlaveOptions, sensors: Mapping[str, Value], where: str) -> li
     voltages = [name for name, r in registers.items() if r.thermocouple is not None]
     if voltages:
         raise ConfigError(f"{where} {', '.join(voltages)}: the bench's slaves give temperatures, not voltages")
-    return [Place(register, sensors[name]) for name, register in registers.items()]
+    return [RegisterPlace(register, sensors[name]) for name, register in registers.items()]
 
 
 def _raw(register: Register, degc: float, is_open: bool) -> bytes:

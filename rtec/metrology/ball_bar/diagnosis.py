@@ -36,7 +36,7 @@ from rtec.metrology.ball_bar.phase import (
     servo_phase,
     shifts,
 )
-from rtec.metrology.ball_bar.search import NOISE_UM, SearchResult, search
+from rtec.metrology.ball_bar.search import NOISE_UM, CausesFound, search
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import one_blas_thread
 from rtec.wording import significant
@@ -296,7 +296,7 @@ class BallBarDiagnosis:
     explained_bb: float
     window_deg: float
     near_quadrants: float
-    found: SearchResult = field(default_factory=SearchResult)
+    found: CausesFound = field(default_factory=CausesFound)
     centre: Centre = "shared"
     dynamic: bool = True
     phase: PhaseChoice = field(default_factory=lambda: PhaseChoice(()))
@@ -353,7 +353,7 @@ def _diagnose(
     still = fit(commanded, bent=False, window_deg=window_deg, centre=centre)
     lag = loop_lag(commanded, still, window_deg, centre) if dynamic else LoopLag(commanded, 0.0, 0.0)
     circles = lag.circles
-    found = search(circles, still, window_deg, centre, lag.unsure_s) if dynamic else SearchResult()
+    found = search(circles, still, window_deg, centre, lag.unsure_s) if dynamic else CausesFound()
     fitted, reason = chosen(circles, model, window_deg, centre, found.beyond)
     changed: tuple[Shift, ...] = ()
     if not phase.decided:
@@ -383,7 +383,7 @@ def _diagnose(
     )
 
 
-def _with_twins(fitted: Fitted, found: SearchResult) -> Fitted:
+def _with_twins(fitted: Fitted, found: CausesFound) -> Fitted:
     """Parameters with the causes that these tests do not separate from them: each value is then of them all."""
     twins: dict[str, list[str]] = {}
     for other in found.left_out:

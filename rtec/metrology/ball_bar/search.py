@@ -176,7 +176,7 @@ class NotFound:
 
 
 @dataclass(frozen=True)
-class SearchResult:
+class CausesFound:
     """What a search gives.
 
     Attributes:
@@ -192,7 +192,7 @@ class SearchResult:
 
 def search(
     circles: Sequence[CircleTest], still: Fitted, window_deg: float, centre: Centre, late_s: float
-) -> SearchResult:
+) -> CausesFound:
     """Find what the readings show beyond [BB]'s parameters.
 
     Args:
@@ -207,7 +207,7 @@ def search(
     count = sum(len(c) for c in table.circles)
     if not table.tried or count < 2 * (table.base.shape[1] + sum(c[0].shape[1] for c in table.columns)):
         beyond = Beyond(clearance_um=clearance, late_s=late_s)
-        return SearchResult(beyond, (), (*table.left_out, *_too_few(table, count)))
+        return CausesFound(beyond, (), (*table.left_out, *_too_few(table, count)))
     reading = _reading(table)
     work = work_of(table, reading, replace(WHITE, window_deg=window_deg), tuple(len(c) // 2 for c in table.columns))
     for _ in range(NOISE_ROUNDS):
@@ -223,7 +223,7 @@ def search(
     noise = judged(work_of(best, reading, work.noise, (0,) * len(work.way)), window_deg)[0]
     beside = tuple(_beside(picks, table.left_out))
     beyond = Beyond(picks, noise, clearance, late_s, beside, tuple(_dropped(work, stays)))
-    return SearchResult(beyond, tuple(_limits(work, stays, rows)), table.left_out)
+    return CausesFound(beyond, tuple(_limits(work, stays, rows)), table.left_out)
 
 
 def _beside(picks: Sequence[Pick], left_out: Sequence[NotLookedFor]) -> Iterator[Cause]:

@@ -31,7 +31,7 @@ LONGEST = 30.0
 
 
 @dataclass(frozen=True)
-class Pair:
+class OnAndOff:
     """Two approaches at once, the quick one first.
 
     Attributes:
@@ -81,7 +81,7 @@ class Approach:
     rms: float
     noise: float
     effective: float
-    pair: Pair | None
+    pair: OnAndOff | None
     words: str
 
     def values(self, time_s: Floats) -> Floats:
@@ -113,7 +113,7 @@ def approach(time_s: Floats, reading: Floats) -> Approach:
     return Approach(start, change, tau, low, high, reached, rms, noise, effective, pair, words)
 
 
-def _better_pair(time_s: Floats, reading: Floats, least: float) -> Pair | None:
+def _better_pair(time_s: Floats, reading: Floats, least: float) -> OnAndOff | None:
     """Two approaches if an F test takes them over one; time constants from the sampling to the length of the record."""
     from scipy.stats import f
 
@@ -136,7 +136,7 @@ def _better_pair(time_s: Floats, reading: Floats, least: float) -> Pair | None:
         return None
     start, *changes = (float(v) for v in fit.values)
     errors = ends * _log_errors(time_s, fit, ends)
-    return Pair(
+    return OnAndOff(
         (changes[0], changes[1]), (float(ends[0]), float(ends[1])), (float(errors[0]), float(errors[1])), start, fit.rms
     )  # fmt: skip
 
