@@ -81,7 +81,9 @@ def shape_of(kind: type[Effect]) -> EffectShape | None:
         return None
     theta = {p.name: p.start for p in effect.nonlinear(machine)}
     view = _view(effect, machine, theta)
-    curves = tuple(EffectCurve(held, _error(effect, machine, theta, view.x, channels)) for held, channels in view.curves)
+    curves = tuple(
+        EffectCurve(held, _error(effect, machine, theta, view.x, channels)) for held, channels in view.curves
+    )
     if not all(np.isfinite(c.error).all() for c in curves):
         return None
     unit = "µrad" if effect.unit == "urad" else "µm"

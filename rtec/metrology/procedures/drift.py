@@ -31,7 +31,7 @@ LONGEST = 30.0
 
 
 @dataclass(frozen=True)
-class OnAndOff:
+class TwoApproaches:
     """Two approaches at once, the quick one first.
 
     Attributes:
@@ -81,7 +81,7 @@ class Approach:
     rms: float
     noise: float
     effective: float
-    pair: OnAndOff | None
+    pair: TwoApproaches | None
     words: str
 
     def values(self, time_s: Floats) -> Floats:
@@ -113,7 +113,7 @@ def approach(time_s: Floats, reading: Floats) -> Approach:
     return Approach(start, change, tau, low, high, reached, rms, noise, effective, pair, words)
 
 
-def _better_pair(time_s: Floats, reading: Floats, least: float) -> OnAndOff | None:
+def _better_pair(time_s: Floats, reading: Floats, least: float) -> TwoApproaches | None:
     """Two approaches if an F test takes them over one; time constants from the sampling to the length of the record."""
     from scipy.stats import f
 
@@ -136,7 +136,7 @@ def _better_pair(time_s: Floats, reading: Floats, least: float) -> OnAndOff | No
         return None
     start, *changes = (float(v) for v in fit.values)
     errors = ends * _log_errors(time_s, fit, ends)
-    return OnAndOff(
+    return TwoApproaches(
         (changes[0], changes[1]), (float(ends[0]), float(ends[1])), (float(errors[0]), float(errors[1])), start, fit.rms
     )  # fmt: skip
 
