@@ -1,9 +1,9 @@
-"""Chooses terms on readings that were left out of the fit, and says where that does not decide.
+"""Chooses terms on readings that were held out of the fit, and says where that does not decide.
 
-Forward, one term at a time, by the error on left-out blocks; then the smallest choice within one standard error of
-the best; then terms that do not pay are dropped, and each is tried against its rivals.
-
-Left-out errors of choices among candidates, from one set of normal equations.
+Forward, one term at a time, by the error on held-out blocks; then the smallest choice within one standard error of the
+best; then terms that do not pay are dropped, and each is tried against its rivals. The held-out errors of all choices
+come from one set of normal equations. Choices that the held-out readings cannot separate from the one that was made are
+listed.
 """
 
 from collections.abc import Sequence
@@ -13,12 +13,64 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.candidates import TermCandidate
-from rtec.characterise.equivalents import UndecidedTerm, find_rivals
 from rtec.characterise.normal import NOTHING, Normal, solve, squares_left
+from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
 from rtec.characterise.stream import Progress
 
 Floats = NDArray[np.float64]
+
+NEAR = 0.02
+"""Left-out errors that differ by less than this share decide nothing."""
+SAME = 0.1
+"""Predictions that differ by less than this share of what is left are the same prediction."""
+TRIED = 80
+
+
+def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedTerm]:
+    """Exchange each temperature, difference or speed of a choice for every other, and list what is as good.
+
+    Another lag of the same sensor is no rival, nor is what predicts the same.
+    """
+    out: list[UndecidedTerm] = []
+    here = float(np.sqrt(table.held_out(chosen)))
+    for i in chosen:
+        mine = table.candidates[i]
+        if not mine.feature:
+            continue
+        rest = [j for j in chosen if j != i]
+        best: dict[tuple[str, ...], UndecidedTerm] = {}
+        for k in table.shortlist(rest, TRIED):
+            other = table.candidates[k]
+            if not other.feature or other.channels == mine.channels or other.component != mine.component:
+                continue
+            there = float(np.sqrt(table.held_out([*rest, k])))
+            if there > here * (1 + NEAR) or (other.channels in best and best[other.channels].held_out <= there):
+                continue
+            apart = _difference_um(table, chosen, [*rest, k])
+            if apart > SAME * here:
+                best[other.channels] = UndecidedTerm(
+                    mine.label, other.label, mine.component, other.channels, there, here, apart
+                )
+        out += sorted(best.values(), key=lambda r: r.held_out)
+    return out
+
+
+def _difference_um(table: "HeldOutTable", one: Sequence[int], other: Sequence[int]) -> float:
+    """Root mean square difference of two choices' predictions, nuisances left free."""
+    union = sorted({*one, *other})
+    columns = [table.columns[i] for i in union]
+    part = table.normal.pick(np.concatenate(columns))
+    owner = np.repeat(union, [len(c) for c in columns])
+    difference = np.zeros(part.width + len(part.extra))
+    for chosen, sign in ((one, 1.0), (other, -1.0)):
+        inside = np.append(np.flatnonzero(np.isin(owner, chosen)), np.arange(part.width, len(difference)))
+        gram = part.total[np.ix_(np.append(inside, len(difference)), np.append(inside, len(difference)))]
+        difference[inside] += sign * solve(gram[None])[0]
+    square = float(difference @ part.total[:-1, :-1] @ difference)
+    return float(np.sqrt(max(square, 0.0) / table.freedom))
+
+
 Ints = NDArray[np.int64]
 
 SHORTLIST = 40

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.equivalents import UndecidedTerm
 from rtec.characterise.noise import Outlier
 from rtec.estimation.judge import Judgement
 from rtec.model import Model
@@ -85,6 +84,27 @@ class SearchStep:
     added: str
     inside: float
     held_out: float
+
+
+@dataclass(frozen=True)
+class UndecidedTerm:
+    """Another choice that is as good on the left-out blocks.
+
+    Attributes:
+        instead_of, candidate: labels of the term and of what might stand in its place.
+        component: that it feeds.
+        channels: what drives the rival.
+        held_out, chosen_held_out: root mean squares on left-out blocks, in units of the rough noise.
+        apart: root mean square difference of the two predictions where there are readings, in the same units.
+    """
+
+    instead_of: str
+    candidate: str
+    component: str
+    channels: tuple[str, ...]
+    held_out: float
+    chosen_held_out: float
+    apart: float
 
 
 @dataclass(frozen=True)

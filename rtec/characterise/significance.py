@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtec.characterise.equivalents import NEAR
+from rtec.characterise.choose import NEAR
 from rtec.characterise.estimate import Estimate
 from rtec.characterise.normal import Normal
 

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.coverage import cover_warnings
-from rtec.characterise.equivalents import UndecidedTerm
 from rtec.characterise.estimate import Estimate
 from rtec.characterise.identifiable import label
 from rtec.characterise.noise import Outlier, quick_noise, rough_noise
-from rtec.characterise.result import Warn
+from rtec.characterise.result import UndecidedTerm, Warn
 from rtec.characterise.source import Source, reads
 from rtec.estimation.visible import moves
 from rtec.machine import Axis

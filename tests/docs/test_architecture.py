@@ -3,13 +3,21 @@
 Oracle: the modules and folders themselves, and Python's own import machinery.
 """
 
+import ast
 import importlib
 import re
+from collections import Counter
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+MODULES = {
+    ".".join(path.relative_to(ROOT / top).with_suffix("").parts): ast.parse(path.read_text(encoding="utf-8"))
+    for top in (".", "drivers")
+    for path in sorted((ROOT / top).glob("rtec*/**/*.py"))
+}
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 WALKS = re.findall(r"^\| `([\w.]+)` \|", PAGE, flags=re.MULTILINE)
 
@@ -33,3 +41,23 @@ def test_each_module_is_visited_once_but_the_driver() -> None:
     """Forward only: the count goes back to the device that it came from, and to no other room twice."""
     twice = {module for module in WALKS if WALKS.count(module) > 1}
     assert twice == {"rtec_drivers.box.driver"}
+
+
+def imports(tree: ast.Module) -> set[str]:
+    """Modules of this project that a module imports, anywhere in it, for types too."""
+    froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
+    names = {name for node in froms for a in node.names for name in (f"{node.module}.{a.name}", str(node.module))}
+    return names & MODULES.keys()
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """Imports for types count. Oracle: a topological order, which no circle has."""
+    order = list(TopologicalSorter({name: imports(tree) - {name} for name, tree in MODULES.items()}).static_order())
+    assert len(order) == len(MODULES) > 200
+
+
+def test_each_public_class_name_is_used_once() -> None:
+    """A name that two classes have says of neither what it is."""
+    names = [n.name for tree in MODULES.values() for n in tree.body if isinstance(n, ast.ClassDef)]
+    assert len(names) > 400
+    assert [name for name, times in Counter(names).items() if times > 1 and not name.startswith("_")] == []

@@ -83,7 +83,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "hil": lambda: drawn(hil.tip_errors, HOURS, [("X", NOISE[:25], NOISE[25:50])], [("silent", 3.0, 6.0)]),
     "shape": lambda: drawn(
         effects_figures.figure, "Backlash", "e = B", EffectShape(
-            "EXX", "µm", "position of X, mm", HOURS, 
+            "EXX", "µm", "position of X, mm", HOURS,
             (EffectCurve("moving +", HOURS), EffectCurve("moving -", -HOURS)), "B = 1 µm",
         )
     ),
