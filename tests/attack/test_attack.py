@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.attack.__main__ import GROWTH_MB, Row, show
+from tests.attack.__main__ import GROWTH_MB, KILLS, Row, killed, show
 
 
 @pytest.mark.parametrize(
@@ -19,3 +19,26 @@ from tests.attack.__main__ import GROWTH_MB, Row, show
 def test_every_loss_is_one(row: Row, status: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert show([row]) == status
     assert ("LOST" in capsys.readouterr().out) == bool(status)
+
+
+def begun(*output: int) -> dict[str, object]:
+    """A loop that took over this ledger after the second command."""
+    return {"after": 2, "output": list(output), "mode": 0, "kept_ns": 0}
+
+
+@pytest.mark.parametrize(
+    ("begins", "saved", "lost"),
+    [
+        ([begun(0, 0), begun(1, 0), begun(1, 0)], [1, 0], 0),
+        ([begun(0, 0)], [1, 0], 0),  # all others died before they took over
+        ([begun(0, 0), begun(0, 0), begun(1, 0)], [1, 0], 1),
+        ([begun(0, 0), begun(1, 0)], [5, 0], 1),
+    ],
+)
+def test_a_kill_is_lost_where_a_ledger_is_wrong(begins: list[object], saved: list[int], lost: int) -> None:
+    """Two commands went out, the second of one count; what a loop takes over after them must be that one."""
+    commands = [[0, 0, 0, 0, 0], [1, 0, 0, 1, 0], [2, 0, 0, 1, 0]]
+    found = {"commands": commands, "begins": begins, "saved": saved, "inserted": [1, 0]}
+    survived, step = killed(found, "box")
+    assert survived == KILLS - lost
+    assert 0.0 < step <= 1.0
