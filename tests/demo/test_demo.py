@@ -311,7 +311,7 @@ def test_command(
     assert main.status(words) == 0
     out = capsys.readouterr().out
     assert "Seed 5" in out
-    assert "What is left" in out
+    assert "What stays uncorrected" in out
     assert asked == [5, 5]
 
 
