@@ -88,7 +88,7 @@ def _show(story: "Story", page: Path, model_out: Path | None) -> None:
         "Diameter and length count from the first, cold part. Typical: root mean square. NIST: its guidelines [G 4].\n",
         markup=False,
     )
-    rest = Table("uncorrected", "rms, µm", "largest, µm", "why", title="Uncorrected residual at the tool tip")
+    rest = Table("source", "rms, µm", "largest, µm", "why", title="What stays uncorrected at the tool tip")
     facts = story.facts()["left_uncorrected"]
     for row in facts:
         rest.add_row(row["part"], f"{row['rms_um']:.2f}", f"{row['largest_um']:.2f}", row["why"])
