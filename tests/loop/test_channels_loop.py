@@ -208,7 +208,7 @@ def test_inputs_of_the_run_file(tmp_path: Path) -> None:
         ("force", "40 N", "run file"),
     ]
     for wrong, message in (
-        ({"load_kg": -1.0}, r"\[inputs\] load_kg: .*greater than or equal to 0"),
+        ({"load_kg": -1.0}, r"\[inputs\] load_kg: must be from 0"),
         ({"load": 1.0}, r"\[inputs\] unknown key 'load'; did you mean 'load_kg'"),
         ({"motion_filter_s": 0.0}, r"\[inputs\] motion_filter_s"),
     ):

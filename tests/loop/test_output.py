@@ -30,7 +30,8 @@ from rtec.replay.replay import replay_log
 from tests.support import setups
 from tests.support.output_rigs import FAULTS, MS, RIGS, OutputRig, SimRig
 
-WELL, BAD, AFTER = 500, 1000, 800
+WELL, BAD, FADE, AFTER = 500, 1000, 300, 800
+"""Cycles. At 50 µm/s 25 counts of half a micrometre take 250 to fade."""
 SLEW_UM_S, ACCELERATION_UM_S2 = 50.0, 2000.0
 """Of tests/support/setups.py; at 2 counts/µm and 1 kHz a cycle's 0.1 counts are one count at most."""
 MOST_COUNTS = 1
@@ -51,7 +52,7 @@ class Run:
 
     def __init__(self, rig: OutputRig, made: Setup, mode: int = MODE_ON) -> None:
         self.rig, self.step = rig, Step(made.step_settings())
-        n = WELL + BAD + AFTER
+        n = WELL + BAD + FADE + AFTER
         self.samples, self.commands = Samples.empty(self.step.layout, n), Commands.empty(self.step.layout, n)
         rows = bind_rows(self.step, list(zip(self.samples.singles(), self.commands.singles(), strict=True)))
         sensors = _Sensors(rig)
@@ -135,7 +136,7 @@ def test_a_command_is_never_further_than_one_cycle_from_what_the_machine_has(
     run.cycles(AFTER // 4)
     if fault in ("reset", "refuse") and run.loop.waits:
         run.loop.order_resume()
-    run.cycles(AFTER // 4)
+    run.cycles(AFTER // 4 + FADE)
     assert rig.has() == [0, 0], "it fades"
     run.loop.mode = MODE_ON
     after = run.cycles(AFTER // 2)

@@ -269,7 +269,7 @@ def test_run_numbers_are_integers(tmp_path: Path) -> None:
         ({"column": {"x_mm": {"unit": "s"}}}, "[column.x_mm] s is a unit of time, mm of length"),
         ({"column": {"x_mm": {"unit": None}}}, "[column.x_mm] nobody tells the unit of 'x'; say unit"),
         ({"column": {"x_mm": {"sign": 2}}}, "sign"),
-        ({"column": {"x_mm": {"scale": 0}}}, "scale is 0"),
+        ({"column": {"x_mm": {"scale": 0}}}, "scale: must not be 0"),
         ({"column": {"x_mm": {"fill": "zero"}}}, "fill"),
         ({"column": {"reading_um": {"minus": "q"}}}, "there is no column 'q'"),
         ({"column": {"reading_um": None}}, "no reading"),

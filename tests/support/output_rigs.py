@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.errors import DriverFault, DriverTimeout
+from rtec.errors import DriverError, DriverFault, DriverTimeout
 from rtec.loop.clock import VirtualClock
 from rtec.tomlfile import validated
 from rtec_drivers.box import driver as serial_box
@@ -20,6 +20,7 @@ from rtec_drivers.box import protocol
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 from rtec_drivers.can import box as can_box
 from rtec_drivers.pty_peer import WireFaults
+from rtec_drivers.reopen import Reopener
 from rtec_drivers.sim import SimDriver, SimOptions
 from rtec_drivers.zmq import driver as zmq_link
 from rtec_drivers.zmq.link import ZmqOptions
@@ -126,11 +127,26 @@ class SimRig(OutputRig):
             self.driver.lose()
 
 
+def reopen_at_once(monkeypatch: Any) -> None:
+    """What was lost is opened in the cycle in which it is due: the thread that does it knows no virtual clock."""
+
+    def order(self: Reopener[Any]) -> None:
+        self.attempts += 1
+        self._busy = True
+        try:
+            self._results.put(self._attempt())
+        except DriverError as e:
+            self._results.put(str(e))
+
+    monkeypatch.setattr(Reopener, "_order", order)
+
+
 class SerialBoxRig(OutputRig):
     """The encoder box on a line in memory."""
 
     def __init__(self, monkeypatch: Any) -> None:
         super().__init__()
+        reopen_at_once(monkeypatch)
         rig, self.plant = self, StillPlant(2)
 
         class Box(BoxSimulator):
