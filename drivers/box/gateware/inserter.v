@@ -1,0 +1,114 @@
+// Inserter of one axis: decodes A and B, adds counts between their edges, and encodes the sum.
+//
+//     corrected = raw + inserted, at every clock
+//
+// The rules are those of docs/pulse-insertion.md, a clock for a sample. The decided sample is SEPARATION - 1 clocks old:
+// what came after it is the look-ahead that keeps an inserted edge clear of the raw edge behind it.
+//
+// - A raw edge passes with a fixed latency and is never moved. A transition of both lines at once passes as it is; it
+//   counts nothing and is flagged.
+// - An inserted edge has no other edge nearer than SEPARATION clocks. Where the axis moves too fast, the count waits.
+// - A count against the motion may be made by leaving a raw edge out.
+// - Between two inserted counts there are at least `interval` clocks.
+// - `whole_cycles`: four counts at a time; a cycle once begun is finished, and more than half a one must be wanting.
+`default_nettype none
+module inserter #(
+    parameter SEPARATION = 16,  // clocks, at least 2
+    parameter WIDTH      = 32,  // bits of raw, inserted and corrected
+    parameter RATE_BITS  = 16
+) (
+    input  wire                    clk,
+    input  wire                    rst,           // ledger to zero; lines pass
+    input  wire                    a,             // filtered lines
+    input  wire                    b,
+    input  wire                    z,
+    input  wire signed [WIDTH-1:0] target,        // inserted counts wanted, absolute
+    input  wire                    whole_cycles,
+    input  wire [RATE_BITS-1:0]    interval,      // clocks from one inserted count to the next, at least 1
+    input  wire                    clear_fault,
+    output reg signed [WIDTH-1:0]  raw,           // counts of the encoder, x4, A before B is positive
+    output reg signed [WIDTH-1:0]  inserted,
+    output wire                    a_out,         // lines of the corrected signal
+    output wire                    b_out,
+    output wire                    z_out,         // the index as it came, with the latency of A and B
+    output reg signed [WIDTH-1:0]  at_index,      // raw count at the last rising index
+    output reg                     fault          // both lines changed at once, since the last clear
+);
+  localparam NEAR_BITS = $clog2(SEPARATION + 2);
+  localparam [NEAR_BITS-1:0] CLEAR = SEPARATION;
+
+  // The last SEPARATION samples as phases 0..3 along positive motion; the oldest one is decided.
+  wire [1:0] phase_in = {b, a ^ b};
+  reg [1:0] phase[0:SEPARATION-1];
+  reg [SEPARATION-1:0] index;
+  reg [1:0] was;  // phase of the sample before the decided one
+  reg index_before;
+  reg [NEAR_BITS-1:0] filled;
+  integer i;
+  always @(posedge clk) begin
+    phase[0] <= phase_in;
+    for (i = 1; i < SEPARATION; i = i + 1) phase[i] <= phase[i-1];
+    index <= {index[SEPARATION-2:0], z};
+    was <= phase[SEPARATION-1];
+    index_before <= index[SEPARATION-1];
+    if (rst) filled <= 0;
+    else if (filled != CLEAR + 1'b1) filled <= filled + 1'b1;
+  end
+  wire running = filled == CLEAR + 1'b1;  // the delay line holds samples, and the one before the decided one
+
+  // What the decided sample is, and what is near it.
+  wire [1:0] change = phase[SEPARATION-1] - was;
+  wire raw_up = change == 2'd1, raw_down = change == 2'd3, raw_both = change == 2'd2;
+  wire raw_edge = change != 2'd0;
+  wire edge_in = phase[0] != phase[1];  // enters the look-ahead: a change of the newest sample
+  reg [NEAR_BITS-1:0] since_in, since_raw, since_edge;
+  wire ahead_clear = since_in >= CLEAR - 2 && !edge_in;
+  wire behind_clear = since_raw >= CLEAR - 1 && since_edge >= CLEAR - 1;
+
+  // What is wanted.
+  reg signed [WIDTH-1:0] cycle_goal;
+  wire signed [WIDTH-1:0] wanting = target - cycle_goal;
+  wire more = inserted == cycle_goal && wanting > 2, less = inserted == cycle_goal && wanting < -2;
+  wire signed [WIDTH-1:0] goal = !whole_cycles ? target : more ? cycle_goal + 4 : less ? cycle_goal - 4 : cycle_goal;
+  reg [RATE_BITS-1:0] since_insertion;
+  wire due = running && since_insertion + 1'b1 >= interval;
+  wire wants_up = due && goal > inserted, wants_down = due && goal < inserted;
+
+  wire alone = !raw_edge && ahead_clear && behind_clear;
+  wire up = wants_up && (alone || raw_down);
+  wire down = wants_down && (alone || raw_up);
+  wire insert = up || down;
+  wire signed [WIDTH-1:0] inserted_next = inserted + (up ? 1 : down ? -1 : 0);
+
+  // Lines and ledger change at the same clock.
+  reg [1:0] phase_out;
+  reg z_late;
+  always @(posedge clk) begin
+    if (rst || !running) begin
+      raw <= 0;
+      inserted <= 0;
+      cycle_goal <= 0;
+      fault <= 0;
+      at_index <= 0;
+      since_raw <= CLEAR;
+      since_edge <= CLEAR;
+      since_insertion <= {RATE_BITS{1'b1}} - 1'b1;
+    end else begin
+      raw <= raw + (raw_up ? 1 : raw_down ? -1 : 0);
+      inserted <= inserted_next;
+      cycle_goal <= goal;
+      fault <= raw_both || (fault && !clear_fault);
+      if (index[SEPARATION-1] && !index_before) at_index <= raw + (raw_up ? 1 : raw_down ? -1 : 0);
+      since_raw <= raw_edge ? 0 : since_raw + (since_raw != CLEAR);
+      since_edge <= insert && !raw_edge ? 0 : since_edge + (since_edge != CLEAR);
+      since_insertion <= insert ? 0 : since_insertion + (since_insertion + 1'b1 < interval);
+    end
+    since_in <= edge_in ? 0 : since_in + (since_in != CLEAR);
+    phase_out <= phase[SEPARATION-1] + (rst || !running ? 2'd0 : inserted_next[1:0]);
+    z_late <= index[SEPARATION-1];
+  end
+  assign a_out = phase_out[1] ^ phase_out[0];
+  assign b_out = phase_out[1];
+  assign z_out = z_late;
+endmodule
+`default_nettype wire

@@ -1,0 +1,138 @@
+"""The gateware's box link, UART and all, against the box in software: the same answers to the same bytes.
+
+Oracle: `BoxSimulator`, written from docs/rtec-box-link.md and checked against its test vectors; and the counts that an
+independent decoder makes of the lines that go out. The instant in an answer is the chip's own clock: only its order
+is compared.
+"""
+
+import random
+import struct
+from collections.abc import Iterator
+
+import pytest
+
+from rtec_drivers.box.simulator import BoxSimulator, StillPlant, crc32, stuff, unstuff
+from tests.support.gateware import GatewareBox, missing
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+MS = 1_000_000
+HELLO, READ, COMMAND, RESUME = 1, 2, 3, 4
+
+
+def frame(kind: int, number: int, payload: bytes = b"", version: int = 1) -> bytes:
+    """A frame on the wire."""
+    body = bytes((version, kind)) + number.to_bytes(2, "little") + payload
+    return b"\0" + stuff(body + crc32(body).to_bytes(4, "little")) + b"\0"
+
+
+def command(number: int, boot: int, *targets: int) -> bytes:
+    """A COMMAND."""
+    return frame(COMMAND, number, struct.pack(f"<H{len(targets)}i", boot, *targets))
+
+
+def bodies(data: bytes) -> list[bytes]:
+    """Frames in what came, without their CRC, which must be right."""
+    out = []
+    for block in data.split(b"\0"):
+        if block:
+            body = unstuff(block)
+            assert crc32(body[:-4]) == int.from_bytes(body[-4:], "little")
+            out.append(body[:-4])
+    return out
+
+
+class Both:
+    """The gateware and the software, told the same."""
+
+    def __init__(self, **options: int) -> None:
+        self.hard_plant, self.soft_plant = StillPlant(2), StillPlant(2)
+        self.hard = GatewareBox(self.hard_plant, 2, **options)
+        self.soft = BoxSimulator(self.soft_plant, 2, **options)
+        self.now_ns = 10**9
+        self.last_us = -1
+
+    def move(self, *position: int) -> None:
+        """Both encoders go there; the gateware's take an edge after the other."""
+        self.hard_plant.position, self.soft_plant.position = list(position), list(position)
+        self.wait(20)
+
+    def wait(self, ms: int) -> None:
+        """Time goes by, a millisecond at a time; no box speaks unasked."""
+        for _ in range(ms):
+            self.now_ns += MS
+            assert self.hard.idle(self.now_ns) == self.soft.idle(self.now_ns) == b""
+
+    def tell(self, data: bytes, ms: int = 1) -> list[bytes]:
+        """Send bytes; the answers must be alike. Then time goes by."""
+        hard, soft = (bodies(box.receive(data, self.now_ns)) for box in (self.hard, self.soft))
+        assert [self._without_time(body) for body in hard] == [self._without_time(body) for body in soft]
+        for body in hard:
+            if body[1] == 0x82:
+                us = int.from_bytes(body[9:13], "little")
+                assert us > self.last_us
+                self.last_us = us
+        self.wait(ms)
+        return hard
+
+    @staticmethod
+    def _without_time(body: bytes) -> bytes:
+        return body[:9] + body[13:] if body[1] == 0x82 else body
+
+
+@pytest.fixture
+def both() -> Iterator[Both]:
+    made = Both(boot=7)
+    yield made
+    made.hard.close()
+
+
+def test_a_conversation(both: Both) -> None:
+    """Start, resume, counts, commands both ways; in the end the controller has what was commanded."""
+    assert len(both.tell(frame(HELLO, 1))) == 1
+    both.tell(frame(READ, 2))
+    both.tell(command(3, 7, 5, 5))  # not resumed: dropped
+    assert both.tell(frame(READ, 4))[0][6] & 1
+    both.tell(frame(RESUME, 5, (8).to_bytes(2, "little")))  # another start's order
+    both.tell(frame(RESUME, 6, (7).to_bytes(2, "little")))
+    both.tell(command(7, 7, 12, -9), ms=5)
+    both.move(1000, -2000)
+    both.tell(frame(READ, 8), ms=5)
+    both.tell(command(9, 8, 50, 50))  # of another start: dropped
+    both.tell(command(10, 7, -3, 4), ms=5)
+    both.tell(frame(READ, 11), ms=5)
+    assert both.hard_plant.inserted == both.soft_plant.inserted == [-3, 4]
+
+
+def test_silence_holds_and_the_next_command_goes_on(both: Both) -> None:
+    """Nothing moves in silence, whatever was still to be inserted."""
+    both.tell(frame(RESUME, 1, (7).to_bytes(2, "little")))
+    both.tell(command(2, 7, 1, -1), ms=150)
+    assert both.tell(frame(READ, 3))[0][6] & 2
+    both.tell(command(4, 7, 3, 3), ms=5)
+    assert not both.tell(frame(READ, 5))[0][6] & 2
+    assert both.hard_plant.inserted == [3, 3]
+
+
+def test_garbage_is_passed_over(both: Both) -> None:
+    """Noise, cut frames, wrong CRC, wrong version, long blocks: the next whole frame is read again."""
+    chance = random.Random(1)
+    both.tell(frame(RESUME, 1, (7).to_bytes(2, "little")))
+    for k in range(25):
+        good = frame(READ, 2 + k)
+        spoilt = bytearray(command(2 + k, 7, 99, 99))
+        spoilt[chance.randrange(1, len(spoilt) - 1)] ^= 1 << chance.randrange(8)
+        noise = bytes(chance.randrange(256) for _ in range(chance.randrange(40)))
+        long = bytes(chance.randrange(1, 256) for _ in range(80))
+        both.tell(chance.choice([noise, good[:-3], bytes(spoilt), frame(HELLO, 3, version=9), b"\0" + long]) + b"\0")
+        assert len(both.tell(good)) == 1
+    assert both.hard_plant.inserted == both.soft_plant.inserted
+
+
+@pytest.mark.parametrize("bits", [16, 24, 32])
+def test_counters_wrap_at_their_width(bits: int) -> None:
+    """As negative counts show."""
+    both = Both(boot=3, counter_bits=bits)
+    both.move(-5, 70_000)
+    both.tell(frame(HELLO, 1))
+    both.tell(frame(READ, 2))
+    both.hard.close()
