@@ -36,7 +36,8 @@ def test_what_is_shorter_than_the_filter_leaves_no_trace(chip: Chip, length: int
     a[50 : 50 + clocks] = 1
     still = np.zeros_like(a)
     a_out, b_out, _ = chip.lines(0, a, still, still)
-    assert (a_out.any(), b_out.any()) == (passes, False)
+    assert bool(a_out.any()) is passes
+    assert not b_out.any()
     assert (chip.ledger(0).raw, chip.ledger(0).illegal) == (0, 0)
 
 

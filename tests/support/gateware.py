@@ -95,7 +95,8 @@ def insert(
     wanted = np.ascontiguousarray(target, np.int32)
     out = [np.empty(len(wanted), np.uint8) for _ in range(3)]
     ledger = np.zeros(2, np.int32)
-    pointers = [ctypes.c_void_p(array.ctypes.data) for array in (*given, wanted, *out, ledger)]
+    arrays: list[NDArray[Any]] = [*given, wanted, *out, ledger]
+    pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
     lib.inserter_run(
         ctypes.c_int64(len(wanted)),
         separation,
