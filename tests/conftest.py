@@ -1,5 +1,6 @@
-"""What all tests share: hypothesis without a clock and with a fixed seed; a short folder for sockets."""
+"""What all tests share: hypothesis without a clock and with a fixed seed; a short folder for sockets; who runs what."""
 
+import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,3 +18,19 @@ def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="rtec-") as name:
         monkeypatch.setenv("RUNTIME_DIRECTORY", name)
         yield Path(name)
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker a core, and one for the tests on the real clock, which wait for most of their time."""
+    return len(os.sched_getaffinity(0)) + 1
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that share a fixture of their module run in one worker, which makes it once."""
+    for item in items:
+        if not isinstance(item, pytest.Function) or item.get_closest_marker("xdist_group"):
+            continue
+        fixtures = item._fixtureinfo.name2fixturedefs.values()
+        if any(fixture.scope == "module" and not fixture.params for same in fixtures for fixture in same):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))

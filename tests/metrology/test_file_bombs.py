@@ -40,7 +40,7 @@ def test_a_gigantic_line_is_refused_by_its_number(tail: str, tmp_path: Path) -> 
 
 def test_a_parquet_bomb_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """3·10^6 rows of one value pack to a few kB; on a computer of 1 GiB they are not read."""
-    columns = {name: np.zeros(3_000_000) for name in ("run", "time_s", "x_mm", "reading_um")}
+    columns = {name: pa.array(np.zeros(3_000_000)) for name in ("run", "time_s", "x_mm", "reading_um")}
     path = examples.write(tmp_path, examples.text()).with_suffix(".parquet")
     path.with_suffix(".csv").unlink()
     parquet.write_table(pa.table(columns), path)

@@ -24,6 +24,8 @@ from tests.support.compiled_model import compile_model
 from tests.support.exact_chain import exact_tip_error_um
 from tests.support.machines import axis, machine
 
+pytestmark = pytest.mark.xdist_group("grid-workspace")  # what is fitted once is used by all of them
+
 Floats = NDArray[np.float64]
 TRAVEL = {"X": 500.0, "Y": 500.0, "Z": 400.0}
 RIGID = (

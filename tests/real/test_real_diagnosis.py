@@ -30,6 +30,8 @@ from tests.support.cyclic_turns import cyclic_error
 from tests.support.lag_fit import lag_model
 from tests.support.real_data import real_file
 
+pytestmark = pytest.mark.xdist_group("real-diagnosis")  # what is fitted once is used by all of them
+
 Floats = NDArray[np.float64]
 HEAT = {"mount_expansion", "ambient_drift", "spindle_growth", "coolant_expansion", "daily_drift"}
 B02 = "b02-x_target_x.md_ISO230.dat"

@@ -21,6 +21,8 @@ from rtec.metrology.measurement import Measurement
 from tests.support.characterise_examples import Probe, ProbeSetup
 from tests.support.real_data import real_file
 
+pytestmark = pytest.mark.xdist_group("real-fit")  # what is fitted once is used by all of them
+
 Floats = NDArray[np.float64]
 SPLIT_H = 32.1
 SENSORS = [f"T{i}" for i in range(1, 17)]

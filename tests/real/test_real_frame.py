@@ -15,6 +15,8 @@ from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support.frame_thermal import COMPONENT, recorded
 
+pytestmark = pytest.mark.xdist_group("real-frame")  # what is fitted once is used by all of them
+
 FRAME = f"mount_expansion:{COMPONENT}:sensor=T_frame"
 BED = f"mount_expansion:{COMPONENT}:sensor=T_bed"
 

@@ -23,6 +23,8 @@ from rtec.sim.campaign.request import DRIFT_PROBES
 from rtec.sim.campaign.settings import Settings
 from rtec.sim.campaign.truth import truth_of
 
+pytestmark = pytest.mark.xdist_group("campaign")  # what is fitted once is used by all of them
+
 MILL = Path(__file__).parents[2] / "configs" / "machines" / "vertical-mill.toml"
 TRUE = (
     "scale,component=EXX,axis=X,k=14",
