@@ -20,7 +20,7 @@ def demo(
         Path | None, typer.Option("--model-out", help="Write the fitted model here, for `rtec run`.")
     ] = None,
     configs: Annotated[
-        Path | None, typer.Option("--configs", help="Folder with machines/ and sim/.  [default: that of the clone]")
+        Path | None, typer.Option("--configs", help="Folder with machines/ and sim/.  [default: those of rtec]")
     ] = None,
     hidden_seed: Annotated[
         int | None, typer.Option("--hidden-seed", min=0, help="Seed of the hidden effect.  [default: random, printed]")

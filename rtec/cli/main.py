@@ -23,7 +23,9 @@ from rtec.cli import (
     grid,
     hil,
     import_,
+    init,
     log,
+    machine,
     plan,
     procedures,
     replay,
@@ -49,6 +51,7 @@ Start with `rtec demo`: a simulated machine, uncorrected and corrected.
 """,
 )
 app.command()(demo.demo)
+app.command()(init.init)
 app.command()(run.run)
 app.command()(replay.replay)
 app.command("import")(import_.import_)
@@ -69,6 +72,7 @@ for _instrument in (ballbar.ballbar, grid.grid):
 app.command("status")(status_command.status)
 app.add_typer(ctl.app, name="ctl")
 app.add_typer(log.app, name="log")
+app.add_typer(machine.app, name="machine")
 
 
 # Depending on its version typer brings click with it or asks for it; its own exceptions say which one it is.

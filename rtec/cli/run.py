@@ -191,10 +191,9 @@ def run(
 
     Example of a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
     """
-    from rtec.daemon.sign_check import step_of, with_step
-    from rtec.loop.run_file import load_setup
+    from rtec.daemon.sign_check import load_stepped, step_of
 
-    setup = with_step(load_setup(config), step_of(step) if step else {})
+    setup = load_stepped(config, step_of(step) if step else {})
     if dry_run:
         _dry_run(setup, as_json)
         return

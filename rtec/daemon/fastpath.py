@@ -26,7 +26,7 @@ from rtec.daemon.process import prepare_process, starter
 from rtec.daemon.published import Published
 from rtec.daemon.recover import Found, Start, allowed, recover
 from rtec.daemon.ring import Ring
-from rtec.daemon.sign_check import with_step
+from rtec.daemon.sign_check import load_stepped
 from rtec.daemon.supervision import fault
 from rtec.daemon.workers import worker_ports
 from rtec.errors import DriverError, RtecError
@@ -35,7 +35,7 @@ from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.ports import IntArray, OneWay
 from rtec.loop.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
-from rtec.loop.run_file import Setup, load_setup
+from rtec.loop.run_file import Setup
 from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
 from rtec.loop.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
 from rtec.loop.step import Step, StepSettings
@@ -216,7 +216,7 @@ def _tell(pipe: Connection, kind: str, content: Any) -> None:
 
 
 def _run(told: Orders, pipe: Connection) -> dict[str, Any]:
-    setup = with_step(load_setup(told.config), told.step_um)
+    setup = load_stepped(told.config, told.step_um)
     clock = RealClock()
     step = Step(setup.step_settings())
     step.warm_up()

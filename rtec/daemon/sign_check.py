@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 from rtec.daemon.status import Status
@@ -17,7 +18,7 @@ from rtec.errors import ConfigError
 from rtec.loop.clock import Clock
 from rtec.loop.orders import OrderWords
 from rtec.loop.records import MODE_OFF, MODE_ON
-from rtec.loop.run_file import Setup
+from rtec.loop.run_file import Setup, load_setup
 from rtec.model import FittedEffect, Model
 from rtec.tomlfile import nearest
 
@@ -35,6 +36,15 @@ def step_of(text: str) -> dict[str, float]:
     if found is None:
         raise ConfigError(f"--step {text!r}: give an axis and micrometres, as X=20um or X=-20um")
     return {found[1]: float(found[2])}
+
+
+def load_stepped(path: Path, step_um: Mapping[str, float]) -> Setup:
+    """Read a run file; with a step of one axis its model is not read, and need not be there yet.
+
+    Raises:
+        RtecError: as `rtec.loop.run_file.load_setup` and `with_step`.
+    """
+    return with_step(load_setup(path, needs_model=not step_um), step_um)
 
 
 def with_step(setup: Setup, step_um: Mapping[str, float]) -> Setup:

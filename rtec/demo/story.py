@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtec.commission.example import SHIPPED
 from rtec.demo import training
 from rtec.demo.background import Beside
 from rtec.demo.day import Plan, Track
@@ -127,18 +128,15 @@ class Story:
 
 
 def config_folder(given: Path | None = None) -> Path:
-    """Where the demo's machine and truth are: the folder given, or `configs` of the source tree.
+    """Where the demo's machine and truth are: the folder given, or those that come with rtec.
 
     Raises:
         ConfigError: they are not there.
     """
-    folder = given or Path(__file__).parents[2] / "configs"
+    folder = given or SHIPPED
     missing = [str(folder / name) for name in (MACHINE_FILE, TRUTH_FILE) if not (folder / name).is_file()]
     if missing:
-        raise ConfigError(
-            f"{missing[0]}: no such file; the demo needs the folder 'configs' of the source tree: run it from a "
-            "clone, or say where it is with --configs"
-        )
+        raise ConfigError(f"{missing[0]}: no such file; without --configs the demo takes the files that come with rtec")
     return folder
 
 

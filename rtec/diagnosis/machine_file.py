@@ -30,8 +30,9 @@ def machine_file(model: Path, machine: Path | None = None) -> Path:
 
     Args:
         model: file.
-        machine: taken where given; where None it is looked for by its content beside the model, in `machines` beside
-            it or one folder up, and in `configs/machines` of the working directory.
+        machine: taken where given; where None it is the one that the model names (`machine_file`), or is looked for
+            by its content beside the model, in `machines` beside it or one folder up, and in `configs/machines` of
+            the working directory.
 
     Raises:
         ModelError: the model cannot be read, or no machine file belongs to it.
@@ -42,19 +43,29 @@ def machine_file(model: Path, machine: Path | None = None) -> Path:
         return machine
     head = read_toml(model, ModelError).get("model")
     wanted = head.get("machine_hash") if isinstance(head, dict) else None
-    if not isinstance(wanted, str):
+    if not isinstance(head, dict) or not isinstance(wanted, str):
         raise ModelError(f"{model}: [model] machine_hash is missing; is this a model file?")
-    for file in _candidates(model):
+    named, name = head.get("machine_file"), head.get("machine", "")
+    files = [_shown(model.resolve().parent / named)] if isinstance(named, str) else []
+    for file in [*files, *_candidates(model)]:
         try:
-            if load_machine(file).hash == wanted:
-                return file
+            here = load_machine(file)
         except RtecError:
             continue  # some other file, or one that is no machine's
-    name = head.get("machine", "") if isinstance(head, dict) else ""
+        # Without a hash the model is for whichever machine it is used with: the one that it names.
+        if here.hash == wanted or (not wanted and (file in files or here.name == name)):
+            return file
+    at = f"at machine_file = {named!r}, " if files else ""
     raise ModelError(
-        f"{model}: no file of machine {name!r} as it was at the fit was found beside it or in configs/machines; "
+        f"{model}: no file of machine {name!r} as it was at the fit was found {at}beside it or in configs/machines; "
         "name it with --machine FILE"
     )
+
+
+def _shown(file: Path) -> Path:
+    """A path that is short to read: from the working directory where the file is below it."""
+    file = file.resolve()
+    return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
 
 
 def _candidates(model: Path) -> Iterator[Path]:
@@ -64,6 +75,6 @@ def _candidates(model: Path) -> Iterator[Path]:
         for file in sorted(folder.glob("*.toml")) if folder.is_dir() else []:
             try:
                 if file.stat().st_size < MOST_BYTES and {"machine", "axis"} <= set(read_toml(file)):
-                    yield file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+                    yield _shown(file)
             except (OSError, RtecError):
                 continue

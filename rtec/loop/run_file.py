@@ -86,7 +86,8 @@ class RunTable(Strict):
     """`[run]`: what runs, how fast, where the log goes. Relative paths start at the run file's folder.
 
     Attributes:
-        machine, model: files.
+        machine: its file.
+        model: its file. Without one nothing is corrected: `mode` is then "hold" or "off".
         rate_hz: cycles per second.
         mode: "on", "off" or "hold" at the start.
         log_folder: a log a run is written there; no log where it is not given.
@@ -95,7 +96,7 @@ class RunTable(Strict):
     """
 
     machine: Path
-    model: Path
+    model: Path | None = None
     rate_hz: Annotated[float, Field(ge=1, le=4000)] = 1000.0
     mode: Literal["on", "off", "hold"] = "on"
     log_folder: Path | None = None
@@ -225,8 +226,12 @@ class Setup:
         }
 
 
-def load_setup(path: Path) -> Setup:
+def load_setup(path: Path, *, needs_model: bool = True) -> Setup:
     """Read a run file, its machine and its model.
+
+    Args:
+        path: of the run file.
+        needs_model: False: its model is not read, and one that asks for nothing is in its place.
 
     Raises:
         RtecError: everything that is wrong with any of them.
@@ -236,13 +241,19 @@ def load_setup(path: Path) -> Setup:
     base = path.parent
     machine = load_machine(base / file.run.machine)
     faults = _faults(file, machine, str(path))
-    model = None
-    try:
-        model = load_model(base / file.run.model, machine)
-        faults += [f"{base / file.run.model}: {fault}" for fault in loop_faults(model)]
-    except RtecError as e:
-        faults.append(str(e))
-    if faults or model is None:
+    model = Model(machine, name="none")
+    if needs_model and file.run.model is None and file.run.mode == "on":
+        faults.append(
+            f"{path}: [run] key 'model' is missing; without a model nothing is corrected: set mode = \"hold\", or "
+            "fit one (`rtec fit`)"
+        )
+    if needs_model and file.run.model is not None:
+        try:
+            model = load_model(base / file.run.model, machine)
+            faults += [f"{base / file.run.model}: {fault}" for fault in loop_faults(model)]
+        except RtecError as e:
+            faults.append(str(e))
+    if faults:
         raise ConfigError("\n".join(faults))
     return Setup(path, file, machine, model, digest(_jsonable(data)))
 

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -55,7 +56,7 @@ def load_machine(path: Path) -> Machine:
     Raises:
         ConfigError: file, section, key and what is allowed; all faults of the file at once.
     """
-    return machine_from(read_toml(path), str(path))
+    return replace(machine_from(read_toml(path), str(path)), file=path)
 
 
 def machine_from(data: Mapping[str, Any], source: str) -> Machine:

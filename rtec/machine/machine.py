@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 from rtec.errors import ConfigError
 from rtec.machine.chain import Axis, Chain, Link, derive_chain
@@ -29,6 +31,7 @@ class Machine:
         work_chain: link names from the base to the cutting point [G 2.23].
         axes, sensors: in the order of every count and temperature array.
         links: the fixed links by name.
+        file: where it was read; None where it was made in memory. No part of what the machine is.
     """
 
     name: str
@@ -37,6 +40,7 @@ class Machine:
     axes: tuple[Axis, ...]
     links: Mapping[str, Link] = field(default_factory=dict)
     sensors: tuple[Sensor, ...] = ()
+    file: Path | None = field(default=None, compare=False)
 
     def axis(self, name: str) -> Axis:
         """Give the axis of that name; KeyError where there is none."""
@@ -90,4 +94,8 @@ class Machine:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of everything that the machine file says, independent of its formatting."""
-        return digest(asdict(self))
+        return digest(self.content())
+
+    def content(self) -> dict[str, Any]:
+        """What the machine file says, as plain data; not where the file is."""
+        return {name: value for name, value in asdict(self).items() if name != "file"}

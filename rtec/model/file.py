@@ -27,10 +27,26 @@ class _Number(Strict):
 
 
 class _ModelTable(Strict):
+    """`[model]`: what the model as a whole is.
+
+    Attributes:
+        format: of this file.
+        name: for people.
+        machine: name of the machine that it was made for.
+        machine_hash: SHA-256 of that machine; a model for another machine is refused. "" stands for the machine that
+            the model is used with, whichever it is; rtec writes it out when it saves the model.
+        machine_file: where the machine's file is; a relative path starts at the model's folder. Commands that are
+            given a model alone look there first.
+        reference_degc: temperature at which a temperature effect is nothing.
+        noise_um: noise of the measurements behind the fit.
+        effects: how many follow, so that a file that was cut off is refused; may be left out.
+    """
+
     format: Literal[1]
     name: str
     machine: str
     machine_hash: str
+    machine_file: Path | None = None
     reference_degc: DegreesCelsius
     noise_um: MicrometresNotNegative | None = None
     effects: Counts | None = None
@@ -62,7 +78,7 @@ def load_model(path: Path, machine: Machine) -> Model:
 def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
     """Build a model from the tables of its file."""
     file = validated(_ModelFile, data, source, ModelError)
-    if file.model.machine_hash != machine.hash:
+    if file.model.machine_hash not in ("", machine.hash):
         raise ModelError(
             f"{source}: [model] machine_hash: made for machine {file.model.machine!r} as it was then, not for "
             f"{machine.name!r} as its file is now; refit, or check which machine file belongs to it"
@@ -93,6 +109,8 @@ def save_model(model: Model, path: Path) -> None:
     content = tables(model)
     # A file that is cut off between two effects is good TOML; before all other keys, so that none hides the cut.
     content["model"] = {"effects": len(model.effects), **content["model"]}
+    if model.machine.file is not None:
+        content["model"]["machine_file"] = _way(path.parent, model.machine.file)
     text = tomli_w.dumps(content)
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
@@ -106,6 +124,11 @@ def save_model(model: Model, path: Path) -> None:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _way(folder: Path, file: Path) -> str:
+    """A file as seen from a folder, so that both may be moved together."""
+    return os.path.relpath(file.resolve(), folder.resolve())
 
 
 def tables(model: Model) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The model: a machine plus fitted effects, and how far its correction jumps when an axis turns round."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -205,7 +205,7 @@ class Model:
         """SHA-256 of everything that decides a prediction."""
         effects = [[f.effect.model_dump(mode="json"), _floats(f.values), _floats(f.theta)] for f in self.effects]
         ranges = {k: list(v) for k, v in self.valid_range.items()}
-        return digest([asdict(self.machine), self.reference_degc, effects, ranges])
+        return digest([self.machine.content(), self.reference_degc, effects, ranges])
 
     def _contribution(self, fitted: FittedEffect, state: State) -> Floats:
         basis = fitted.effect.basis(self.machine, state, fitted.theta)

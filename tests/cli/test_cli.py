@@ -80,7 +80,7 @@ def test_errors_become_one_clear_message(
     def fail(_: object) -> None:
         raise error
 
-    monkeypatch.setattr("rtec.loop.run_file.load_setup", fail)
+    monkeypatch.setattr("rtec.daemon.sign_check.load_stepped", fail)
     assert status(["run", "x.toml"]) == code
     assert capsys.readouterr().err == text
 

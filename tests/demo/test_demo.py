@@ -316,7 +316,7 @@ def test_command(
 
 
 def test_configs_that_are_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="clone"):
+    with pytest.raises(ConfigError, match="without --configs"):
         config_folder(tmp_path)
 
 

@@ -1,0 +1,70 @@
+"""Only a wheel and an empty folder: the example, a run of it, and the files of demo and tutorial.
+
+Oracle: pip's own build and installation into a virtual environment that has rtec's dependencies and no source tree.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PARTS = ("rtec", "drivers", "configs", "pyproject.toml", "README.md", "LICENSE")
+pytestmark = pytest.mark.xdist_group("real-clock")
+
+
+def shell(*words: str | Path, folder: Path) -> str:
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False, env=clean_environment())
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def clean_environment() -> dict[str, str]:
+    return {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "RTEC_"))}
+
+
+@pytest.fixture(scope="module")
+def bin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Programs of an environment into which the wheel was installed."""
+    top = tmp_path_factory.mktemp("wheel")
+    source, environment = top / "source", top / "env"
+    source.mkdir()
+    for name in PARTS:
+        if (ROOT / name).is_dir():
+            shutil.copytree(
+                ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
+            )
+        else:
+            shutil.copy(ROOT / name, source / name)
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
+    shell(*pip, "wheel", "--no-deps", "--no-build-isolation", "--no-index", "-w", top, source, folder=top)
+    shell(sys.executable, "-m", "venv", "--without-pip", environment, folder=top)
+    python = environment / "bin" / "python"
+    wheel = next(top.glob("*.whl"))
+    shell(*pip, "--python", python, "install", "--no-deps", "--no-index", wheel, folder=top)
+    # The dependencies; the path files in that folder, among them rtec's own editable one, have no effect from here.
+    (place,) = (environment / "lib").glob("python*/site-packages")
+    (place / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
+    return environment / "bin"
+
+
+def test_an_empty_folder_reaches_run_demo_and_tutorial(bin_folder: Path, tmp_path: Path) -> None:
+    assert str(bin_folder.parent) in shell(bin_folder / "python", "-c", "import rtec; print(rtec)", folder=tmp_path)
+    rtec = bin_folder / "rtec"
+    out = shell(rtec, "init", "--example", folder=tmp_path)
+    command = next(line for line in out.splitlines() if line.startswith("Next: rtec run")).removeprefix("Next: rtec ")
+    run = shell(rtec, *command.replace("--duration 10", "--duration 3").split(), "--json", folder=tmp_path)
+    assert '"cycles": 3' in run  # about 3000
+    assert list((tmp_path / "logs").glob("*.arrows"))
+    shell(rtec, "machine", "check", "configs/machines/vertical-mill.toml", folder=tmp_path)
+    tutorial = "simulate configs/machines/turning-centre.toml --instrument laser_linear --axis X --truth "
+    tutorial += "configs/tutorial/hidden.toml --settings configs/tutorial/day.toml --seed 1 -o out/tutorial/laser-x"
+    shell(rtec, *tutorial.split(), folder=tmp_path)
+    assert (tmp_path / "out/tutorial/laser-x.csv").is_file()
+    found = "from rtec.demo.story import config_folder; from rtec.sim.truth import load_truth; "
+    found += "load_truth(config_folder() / 'sim/turning-centre.toml')"
+    shell(bin_folder / "python", "-c", found, folder=tmp_path)
