@@ -77,7 +77,7 @@ def test_a_near_miss_names_the_right_command(capsys: pytest.CaptureFixture[str])
 def test_errors_become_one_clear_message(
     error: BaseException, code: int, text: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(_: object) -> None:
+    def fail(*_: object) -> None:
         raise error
 
     monkeypatch.setattr("rtec.daemon.sign_check.load_stepped", fail)
