@@ -11,5 +11,6 @@ DRIVERS: dict[str, tuple[str, str]] = {
     "can": ("rtec_drivers.can.driver", "CanDriver"),
     "can_encoders": ("rtec_drivers.can.encoders", "CanEncodersDriver"),
     "can_box": ("rtec_drivers.can.box", "CanBoxDriver"),
+    "linuxcnc": ("rtec_drivers.linuxcnc.driver", "LinuxCncDriver"),
     "zmq_link": ("rtec_drivers.zmq.driver", "ZmqLinkDriver"),
 }
