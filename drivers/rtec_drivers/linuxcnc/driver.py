@@ -248,7 +248,7 @@ unit_um = 0.01
     def _greet(self, hello: Hello) -> None:
         if hello.session != self._session and not self._must_resume:
             self._must_resume = (
-                f"LinuxCNC restarted: its corrections begin at zero again, and its joints are homed anew; {HOLDS}"
+                f"LinuxCNC restarted: its corrections begin at zero again, and its joints are not homed; {HOLDS}"
             )
 
     def _cleared(self, cleared_um: tuple[float, ...]) -> str:
