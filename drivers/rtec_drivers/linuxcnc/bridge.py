@@ -65,7 +65,7 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     return told
 
 
-class Outputs:
+class HalOffsets:
     """The pins of one way to correct; units are whole numbers of `unit` (machine units)."""
 
     cleared: list[int] | None = None
@@ -96,7 +96,7 @@ class Outputs:
         """Look at the states of one row."""
 
 
-class ExternalOffsets(Outputs):
+class ExternalOffsets(HalOffsets):
     """`axis.L.eoffset-counts`: LinuxCNC adds up their changes, and forgets the sum when the machine goes off."""
 
     def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
@@ -145,7 +145,7 @@ class ExternalOffsets(Outputs):
         self.was_on = row["on"]
 
 
-class Pulses(Outputs):
+class StepgenPulses(HalOffsets):
     """Counts for a `stepgen` that inserts them; its own counter says what is inserted."""
 
     def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
@@ -167,10 +167,10 @@ class Pulses(Outputs):
         return [int(self.component[pin]) for pin in self.counted]
 
 
-WAYS = {"following_error": Outputs, "origin_offset": ExternalOffsets, "pulse": Pulses}
+WAYS = {"following_error": HalOffsets, "origin_offset": ExternalOffsets, "pulse": StepgenPulses}
 
 
-class Bridge:
+class HalBridge:
     """One component with its pins, the sampler's rows, and the client."""
 
     def __init__(self, told: argparse.Namespace) -> None:
@@ -415,7 +415,7 @@ def main(argv: list[str]) -> int:
     told = arguments(argv[1:])
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: sys.exit(0))
-    Bridge(told).run()
+    HalBridge(told).run()
     return 0
 
 

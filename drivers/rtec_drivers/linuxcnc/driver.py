@@ -15,7 +15,7 @@ from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.quantities import MicrometresPositive, SecondsPositive
 from rtec.tomlfile import Strict
-from rtec_drivers.linuxcnc.link import Hello, Link, State
+from rtec_drivers.linuxcnc.link import BridgeHello, BridgeLink, HalState
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.stuck import StuckWatch
 
@@ -78,8 +78,8 @@ unit_um = 0.01
                 f"socket: {str(self._path)!r} is longer than {LONGEST_SOCKET} bytes; choose a shorter path"
             )
         self._per_mm = np.array([a.counts_per_mm for a in machine.axes])
-        self._link: Link | None = None
-        self._reopener: Reopener[Link] | None = None
+        self._link: BridgeLink | None = None
+        self._reopener: Reopener[BridgeLink] | None = None
         self._stuck = StuckWatch(options.stuck_after_s)
         self._session = ""
         self._must_resume = ""
@@ -94,7 +94,7 @@ unit_um = 0.01
         self._link = self._connect()
         self._session, self._must_resume = self._link.hello.session, ""
         self._stuck = StuckWatch(self.options.stuck_after_s)
-        self._reopener = Reopener(self._connect, Link.close, self._clock, FIRST_S, LONGEST_S)
+        self._reopener = Reopener(self._connect, BridgeLink.close, self._clock, FIRST_S, LONGEST_S)
         self._reopener.start()
         return self
 
@@ -213,7 +213,7 @@ unit_um = 0.01
     def hold(self) -> None:
         """Nothing to send: HAL's signals keep what they have."""
 
-    def _now(self) -> State:
+    def _now(self) -> HalState:
         """Newest state, where it is not too old."""
         state = self._listened().state
         age_s = math.inf if state is None else (self._clock.now_ns() - state.time_ns) * 1e-9
@@ -221,7 +221,7 @@ unit_um = 0.01
             raise DriverTimeout(f"{self._path}: LinuxCNC's servo thread stands")
         return state
 
-    def _listened(self) -> Link:
+    def _listened(self) -> BridgeLink:
         """Take in what has come; where the bridge has gone, look for the next one.
 
         Raises:
@@ -245,7 +245,7 @@ unit_um = 0.01
             self._must_resume = self._cleared(state.cleared_um)
         return self._link
 
-    def _greet(self, hello: Hello) -> None:
+    def _greet(self, hello: BridgeHello) -> None:
         if hello.session != self._session and not self._must_resume:
             self._must_resume = (
                 f"LinuxCNC restarted: its corrections begin at zero again, and its joints are not homed; {HOLDS}"
@@ -260,15 +260,15 @@ unit_um = 0.01
             f" its coordinates have moved by that much; home again if that matters; {HOLDS}"
         )
 
-    def _connect(self) -> Link:
-        link = Link(self._path)
+    def _connect(self) -> BridgeLink:
+        link = BridgeLink(self._path)
         wrong = self._mismatch(link.hello)
         if wrong:
             link.close()
             raise DriverFault(f"{self._path}: {wrong}; give the bridge in LinuxCNC's HAL file what the run file says")
         return link
 
-    def _mismatch(self, hello: Hello) -> str:
+    def _mismatch(self, hello: BridgeHello) -> str:
         """Say what the bridge was told differently."""
         options, machine = self.options, self._machine
         if hello.axes != machine.axis_names:

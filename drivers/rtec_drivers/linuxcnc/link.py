@@ -18,7 +18,7 @@ HELLO_S = 1.0
 MAX_MM = 1e6
 
 
-class Hello(Strict):
+class BridgeHello(Strict):
     """First message of the bridge: what it was told by LinuxCNC's HAL file."""
 
     hello: int
@@ -32,7 +32,7 @@ class Hello(Strict):
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class HalState:
     """What the bridge says once a servo period.
 
     Attributes:
@@ -55,7 +55,7 @@ class State:
     cleared_um: tuple[float, ...] | None
 
 
-class Link:
+class BridgeLink:
     """A connected bridge.
 
     Attributes:
@@ -74,7 +74,7 @@ class Link:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.state: State | None = None
+        self.state: HalState | None = None
         self.refused = ""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
@@ -123,7 +123,7 @@ class Link:
                     raise
                 raise DriverUnavailable(f"{self._path}: the bridge has gone ({e.strerror})") from e
 
-    def _greeting(self) -> Hello:
+    def _greeting(self) -> BridgeHello:
         if not select.select([self._socket], [], [], HELLO_S)[0]:
             raise DriverTimeout(f"{self._path}: connected, and no answer within {HELLO_S:g} s")
         text = self._socket.recv(MAX_BYTES)
@@ -131,7 +131,7 @@ class Link:
         if "refused" in data:
             raise DriverUnavailable(f"{self._path}: {data['refused']}")
         try:
-            return Hello.model_validate_json(text)
+            return BridgeHello.model_validate_json(text)
         except ValidationError as e:
             raise DriverFault(f"{self._path}: what listens there is no bridge of this version of rtec") from e
 
@@ -145,7 +145,7 @@ class Link:
         except (KeyError, TypeError, ValueError) as e:
             raise DriverFault(f"{self._path}: a message of the bridge cannot be ({e}): {text[:80]!r}") from e
 
-    def _state(self, data: dict[str, object]) -> State | None:
+    def _state(self, data: dict[str, object]) -> HalState | None:
         if "mm" not in data:  # the servo thread has not run yet
             return self.state
         axes, sensors = len(self.hello.axes), len(self.hello.sensors)
@@ -160,7 +160,7 @@ class Link:
         rpm, time_ns = data["rpm"], data["time_ns"]
         if not (rpm is None or isinstance(rpm, float)) or not isinstance(time_ns, int):
             raise ValueError("a spindle speed or an instant")
-        return State(
+        return HalState(
             time_ns,
             mm,
             data["homed"] is True,
