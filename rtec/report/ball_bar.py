@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec import __version__
-from rtec.metrology.ball_bar.causes import feeds_of
+from rtec.metrology.ball_bar.causes import causes, feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import RESIDUAL, BallBarDiagnosis
 from rtec.metrology.ball_bar.fit import FittedValue, OfHeight
@@ -88,8 +88,15 @@ def _left_out(d: BallBarDiagnosis) -> list[str]:
 
 
 def _titles(d: BallBarDiagnosis, left: NotLookedFor) -> str:
-    known = {v.name: v.title for v in d.fitted.values}
+    known = _all_titles(d)
     return " and ".join(known.get(t, t) for t in left.twins)
+
+
+def _all_titles(d: BallBarDiagnosis) -> dict[str, str]:
+    """Title of every parameter and of every cause beyond [BB]'s, fitted or not, by its name."""
+    titles = {c.name: c.title for c in causes(d.circles[0], bent=True)} | {v.name: v.title for v in d.fitted.values}
+    open_ = [*(x.candidate for x in d.found.left_out), *(x.candidate for x in d.found.not_found)]
+    return titles | {c.name: c.title for c in open_}
 
 
 def _wanted(d: BallBarDiagnosis) -> list[str]:
@@ -129,13 +136,17 @@ def phase_lines(d: BallBarDiagnosis) -> list[str]:
 def _phase(d: BallBarDiagnosis, a: str, b: str) -> list[str]:
     if d.phase.decided and d.phase.reason:
         return [f"Servo phase {a}-{b}: taken as one {d.phase.taken} in all tests, because: {d.phase.reason}."]
-    if not d.if_time:
+    if not d.changed:
         return []
-    then = "; ".join(f"{s.taken.title} {number(s.if_time)} {UNITS[s.taken.unit]}" for s in d.if_time)
+    both = "; ".join(
+        f"{s.angle.title} {number(s.angle.value)} as an angle, {number(s.time)} {UNITS[s.angle.unit]} as a time"
+        for s in d.changed
+    )
     return [
         f"Servo phase {a}-{b}: feed over radius differs between the tests, and they do not determine whether it is one "
-        f"angle in all of them [BB] or one time, as the lag of an axis is; intervals hold both. If it is one time "
-        f"(--phase time): {then}. Tests with feeds in proportion to their radii ({_feeds(d)}) avoid the question."
+        "angle in all of them [BB] or one time, as the lag of an axis is; intervals hold both, values are those of one "
+        f"{d.phase.taken}: {both}. --phase time or --phase angle settles it. Tests with feeds in proportion to their "
+        f"radii ({_feeds(d)}) avoid the question."
     ]
 
 
@@ -146,7 +157,8 @@ def phase_facts(d: BallBarDiagnosis) -> dict[str, object]:
         "decided": d.phase.decided,
         "reason": d.phase.reason,
         "lag_ms": 1e3 * d.lag_s,
-        "if_one_time": {s.taken.name: s.if_time for s in d.if_time},
+        "if_one_angle": {s.angle.name: s.angle.value for s in d.changed},
+        "if_one_time": {s.angle.name: s.time for s in d.changed},
     }
 
 
@@ -231,11 +243,14 @@ def _largest(d: BallBarDiagnosis) -> str:
     if d.named is None:
         open_ = f"; {top.group} may be {number(top.g_um)} µm" if top and top.g_um > SMALLEST_UM else ""
         return f" No cause is determined beyond doubt{open_}."
-    others = dict.fromkeys(n for v in d.fitted.values if v.group == d.named.group for n in v.with_)
+    sure = [v for v in (*d.fitted.values, *d.fitted.combinations) if np.isfinite(v.value)]
+    others = dict.fromkeys(n for v in sure if v.group == d.named.group for n in v.with_)
     titles = {n.candidate.name: n.candidate.title for n in d.found.left_out}
     also = " and ".join(titles[n] for n in others if n in titles)
+    joined = any(v.group != d.named.group for v in d.fitted.combinations)
     out = (
-        f" The largest cause is {d.named.group}{f' (or {also})' if also else ''}: {number(d.named.g_um)} µm by itself."
+        f" The largest cause {'that these tests determine ' if joined else ''}is {d.named.group}"
+        f"{f' (or {also})' if also else ''}: {number(d.named.g_um)} µm by itself."
     )
     if top and top.g_um > LARGER * d.named.g_um:
         out += f" Not determined: {top.group}, up to {number(top.g_um)} µm."
@@ -269,7 +284,7 @@ def ball_bar_facts(d: BallBarDiagnosis) -> dict[str, object]:
         "combinations": [
             {
                 "terms": dict(v.terms), "title": v.title, "value": v.value, "se": v.se, "low": v.low, "high": v.high,
-                "unit": v.unit, "cause": v.group,
+                "unit": v.unit, "cause": v.group, "not_separated_from": list(v.with_),
             }
             for v in d.fitted.combinations
         ],
@@ -353,9 +368,9 @@ def _digits(v: FittedValue) -> int:
 
 
 def _apart(d: BallBarDiagnosis) -> list[str]:
-    rank = d.fitted.rank
-    out = [f"These tests do not determine: {', '.join(rank.never)}."] if rank.never else []
-    out += [f"These tests do not separate {' and '.join(s)}." for s in rank.confounded]
+    rank, titles = d.fitted.rank, _all_titles(d)
+    out = [f"These tests do not determine: {', '.join(titles[n] for n in rank.never)}."] if rank.never else []
+    out += [f"These tests do not separate {' and '.join(titles[n] for n in s)}." for s in rank.confounded]
     return out + [_height(d, h) for h in d.fitted.heights]
 
 
@@ -378,15 +393,16 @@ def _height(d: BallBarDiagnosis, of: OfHeight) -> str:
 
 
 def _values(d: BallBarDiagnosis) -> Table:
-    rows = [_row(v) for v in (*d.fitted.combinations, *d.fitted.values)]
+    titles = _all_titles(d)
+    rows = [_row(v, [titles.get(n, n) for n in v.with_]) for v in (*d.fitted.combinations, *d.fitted.values)]
     return Table(["parameter", "value", "95 % from", "to", "unit", "note"], rows, words=(0, 4, 5))
 
 
-def _row(v: FittedValue) -> list[str]:
+def _row(v: FittedValue, others: Sequence[str]) -> list[str]:
     digits = _digits(v)
-    notes = [f"together with {', '.join(v.with_)}"] if v.with_ else []
+    notes = [f"together with {', '.join(others)}"] if others else []
     if not np.isfinite(v.value):
-        why = f"not separated from {', '.join(v.with_)}" if v.with_ else "not determined by these tests"
+        why = f"not separated from {', '.join(others)}" if others else "not determined by these tests"
         return [v.title, NONE, NONE, NONE, UNITS[v.unit], why]
     if v.unit == "per_km" and v.value != 0.0:
         notes = [f"radius {significant(1.0 / v.value, 3)} km", *notes]

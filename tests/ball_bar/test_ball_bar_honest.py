@@ -74,12 +74,24 @@ def test_of_a_bar_of_unknown_length_only_differences_are_shown() -> None:
         assert abs(apart.value - (m["scale_a"] - m["scale_b"])) < 3.5 * apart.se
         page = ball_bar_page(d, figures=False)
         assert "312" not in render(page)
+        assert not d.fitted.heights, "it is the length that hides the scales; a height that is known would not help"
         group = "scale X or scale Y, not separated"
         if m.size:
             assert f"The largest cause is {group}" in page.lead
             assert "position scale X - position scale Y" in table_of(d, "Causes")[group][3]
         else:
             assert "largest cause" not in page.lead
+
+
+def test_two_feeds_tell_a_servo_gain_from_a_difference_of_scales() -> None:
+    """Oracle: algebra: a gain of both loops is a length of the bar, that of one goes with the feed squared."""
+    bars = [replace(b, longer_um=12.0) for b in (*THREE, Bar(0.0, 150.0, "cw", 3000.0))]
+    m = TrueMachine("tool", "XY", {"scale_a": 40.0})
+    two = diagnose(recordings(m, bars, zero="setup"))
+    assert "scale X or scale Y, not separated: " in ball_bar_page(two, figures=False).lead
+    one = diagnose(recordings(m, bars[:1], zero="setup"))
+    assert "not separated (or servo gain error of X and servo gain" in ball_bar_page(one, figures=False).lead
+    assert "servo gain error of X" in render(ball_bar_page(one, figures=False))
 
 
 # ---- 3: bent guides on other machines
@@ -146,6 +158,17 @@ def test_where_angle_or_time_is_undecided_intervals_hold_both_answers(seed: int)
     v = d.fitted.value("squareness")
     assert v.low <= m["lean"] <= v.high
     assert ball_bar_facts(d)["parameters"]["squareness"]["low"] == v.low  # type: ignore[index]
+
+
+def test_a_twist_as_large_as_the_difference_decides_nothing() -> None:
+    """Oracle: what was made true, a lag and a twist which together make what one angle and no twist would make."""
+    bars = (Bar(0.0, 150.0, "ccw"), Bar(60.0, 137.477, "cw"), Bar(60.0, 137.477, "ccw"))
+    m = TrueMachine("tool", "XY", {"lead_ms": 0.3196, "roll": -52.9, "play_a": 3.6, "scale_a": -3.1})
+    d = diagnose(recordings(m, bars, 0.25, 20007))
+    assert not d.phase.decided
+    assert max(off_se(d, truth_of(m, bars)).values()) < 3.5
+    v = d.fitted.value("squareness")
+    assert v.low <= 0.0 <= v.high
 
 
 # ---- 6: servo loops without feed-forward

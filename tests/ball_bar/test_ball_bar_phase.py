@@ -65,13 +65,13 @@ def test_where_tests_do_not_tell_both_are_told() -> None:
     given = run_tests(THREE, STATIC | {"psi": 0.0} | BENT, {"delay": DELAY_MS}, 0.2, seed=5)[0]
     d = diagnose(given)
     assert (d.phase.taken, d.phase.decided, d.fitted.model) == ("angle", False, "non-linear")
-    shifts = {s.taken.name: s for s in d.if_time}
+    shifts = {s.angle.name: s for s in d.changed}
     assert {"squareness", "twist"} <= set(shifts)
     for name, truth in (("squareness", 25.0), ("twist", 0.0)):
         s, v = shifts[name], d.fitted.value(name)
-        assert abs(s.if_time - truth) < 4.0 * s.taken.se
-        assert abs(s.taken.value - truth) > 10.0 * s.taken.se, "as one angle alone it would be far off"
-        assert v.low <= min(s.taken.value, s.if_time) < max(s.taken.value, s.if_time) <= v.high
+        assert abs(s.time - truth) < 4.0 * s.angle.se
+        assert abs(s.angle.value - truth) > 10.0 * s.angle.se, "as one angle alone it would be far off"
+        assert v.low <= min(s.angle.value, s.time) < max(s.angle.value, s.time) <= v.high
         assert v.low <= truth <= v.high
     said = " ".join(" ".join(s.text) for s in ball_bar_page(d, figures=False).sections)
     assert "--phase time" in said
@@ -85,7 +85,7 @@ def test_feeds_in_proportion_to_the_radii_leave_nothing_open() -> None:
     """Oracle: at one angular speed a lag is one angle, so nothing is off whichever it is."""
     tests = tuple(Test(t.h, t.r, t.sense, 1000.0 * t.r / 150.0) for t in THREE)
     d = diagnose(run_tests(tests, STATIC | {"psi": 0.0} | BENT, {"delay": DELAY_MS}, 0.2, seed=5)[0])
-    assert (d.phase.decided, d.phase.reason, d.if_time) == (True, "", ())
+    assert (d.phase.decided, d.phase.reason, d.changed) == (True, "", ())
     assert max(off_se(d, {"squareness": 25.0, "twist": 0.0, "clearance_x": 3.0}).values()) < 3.5
 
 

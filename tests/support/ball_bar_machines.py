@@ -218,6 +218,12 @@ def _headline(m: TrueMachine, bars: Sequence[Bar], found: BallBarDiagnosis) -> b
             alone = replace(m, size={cause: m[cause], "stick_mm": m["stick_mm"]})
             by_itself[cause] = max(_g_of(alone, bar) for bar in bars)
     by_itself.pop("lag_ms", None)
+    if found.circles[0].setup.zero != "none":
+        # The length of the bar takes what both scales have in common.
+        half = 0.5 * (m["scale_a"] - m["scale_b"])
+        apart = replace(m, size={"scale_a": half, "scale_b": -half})
+        by_itself = {c: g for c, g in by_itself.items() if c not in ("scale_a", "scale_b")}
+        by_itself["scale_a"] = max(_g_of(apart, bar) for bar in bars)
     if m["lag_ms"] and found.circles[0].setup.zero == "none":
         # Both loops together keep the circle round, and a bar of unknown length does not show them.
         by_itself["lag_ms"] = max(0.5 * m["lag_ms"] ** 2 * (c.feed / 60.0 / c.r) ** 2 * c.r * 1e-3 for c in bars)

@@ -5,8 +5,8 @@ sees and which sets stay confounded; beside it stand the columns of everything t
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -304,11 +304,18 @@ class NotLookedFor:
         candidate: which.
         why: in words.
         twins: names of what it is not separated from; none where it cannot be seen at all.
+        parts: sizes of known parameters, by name, that make the same readings as one unit of it.
     """
 
     candidate: ExtraCause
     why: str
     twins: tuple[str, ...] = ()
+    parts: Mapping[str, float] = field(default_factory=dict)
+
+    def goes_into(self, factors: Mapping[str, float]) -> bool:
+        """Is it not separated from what is determined of some parameters, a sum with these factors by name?"""
+        terms = [factor * self.parts.get(name, 0.0) for name, factor in factors.items() if name in self.twins]
+        return abs(sum(terms)) > IN_IT * max((abs(t) for t in terms), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -352,8 +359,10 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
         if np.abs(seen).max() < UNSEEN_UM:
             left_out.append(NotLookedFor(candidate, _unseen(candidate, circles)))
         elif share_left(known, seen) < APART:
-            twins = _twins(known, seen, names, rank)
-            left_out.append(NotLookedFor(candidate, f"not separated from {' and '.join(twins)}", twins))
+            parts = np.linalg.lstsq(known / _sizes(known), seen / _sizes(seen), rcond=None)[0]
+            twins = _twins(np.abs(parts).max(axis=1), names, rank)
+            same = dict(zip(names, (parts[:, 0] / _sizes(known)).tolist(), strict=True))
+            left_out.append(NotLookedFor(candidate, f"not separated from {' and '.join(twins)}", twins, same))
         else:
             tried.append(candidate)
             columns.append(own)
@@ -388,10 +397,8 @@ def _unseen(candidate: ExtraCause, circles: Sequence[CircleTest]) -> str:
     return "no reading sees it"
 
 
-def _twins(known: Floats, own: Floats, names: Sequence[str], rank: Rank) -> tuple[str, ...]:
+def _twins(parts: Floats, names: Sequence[str], rank: Rank) -> tuple[str, ...]:
     """What makes the same readings, the largest parts only."""
-    size = _sizes(known)
-    parts = np.abs(np.linalg.lstsq(known / size, own / _sizes(own), rcond=None)[0]).max(axis=1)
     found = [n for n, part in zip(names, parts, strict=True) if part > PART_OF * parts.max()]
     alike = [n for n in found for group in rank.confounded if n in group for n in group]
     return tuple(dict.fromkeys([*found, *alike]))

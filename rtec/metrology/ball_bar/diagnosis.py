@@ -31,7 +31,6 @@ from rtec.metrology.ball_bar.phase import (
     Shift,
     by_time,
     either,
-    if_time,
     loop_lag,
     servo_phase,
     shifts,
@@ -281,7 +280,7 @@ class BallBarDiagnosis:
         centre: as asked.
         dynamic: was anything beyond [BB]'s parameters looked for?
         phase: the servo phase taken as one angle in all tests, or as one time, and why.
-        if_time: parameters that depend on which of them it is, where these tests do not tell; intervals hold both.
+        changed: parameters that depend on which of them it is, where these tests do not tell.
         lag_s: both axes are so late behind the command; 0 where the readings show none.
     """
 
@@ -300,7 +299,7 @@ class BallBarDiagnosis:
     centre: Centre = "shared"
     dynamic: bool = True
     phase: PhaseChoice = field(default_factory=lambda: PhaseChoice(()))
-    if_time: tuple[Shift, ...] = ()
+    changed: tuple[Shift, ...] = ()
     lag_s: float = 0.0
 
     @cached_property
@@ -342,7 +341,8 @@ def diagnose(
         MeasurementError: other instruments, planes or machines; too few readings.
     """
     with one_blas_thread():
-        servo = servo_phase(circles_of(measurements), phase, window_deg, centre, dynamic=dynamic)
+        guides = (False, True) if model == "auto" else (model == "non-linear",)
+        servo = servo_phase(circles_of(measurements), phase, guides, window_deg, centre, dynamic=dynamic)
         return _diagnose(servo, model, window_deg, centre, orders, dynamic)
 
 
@@ -357,8 +357,17 @@ def _diagnose(
     fitted, reason = chosen(circles, model, window_deg, centre, found.beyond)
     changed: tuple[Shift, ...] = ()
     if not phase.decided:
-        other = if_time(circles, fitted, window_deg, centre)
-        changed, fitted = shifts(fitted, other), either(fitted, other)
+        others = tuple(replace(c, phase_rate=p.phase_rate) for c, p in zip(circles, phase.other, strict=True))
+        other, why = chosen(others, model, window_deg, centre, found.beyond)
+        if other.model != fitted.model:
+            # What one answer calls a bend the other does not: both are then given with bent guides.
+            reason = reason if fitted.model == "non-linear" else why
+            fitted, other = (
+                f if f.model == "non-linear" else chosen(of, "non-linear", window_deg, centre, found.beyond)[0]
+                for f, of in ((fitted, circles), (other, others))
+            )
+        angle, time = (fitted, other) if phase.taken == "angle" else (other, fitted)
+        changed, fitted = shifts(angle, time), either(fitted, other)
     fitted = _with_twins(fitted, found)
     bb = chosen(circles, model, window_deg, centre, Beyond())[0] if found.beyond.picks else fitted
     near = sum(int(c.near_quadrant(window_deg).sum()) for c in circles) / sum(len(c) for c in circles)
@@ -378,7 +387,7 @@ def _diagnose(
         centre=centre,
         dynamic=dynamic,
         phase=phase,
-        if_time=changed,
+        changed=changed,
         lag_s=lag.time_s,
     )
 
@@ -390,7 +399,11 @@ def _with_twins(fitted: Fitted, found: CausesFound) -> Fitted:
         for name in other.twins:
             twins.setdefault(name, []).append(other.candidate.name)
     values = (replace(v, with_=tuple(dict.fromkeys([*v.with_, *twins.get(v.name, ())]))) for v in fitted.values)
-    return replace(fitted, values=tuple(values))
+    combinations = (
+        replace(v, with_=tuple(x.candidate.name for x in found.left_out if x.goes_into(dict(v.terms))))
+        for v in fitted.combinations
+    )
+    return replace(fitted, values=tuple(values), combinations=tuple(combinations))
 
 
 def _shares(circles: Sequence[CircleTest], fitted: Fitted) -> tuple[Share, ...]:

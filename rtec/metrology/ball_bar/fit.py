@@ -511,7 +511,10 @@ def _heights(design: BarDesign, numbers: Mapping[int, Number], joined: Mapping[s
     for names in design.by_readings.confounded:
         places = [i for i, c in enumerate(design.labels) if c.name in names]
         heights = [k for k, i in enumerate(places) if math.isfinite(design.labels[i].prior)]
-        of = [k for k, i in enumerate(places) if design.labels[i].group in joined and _of_machine(design.labels[i])]
+        # What a bar of unknown length hides is not there for the height to hide.
+        hidden = {n for s in design.rank.confounded for n in s}
+        of = [k for k, i in enumerate(places) if design.labels[i].group in joined
+              and _of_machine(design.labels[i]) and design.names[i] not in hidden]  # fmt: skip
         if not heights or not of:
             continue
         unseen = unseen_of(design.columns[:, places])

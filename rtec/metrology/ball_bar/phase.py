@@ -25,8 +25,10 @@ from rtec.metrology.ball_bar.design import APART, Centre, design_of, share_left,
 from rtec.metrology.ball_bar.fit import Fitted, FittedValue, fit, solve
 from rtec.metrology.ball_bar.noise import WHITE
 from rtec.metrology.ball_bar.search import NOISE_UM, SURE_SE, clearance_of, residual_of_all
+from rtec.wording import significant
 
 Floats = NDArray[np.float64]
+Kind = Literal["angle", "time"]
 Phase = Literal["auto", "angle", "time"]
 SAME_SPEED = 1e-3
 """Angular speeds nearer than this share of each other are one."""
@@ -63,54 +65,69 @@ class PhaseChoice:
         circles: the tests, each with its `phase_rate`.
         taken: as one angle or one time.
         reason: in words; empty where the two are one, or both are fitted.
-        decided: do the readings tell, or was it asked for?
+        other: the tests as the other one, where the readings do not tell.
     """
 
     circles: tuple[CircleTest, ...]
-    taken: Literal["angle", "time"] = "angle"
+    taken: Kind = "angle"
     reason: str = ""
-    decided: bool = True
+    other: tuple[CircleTest, ...] = ()
+
+    @property
+    def decided(self) -> bool:
+        """Do the readings tell, or was it asked for?"""
+        return not self.other
 
 
 @dataclass(frozen=True)
 class Shift:
-    """A parameter with the servo phase as one angle, and its value if it were one time."""
+    """A parameter with the servo phase as one angle, and its value as one time."""
 
-    taken: FittedValue
-    if_time: float
+    angle: FittedValue
+    time: float
 
 
 def servo_phase(
-    circles: Sequence[CircleTest], phase: Phase, window_deg: float, centre: Centre, *, dynamic: bool
+    circles: Sequence[CircleTest],
+    phase: Phase,
+    guides: Sequence[bool],
+    window_deg: float,
+    centre: Centre,
+    *,
+    dynamic: bool,
 ) -> PhaseChoice:
     """Decide between one angle and one time.
 
     Args:
         circles: tests of one plane.
         phase: which, or "auto".
+        guides: which of [BB]'s models the guides may follow, the most general one last: False straight, True bent.
         window_deg, centre: see `fit`.
         dynamic: a delay that separates from the phase is fitted beside it.
     """
-    angle, time = tuple(circles), by_time(circles)
-    if all(abs(c.phase_rate - 1.0) <= SAME_SPEED for c in time):
-        return PhaseChoice(angle)
+    kinds = {"angle": tuple(circles), "time": by_time(circles)}
+    if all(abs(c.phase_rate - 1.0) <= SAME_SPEED for c in kinds["time"]):
+        return PhaseChoice(kinds["angle"])
     if phase != "auto":
-        return PhaseChoice(time if phase == "time" else angle, phase, "as asked")
+        return PhaseChoice(kinds[phase], phase, "as asked")
     if dynamic and _delay_separates(circles, centre):
-        return PhaseChoice(angle)
-    fits = {kind: [fit(of, bent=bent, window_deg=window_deg, centre=centre) for bent in (False, True)]
-            for kind, of in (("angle", angle), ("time", time))}  # fmt: skip
-    least = min((f for both in fits.values() for f in both), key=lambda f: f.sigma_um)
+        return PhaseChoice(kinds["angle"])
+    fits = {k: [fit(of, bent=bent, window_deg=window_deg, centre=centre) for bent in guides] for k, of in kinds.items()}
+    least = min((f for of in fits.values() for f in of), key=lambda f: f.sigma_um)
     count = max(least.used / least.correlation, 2.0)
-    costs = {kind: min(_cost(f, count) for f in both) for kind, both in fits.items()}
-    left = {kind: min(both, key=lambda f: _cost(f, count)).sigma_um for kind, both in fits.items()}
-    if costs["time"] < costs["angle"] - SURE:
-        words = f"as one time it leaves {left['time']:.3g} µm (standard deviation), as one angle {left['angle']:.3g} µm"
-        return PhaseChoice(time, "time", words)
-    if costs["angle"] < costs["time"] - SURE:
-        words = f"as one angle it leaves {left['angle']:.3g} µm (standard deviation), as one time {left['time']:.3g} µm"
-        return PhaseChoice(angle, "angle", words)
-    return PhaseChoice(angle, "angle", "these tests do not tell it from one time; so as [BB]", decided=False)
+    # A twist makes what the difference of angle and time makes: the most general guides are what has to tell.
+    general = _cost(fits["time"][-1], count) - _cost(fits["angle"][-1], count)
+    any_ = min(_cost(f, count) for f in fits["time"]) - min(_cost(f, count) for f in fits["angle"])
+    taken: Kind = "time" if (general if abs(general) > SURE else any_) < -SURE else "angle"
+    other: Kind = "angle" if taken == "time" else "time"
+    if abs(general) > SURE:
+        one, two = (significant(fits[k][-1].sigma_um) for k in (taken, other))
+        words = f"as one {taken} the residual is {one} µm (standard deviation), as one {other} {two} µm"
+        return PhaseChoice(kinds[taken], taken, words)
+    words = f"straight guides make it one {taken}, but with bent guides these tests do not tell"
+    if abs(any_) <= SURE:
+        words = "these tests do not tell it from one time; so as [BB]"
+    return PhaseChoice(kinds[taken], taken, words, other=kinds[other])
 
 
 def loop_lag(circles: Sequence[CircleTest], still: Fitted, window_deg: float, centre: Centre) -> LoopLag:
@@ -157,31 +174,17 @@ def _gains(
     return (float(solved.found[at[0]]), float(solved.found[at[1]])), solved.errors[at]
 
 
-def if_time(circles: Sequence[CircleTest], fitted: Fitted, window_deg: float, centre: Centre) -> Fitted:
-    """The same fit with the phase as one time where it was taken as one angle.
-
-    Args:
-        circles: tests of one plane.
-        fitted: with the phase as one angle.
-        window_deg, centre: see `fit`.
-    """
-    bent = fitted.model == "non-linear"
-    return fit(by_time(circles), bent=bent, window_deg=window_deg, centre=centre, beyond=fitted.beyond)
-
-
-def either(angle: Fitted, time: Fitted) -> Fitted:
-    """The fit with the phase as one angle, its intervals widened so that they hold both answers."""
-    values = tuple(_either(a, b) for a, b in zip(angle.values, time.values, strict=True))
-    combinations = tuple(_either(a, b) for a, b in zip(angle.combinations, time.combinations, strict=False))
-    return replace(angle, values=values, combinations=combinations)
+def either(one: Fitted, other: Fitted) -> Fitted:
+    """The fit of the answer that was taken; intervals and standard errors hold the other one, too."""
+    values = tuple(_either(a, b) for a, b in zip(one.values, other.values, strict=True))
+    combinations = tuple(_either(a, b) for a, b in zip(one.combinations, other.combinations, strict=False))
+    return replace(one, values=values, combinations=combinations)
 
 
 def shifts(angle: Fitted, time: Fitted) -> tuple[Shift, ...]:
-    """What parameters would be if the phase were one time; only those that change."""
+    """Parameters that depend on which of them the phase is."""
     pairs = zip(angle.values, time.values, strict=True)
-    return tuple(
-        Shift(one, two.value) for one, two in pairs if one.name != "phase" and abs(two.value - one.value) > one.se
-    )
+    return tuple(Shift(a, b.value) for a, b in pairs if a.name != "phase" and abs(b.value - a.value) > a.se)
 
 
 def _either(one: FittedValue, two: FittedValue) -> FittedValue:
