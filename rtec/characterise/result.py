@@ -1,7 +1,8 @@
 """What a characterisation gives: the model, how good it is, how it was chosen, and what to beware of."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from rtec.characterise.noise import Outlier
 from rtec.estimation.judge import Judgement
 from rtec.model import Model
+from rtec.result import Result
 
 Floats = NDArray[np.float64]
 
@@ -108,7 +110,7 @@ class UndecidedTerm:
 
 
 @dataclass(frozen=True)
-class Characterisation:
+class Characterisation(Result):
     """A machine characterised.
 
     Attributes:
@@ -129,6 +131,8 @@ class Characterisation:
             another length were held out.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.fit:fit_page"
+
     model: Model
     measurements: tuple[MeasurementFit, ...]
     coefficients: tuple[Coefficient, ...]
@@ -144,6 +148,10 @@ class Characterisation:
     notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
     residuals: dict[str, tuple[Floats, Floats]] = field(default_factory=dict, repr=False)
     judged: Judgement | None = field(default=None, repr=False, compare=False)
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """The coefficients."""
+        return [asdict(c) for c in self.coefficients]
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from rtec.cli.screen import Console
     from rtec.report.page import Page, Section, Table
+    from rtec.result import Result
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Full = Annotated[bool, typer.Option("--full", help="Print all tables, not the verdict and one table.")]
@@ -59,7 +60,7 @@ def stages(title: str = "starting") -> Iterator[Callable[[str, int, int], None]]
 
 def print_json(facts: object, *, on_one_line: bool = False) -> None:
     """Print a result as JSON: arrays as lists, what is not finite as null."""
-    from rtec.report.page import plain
+    from rtec.result import plain
 
     typer.echo(json.dumps(plain(facts), indent=None if on_one_line else 2, ensure_ascii=False))
 
@@ -83,18 +84,42 @@ def give(
         full: print all of the page, not its brief form.
         written: what else was written, by what it is.
     """
-    from rtec.report.page import plain, write_page
+    from rtec.report.page import write_page
+    from rtec.result import plain
 
     page = page_of(report is not None)
     path = write_page(page, facts, report) if report else None
     if as_json:
         print_json(plain(facts) | {"report": str(path) if path else None})
-        return
+    else:
+        _show(page, path, full=full, written=written or {})
+
+
+def show(
+    result: "Result", *, as_json: bool, full: bool = True, written: Mapping[str, Path | str | None] | None = None
+) -> None:
+    """Print a result as JSON, or its page and the paths of what was written.
+
+    Args:
+        result: with its report where one was written.
+        as_json: print JSON, and nothing else.
+        full: print all of the page, not its brief form.
+        written: what else was written, by what it is.
+    """
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        report = result.written.get("report")
+        _show(result.page(figures=report is not None), report, full=full, written=written or {})
+
+
+def _show(page: "Page", report: Path | None, *, full: bool, written: Mapping[str, Path | str | None]) -> None:
+    """Print a page and the paths of what was written, with the first figure of the report."""
     show_page(page, full=full)
-    paths: dict[str, Path | str | None] = {**(written or {})}
+    paths: dict[str, Path | str | None] = {**written}
     if report and (figure := page.first_figure):
-        paths["Figure"] = report / figure.name
-    paths["Report"] = path
+        paths["Figure"] = report.parent / figure.name
+    paths["Report"] = report
     for name, place in paths.items():
         if place:
             typer.echo(f"{name}: {place}")
@@ -244,14 +269,3 @@ def kept(target: Path, done: list[str]) -> str:
     steps = done.count("step")
     parts = ["the refit"] * ("refit" in done) + [counted(steps, "step")] * (steps > 0)
     return f"{target} holds {' and '.join(parts)}" if parts else "nothing was written"
-
-
-def flag_lines(flags_seen: Mapping[str, float]) -> list[str]:
-    """One line a flag with its share of the cycles; LIMITED is omitted, since every correction begins with it."""
-    from rtec.wording import percent
-
-    return [
-        f"{name.lower().replace('_', ' ')}: {percent(share)} of cycles"
-        for name, share in flags_seen.items()
-        if name != "LIMITED"
-    ]

@@ -19,20 +19,9 @@ def compare(
 
     Example: `rtec compare model.toml laser-x.csv drift.csv --report out/compare`
     """
-    from rtec.cli.common import give, stages
-    from rtec.diagnosis.compare.compare import compare as compare_with
-    from rtec.diagnosis.machine_file import load_with_machine
-    from rtec.metrology.files.load import load_measurements
-    from rtec.report.compare import compare_page
+    from rtec import api
+    from rtec.cli.common import show, stages
 
-    known = load_with_machine(model, machine)
-    measurements = load_measurements(files, known.machine)
     with stages() as stage:
-        comparison = compare_with(known, measurements, seed=seed, stage=stage)
-    give(
-        lambda figures: compare_page(comparison, figures, [model, *files]),
-        comparison.facts(),
-        as_json=as_json,
-        report=report,
-        full=full,
-    )
+        comparison = api.compare(model, files, machine=machine, seed=seed, report=report, progress=stage)
+    show(comparison, as_json=as_json, full=full)

@@ -47,7 +47,7 @@ def demo(
     from rtec.demo.page import write_report
     from rtec.demo.story import config_folder, tell_story
     from rtec.model import save_model
-    from rtec.report.page import plain
+    from rtec.result import plain
 
     if hidden_seed is None and not no_hidden:
         hidden_seed = randbelow(10_000)

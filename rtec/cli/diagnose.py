@@ -42,22 +42,15 @@ def diagnose(
 
     Example: `rtec diagnose model.toml laser-x.csv drift.csv --report out/diagnosis`
     """
-    from rtec.cli.common import give, stages
-    from rtec.diagnosis.machine_file import machine_file
-    from rtec.diagnosis.search.diagnose import diagnose as find
-    from rtec.report.diagnosis import diagnosis_page
+    from rtec import api
+    from rtec.cli.common import show, stages
 
-    known, measurements = _load(model, files, machine)
     names = _names(only)
     with stages() as stage:
-        diagnosis = find(known, measurements, seed=seed, alpha=alpha, only=names, explain=True, stage=stage)
-    give(
-        lambda figures: diagnosis_page(diagnosis, figures, [model, *files], machine_file(model, machine)),
-        diagnosis.facts(),
-        as_json=as_json,
-        report=report,
-        full=full,
-    )
+        diagnosis = api.diagnose(
+            model, files, machine=machine, only=names, alpha=alpha, seed=seed, report=report, progress=stage
+        )
+    show(diagnosis, as_json=as_json, full=full)
 
 
 def add(
@@ -105,11 +98,9 @@ def add(
 
     `rtec add model.toml --refit --data laser-x.csv -o newer.toml`
     """
-    from rtec.cli.common import give, interruptible, stages
-    from rtec.diagnosis.extend.add import add as add_effects
-    from rtec.diagnosis.extend.add import check_one, refused
-    from rtec.model import save_model
-    from rtec.report.additions import added_page
+    from rtec import api
+    from rtec.cli.common import interruptible, show, stages
+    from rtec.diagnosis.extend.add import check_one, refused, settings_of
 
     # `--data A B C`: B and C arrive as arguments.
     check_one(effect, expr, refit)
@@ -119,23 +110,25 @@ def add(
         raise typer.BadParameter("name the measurements for the refit: --data laser-x.csv")
     if out is None:
         raise typer.BadParameter("name a file for the new model: -o MODEL2")
-    known, measurements = _load(model, files, machine)
-    new = [] if refit else [_asked(known, None if expr else effect, expr, param or [], component, settings or [])]
+    if not (effect or expr or refit):
+        raise typer.BadParameter("name an effect (`rtec effects` lists them), or write one with --expr")
     with interruptible(), stages() as stage:
-        added = add_effects(known, new, measurements, stage=stage)
-    good = added.better or force
-    if good:
-        save_model(added.model, out)
-    facts = added.facts() | {"model_file": str(out) if good else None}
-    give(
-        lambda figures: added_page(added, figures, [out, *files] if good else []),
-        facts,
-        as_json=as_json,
-        report=report,
-        full=full,
-        written={"Model": out} if good else None,
-    )
-    if not good:
+        added = api.add(
+            model,
+            files,
+            None if expr or refit else effect,
+            component=component,
+            expr=expr,
+            params=param or [],
+            arguments=settings_of(settings or [], f"effect {effect!r}"),
+            machine=machine,
+            out=out,
+            force=force,
+            report=report,
+            progress=stage,
+        )
+    show(added, as_json=as_json, full=full, written={"Model": added.written["model_file"]})
+    if added.written["model_file"] is None:
         typer.echo(f"Not written: {refused(added)}. --force writes it nonetheless.", err=True)
         raise typer.Exit(1)
 
@@ -161,43 +154,30 @@ def improve(
 
     Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
     """
-    from rtec.cli.common import give, interruptible, kept, stages
-    from rtec.diagnosis.extend.improve import improve as go_on
-    from rtec.model import save_model
-    from rtec.report.additions import improved_page
+    from rtec import api
+    from rtec.cli.common import interruptible, kept, show, stages
 
     if not yes and not sys.stdin.isatty():
         raise typer.BadParameter(
             "asks before each effect, but the input is no terminal; --yes adds them without asking"
         )
     target = out or model.with_name(f"{model.stem}-improved.toml")
-    known, measurements = _load(model, files, machine)
     done: list[str] = []
 
-    def keep(added: "Added") -> None:
-        save_model(added.model, target)
-        done.append("refit" if not added.labels else "step")
-
     with interruptible(lambda: kept(target, done)), stages() as stage:
-        result = go_on(
-            known,
-            measurements,
+        result = api.improve(
+            model,
+            files,
             ask=None if yes else _ask,
             ask_refit=None if yes else _ask_refit,
+            step=lambda added: done.append("step" if added.labels else "refit"),
             seed=seed,
-            stage=stage,
-            step=keep,
+            machine=machine,
+            out=target,
+            report=report,
+            progress=stage,
         )
-    written = str(target) if done else None
-    facts = result.facts() | {"model_file": written}
-    give(
-        lambda figures: improved_page(result, figures, target if done else None),
-        facts,
-        as_json=as_json,
-        report=report,
-        full=full,
-        written={"Model": written or "nothing to write"},
-    )
+    show(result, as_json=as_json, full=full, written={"Model": result.written["model_file"] or "nothing to write"})
 
 
 def history(
@@ -210,50 +190,22 @@ def history(
 
     Example: `rtec history better.toml --report out/history`
     """
+    from rtec import api
     from rtec.cli.common import give
-    from rtec.diagnosis.machine_file import load_with_machine
     from rtec.report.history import history_page, steps_of
 
-    known = load_with_machine(model, machine)
+    known = api.load_model(model, machine)
     facts: dict[str, Any] = {"model": known.name, "history": [dict(h) for h in known.history], "steps": steps_of(known)}
     give(lambda figures: history_page(known, figures), facts, as_json=as_json, report=report)
-
-
-def _load(model: Path, files: list[Path], machine: Path | None) -> tuple[Any, Any]:
-    from rtec.diagnosis.machine_file import load_with_machine
-    from rtec.metrology.files.load import load_measurements
-
-    known = load_with_machine(model, machine)
-    return known, load_measurements(files, known.machine)
 
 
 def _names(only: str | None) -> list[str] | None:
     if only is None:
         return None
-    from rtec.effects import effect_class
-
     names = [n.strip() for n in only.split(",") if n.strip()]
     if not names:
         raise typer.BadParameter("name at least one effect: --only scale,backlash", param_hint="--only")
-    for name in names:
-        effect_class(name, "--only")
     return names
-
-
-def _asked(
-    known: Any, effect: str | None, expr: str | None, param: list[str], component: str | None, settings: list[str]
-) -> Any:
-    from rtec.diagnosis.extend.add import asked_effect, new_effect
-
-    if expr is not None:
-        from rtec.effects.expression import expression_from_text
-
-        if component is None:
-            raise typer.BadParameter("name the component error that the expression feeds: --component EXX")
-        return new_effect(expression_from_text(expr, param, component, known.machine), known)
-    if effect is None:
-        raise typer.BadParameter("name an effect (`rtec effects` lists them), or write one with --expr")
-    return asked_effect(effect, component, settings, known)
 
 
 def _ask(choice: "ProposedStep") -> "Finding | None":

@@ -39,36 +39,11 @@ def fit(
 
     `rtec fit machine.toml drift.csv -o model.toml --effects mount_expansion:EX0spindle:sensor=*`
     """
-    from rtec.characterise import characterise, read_wanted
-    from rtec.cli.common import give, interruptible, stages
-    from rtec.machine import load_machine
-    from rtec.metrology.files.load import load_measurements
-    from rtec.model import save_model
-    from rtec.report.fit import fit_page
+    from rtec import api
+    from rtec.cli.common import interruptible, show, stages
 
-    known = load_machine(machine)
-    _check_out(out, [machine, *files])
-    wanted = read_wanted(effects, known) if effects else None
     with interruptible(), stages() as stage:
-        stage("reading", 0, 1)
-        measurements = load_measurements(files, known)
-        result = characterise(measurements, wanted=wanted, leave_out_h=leave_out_h, name=out.stem, stage=stage)
-    save_model(result.model, out)
-    give(
-        lambda figures: fit_page(result, figures, [out, *files]),
-        {**result.facts(), "model_file": str(out)},
-        as_json=as_json,
-        report=report,
-        full=full,
-        written={"Model": out},
-    )
-
-
-def _check_out(out: Path, inputs: list[Path]) -> None:
-    """Before a long fit rather than after it: a model takes the place of no input, and its folder is there."""
-    from rtec.errors import ModelError
-
-    read = {p.resolve() for path in inputs for p in (path, path.with_suffix(".toml"))}
-    if out.resolve() in read:
-        raise ModelError(f"{out}: is read by this fit (a table's TOML counts); name another file with -o")
-    out.parent.mkdir(parents=True, exist_ok=True)
+        result = api.fit(
+            machine, files, effects=effects, leave_out_h=leave_out_h, out=out, report=report, progress=stage
+        )
+    show(result, as_json=as_json, full=full, written={"Model": out})

@@ -9,7 +9,6 @@ from rtec.cli.common import Json, print_json
 
 if TYPE_CHECKING:
     from rtec.metrology.importing import Imported
-    from rtec.metrology.measurement import Measurement
     from rtec.metrology.readers import ForeignTable, SourceOptions
 
 
@@ -61,39 +60,28 @@ def _import(
     force: bool,
     as_json: bool,
 ) -> None:
+    from rtec import api
     from rtec.cli.common import bar
-    from rtec.machine import load_machine
-    from rtec.metrology.importing import import_to_files, load_map
 
-    how = load_map(map_)
-    on = load_machine(machine) if machine is not None else None
     with bar(f"importing {file.name}"):
-        done, measurement, table = import_to_files(
-            file, how, out, on, reader=reader, drop_bad_rows=lenient[0], missing_codes=lenient[1], force=force
+        done = api.import_table(
+            file, map_, out, machine, reader=reader, drop_bad_rows=lenient[0], missing_codes=lenient[1], force=force
         )
-    _show(done, measurement, table, as_json=as_json)
+    if as_json:
+        print_json(done.to_dict())
+    else:
+        _show(done)
 
 
-def _show(done: "Imported", measurement: "Measurement | None", table: Path, *, as_json: bool) -> None:
+def _show(done: "Imported") -> None:
     from rtec.wording import counted
 
-    facts = {
-        "table": str(table),
-        "reader": done.reader,
-        "rows_in": done.rows_in,
-        "rows_out": done.rows_out,
-        "columns": list(done.columns),
-        "notes": list(measurement.notes if measurement else done.notes),
-        "checked": measurement is not None,
-        "sha256": measurement.sha256 if measurement else "",
-    }
-    if as_json:
-        print_json(facts)
-        return
-    for note in facts["notes"]:  # type: ignore[attr-defined]
+    facts = done.facts()
+    for note in facts["notes"]:
         typer.echo(f"  {note}")
+    table = Path(facts["table"])
     typer.echo(f"{counted(done.rows_in, 'row')} in, {counted(done.rows_out, 'row')} out: {table} and {table.stem}.toml")
-    if measurement is None:
+    if not facts["checked"]:
         typer.echo("not checked against a machine; --machine MACHINE.toml checks it")
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from rtec.cli.common import Json, Report, print_json
+from rtec.cli.common import Json, Report
 
 
 def plan(
@@ -44,24 +44,21 @@ def plan(
 
     `rtec plan machine.toml laser-x.csv --rivals backlash:EXX,servo_lag:EXX`
     """
-    from rtec.cli.common import show_page, stages
-    from rtec.diagnosis.plan.answer import Question, answer
-    from rtec.diagnosis.plan.tests import load_test, thinned
-    from rtec.machine import load_machine
-    from rtec.report.page import write_page
-    from rtec.report.plan import plan_page
+    from rtec import api
+    from rtec.cli.common import show, stages
 
-    known = load_machine(machine)
     with stages() as stage:
-        stage("reading the tests", 0, 1)
-        given = [thinned(load_test(t, known)) for t in tests]
-        question = Question(effects, model, ball_bar, rivals, centre, noise, suggest)
-        found = answer(known, given, question, stage)
-    page, facts = plan_page(found), found.facts()
-    written = write_page(page, facts, report) if report else None
-    if as_json:
-        print_json(facts)
-        return
-    show_page(page)
-    if written:
-        typer.echo(f"Report: {written}")
+        answer = api.plan(
+            machine,
+            tests,
+            effects=effects,
+            model=model,
+            rivals=rivals,
+            ball_bar=ball_bar,
+            centre=centre,
+            noise=noise,
+            suggest=suggest,
+            report=report,
+            progress=stage,
+        )
+    show(answer, as_json=as_json)

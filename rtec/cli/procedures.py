@@ -170,7 +170,8 @@ def _give(
 ) -> None:
     """Write and print a result with the notes of its measurements."""
     from rtec.cli.common import give
-    from rtec.report.page import plain, with_notes
+    from rtec.report.page import with_notes
+    from rtec.result import plain
 
     kept = notes or {}
     give(

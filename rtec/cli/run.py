@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from rtec.cli.common import Json, flag_lines, print_json
+from rtec.cli.common import Json, print_json
 from rtec.cli.screen import Console
 
 if TYPE_CHECKING:
@@ -89,6 +89,8 @@ class RunScreen:
 
 def show_report(setup: "Setup", report: "Report") -> None:
     """Print the summary of a run."""
+    from rtec.report.playback import flag_lines
+
     console = Console()
     summary = report.summary
     title = f"{setup.machine.name}: {summary['cycles']} cycles at {setup.file.run.rate_hz:g} Hz"

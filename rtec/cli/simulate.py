@@ -8,11 +8,7 @@ import typer
 from rtec.cli.common import Json, print_json
 
 if TYPE_CHECKING:
-    from rtec.metrology.instruments.base import Instrument
-    from rtec.model import Model
     from rtec.sim.campaign.campaign import Simulated
-    from rtec.sim.campaign.settings import Settings
-
 
 _Machine = Annotated[Path, typer.Argument(metavar="MACHINE", help="Machine file.", show_default=False)]
 _Instrument = Annotated[str, typer.Option("--instrument", "-i", help="Instrument, for example laser_linear.")]
@@ -90,46 +86,42 @@ def simulate(
     Example: `rtec simulate configs/machines/turning-centre.toml --instrument laser_linear --axis X
     --effect scale,component=EXX,axis=X,k=12 -o out/laser-x --seed 3`
     """
-    from rtec.machine import load_machine
-    from rtec.sim.campaign.request import SimulationOrder, settings_of, table_path
-    from rtec.sim.campaign.truth import truth_of
+    from rtec import api
+    from rtec.sim.campaign.request import setup_table
 
-    described = load_machine(machine)
-    made = SimulationOrder(instrument, axis, component, setup or ()).make(described)
-    true = truth_of(described, truth, effect or ())
-    ways = False if one_way else None
     targets = {"range_mm": span, "step_mm": step, "keep_step": keep_step or None, "dwell_s": dwell}
     wrong = {"run_offset_um": run_offset, "resolution_um": resolution, "outliers": outliers, "lost": lost}
-    options: dict[str, dict[str, Any]] = {
-        "targets": {**targets, "both_directions": ways},
+    changes: dict[str, Any] = {
+        "targets": {**targets, "both_directions": False if one_way else None},
         "noise": {"white_um": noise, "drift_um": drift, "drift_tau_s": drift_tau, **wrong},
+        "protocol": protocol,
+        "cycles": cycles,
     }
-    chosen = settings_of(settings, options, {"protocol": protocol, "cycles": cycles})
-    _make(true, made, chosen, seed, table_path(out), truth_out, as_json)
-
-
-def _make(
-    true: "Model", made: "Instrument", chosen: "Settings", seed: int, path: Path, truth_out: Path | None, as_json: bool
-) -> None:
-    from rtec.metrology.files.load import save_measurement
-    from rtec.model import save_model
-    from rtec.sim.campaign.campaign import simulate_with_truth
-
-    result = simulate_with_truth(true, made, chosen, seed, path.stem)
-    save_measurement(result.measurement, path)
-    if truth_out is not None:
-        save_model(true, truth_out)
-    _show(result, path, as_json)
-
-
-def _show(result: "Simulated", path: Path, as_json: bool) -> None:
-    facts = result.facts() | {"table": str(path), "toml": str(path.with_suffix(".toml"))}
+    result = api.simulate(
+        machine,
+        instrument,
+        axis=axis,
+        component=component,
+        setup=setup_table(setup or ()),
+        truth=truth,
+        effects=effect or (),
+        settings=settings,
+        changes=changes,
+        seed=seed,
+        out=out,
+        truth_out=truth_out,
+    )
     if as_json:
-        print_json(facts)
-        return
+        print_json(result.to_dict())
+    else:
+        _show(result)
+
+
+def _show(result: "Simulated") -> None:
     from rtec.characterise.warnings import unused_offset
     from rtec.wording import counted
 
+    facts, path = result.facts(), Path(result.to_dict()["table"])
     typer.echo(
         f"{counted(facts['rows'], 'row')} in {counted(facts['runs'], 'run')} over {facts['hours']:.1f} h: "
         f"{path} and {path.with_suffix('.toml').name}"

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.doubts import Doubt
 from rtec.effects import Effect
 from rtec.estimation.judge import Judgement
+from rtec.result import Result
 
 Floats = NDArray[np.float64]
 
@@ -216,7 +217,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Result):
     """What is missing in a model, as far as these measurements can tell.
 
     Attributes:
@@ -240,6 +241,8 @@ class Diagnosis:
         doubts: about the record itself.
         picture: of rank 1 or of the unknown, where there is one.
     """
+
+    page_maker: ClassVar[str] = "rtec.report.diagnosis:diagnosis_page"
 
     verdict: Verdict
     sentence: str
@@ -269,6 +272,10 @@ class Diagnosis:
     def group(self) -> tuple[Finding, ...]:
         """Rank 1 and what cannot be told from it, where rank 1 was accepted; empty otherwise."""
         return tuple(f for f in self.findings if f.group and self.findings[0].accepted)
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """The candidates, best first."""
+        return [_finding(f) for f in self.findings]
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data; keys as in the documented JSON."""

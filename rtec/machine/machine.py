@@ -82,6 +82,16 @@ class Machine:
         return (*self.moving_channels, *self.slow_channels, "time_s")
 
     @cached_property
+    def columns(self) -> Mapping[str, str]:
+        """Column of a measurement's table to channel, for every channel that the machine can have."""
+        out = {name: name for name in ("spindle_rpm", "feed_mm_min", *CONSTANT_CHANNELS, "angle_deg")}
+        for axis in self.axes:
+            c = axis.channel
+            out |= {f"{c}_mm": c, f"dir_{c}": axis.direction_channel}
+            out |= {f"v{c}_mm_s": axis.velocity_channel, f"a{c}_mm_s2": axis.acceleration_channel}
+        return out | {f"{sensor}_degc": sensor for sensor in self.sensor_names}
+
+    @cached_property
     def chain(self) -> Chain:
         """The lever arms: component errors to tool-tip error."""
         return derive_chain(self.tool_chain, self.work_chain, self.axes, self.links)

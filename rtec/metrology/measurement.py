@@ -2,20 +2,23 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
+from rtec.frames import Kind, frame
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
+from rtec.result import Shown
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Measurement:
+class Measurement(Shown):
     """n rows in order of time; a run is one uninterrupted traverse or cycle.
 
     Attributes:
@@ -31,6 +34,8 @@ class Measurement:
         notes: what the reader told about the file, in words.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.measurement:measurement_page"
+
     name: str
     instrument: Instrument
     machine: Machine
@@ -43,6 +48,33 @@ class Measurement:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def facts(self) -> dict[str, Any]:
+        """What it is, without its readings."""
+        return {
+            "name": self.name,
+            "instrument": self.instrument.name,
+            "axis": self.instrument.axis,
+            "machine": self.machine.name,
+            "rows": len(self),
+            "runs": len(np.unique(self.run)),
+            "hours": float(self.time_s[-1] - self.time_s[0]) / 3600.0 if len(self) else 0.0,
+            "sha256": self.sha256,
+            "notes": list(self.notes),
+        }
+
+    def to_frame(self, kind: Kind | None = None) -> Any:
+        """Every row, in the columns of its file: `run`, `time_s`, `x_mm`, `T_bed_degc`, `reading_um` and so on.
+
+        Args:
+            kind: "pandas", "polars" or "arrow"; by default the first of them that is installed.
+
+        Raises:
+            RtecError: what `kind` names is not installed.
+        """
+        columns = {v: k for k, v in self.machine.columns.items()}
+        channels = {columns.get(c, c): v for c, v in self.channels.items()}
+        return frame({"run": self.run, "time_s": self.time_s, **channels, **self.readings}, kind)
 
     def state(self, reference_degc: float = 20.0, dead_band_mm: Mapping[str, float] | None = None) -> State:
         """The channels as a state; directions that were not recorded follow from the order of positions."""

@@ -4,16 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.derived import FAR_MM
 from rtec.errors import ModelError
 from rtec.machine import Axis, Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
+from rtec.model.at import state_at
+from rtec.result import Shown
 from rtec.tomlfile import digest, nearest
 
 PLACES = 3
@@ -98,7 +100,7 @@ class FittedEffect:
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(Shown):
     """A geometric-thermal model.
 
     Attributes:
@@ -112,6 +114,8 @@ class Model:
         history: one entry a change, as tables.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.history:model_page"
+
     machine: Machine
     effects: tuple[FittedEffect, ...] = ()
     name: str = "model"
@@ -120,6 +124,31 @@ class Model:
     noise_um: float | None = None
     measurements: Mapping[str, str] = field(default_factory=dict)
     history: tuple[Mapping[str, Any], ...] = ()
+
+    def facts(self) -> dict[str, Any]:
+        """The model as plain data: its name, its machine, and every number with its standard error and unit."""
+        return {
+            "name": self.name,
+            "machine": self.machine.name,
+            "sha256": self.hash,
+            "reference_degc": self.reference_degc,
+            "noise_um": self.noise_um,
+            "valid_range": {channel: list(pair) for channel, pair in self.valid_range.items()},
+            "numbers": self.rows(),
+            "history": [dict(entry) for entry in self.history],
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Every number of every effect."""
+        out: list[dict[str, Any]] = []
+        for fitted in self.effects:
+            effect, both = fitted.effect, {**fitted.values, **fitted.theta}
+            head = {"effect": fitted.label, "component": effect.component}
+            out += [
+                head | {"name": p.name, "value": both[p.name], "se": fitted.errors.get(p.name), "unit": p.unit}
+                for p in (*effect.coefficients(self.machine), *effect.nonlinear(self.machine))
+            ]
+        return out
 
     def check(self, source: str = "model") -> None:
         """Check every effect against the machine.
@@ -174,8 +203,32 @@ class Model:
             out[:, self.machine.components.index(fitted.effect.component)] += value
         return out
 
-    def predict(self, state: State) -> Floats:
-        """Tool-tip error, µm, (n, 3): actual minus nominal position of the tool relative to the workpiece."""
+    def predict(self, at: Any = None, /, **channels: ArrayLike) -> Floats:
+        """Tool-tip error, µm, (n, 3): actual minus nominal position of the tool relative to the workpiece.
+
+        `model.predict(X=100.0, Z=[-200.0, 0.0], T_x_nut=24.5, dir_X=1)`: numbers and arrays of one length, together.
+
+        Args:
+            at: a dict, a frame of pandas, polars or Arrow, or a `State`. Columns of a frame that are no channel (the
+                run, the readings) are not read.
+            channels: further channels: positions by the axis' name, mm; temperatures by the sensor's name, °C;
+                `dir_X`, +1 or -1; `spindle_rpm`, `load_kg`, `force_n`, `time_s`; or the names of a table's columns
+                (`x_mm`, `T_bed_degc`, `vx_mm_s`). Without `time_s` each instant is a steady state. Without `dir_X`
+                directions follow from the order of the positions, as in a measurement.
+
+        Returns:
+            (n, 3) along X, Y, Z; (3,) where every channel is a single number.
+
+        Raises:
+            ModelError: a name that is no channel, or one that the model needs and that is missing.
+        """
+        if not isinstance(at, State):
+            state, single = state_at(self, at, channels)
+            out = self._tip_error(state)
+            return out[0] if single else out
+        return self._tip_error(at)
+
+    def _tip_error(self, state: State) -> Floats:
         return self.machine.chain.tip_error_um(state.positions_mm(), self.components(state))
 
     def explain(self, state: State) -> Floats:
@@ -194,6 +247,11 @@ class Model:
             linear, free = names_of(fitted.effect, self.machine)
             out += [fitted.values[n] for n in linear] + [fitted.theta[n] for n in free]
         return np.array(out, dtype=np.float64)
+
+    @property
+    def fed(self) -> tuple[str, ...]:
+        """Components that the effects feed, sorted."""
+        return tuple(sorted({f.effect.component for f in self.effects}))
 
     @cached_property
     def channels(self) -> tuple[str, ...]:

@@ -1,8 +1,6 @@
 """Reports of an effect that was added to a model, and of a model that was improved step by step."""
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
 
 from rtec.diagnosis.extend.add import Added
 from rtec.diagnosis.extend.improve import Improved
@@ -22,13 +20,12 @@ WHY_ENDED = {
 }
 
 
-def added_page(a: Added, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+def added_page(a: Added, figures: bool = True) -> Page:
     """The error before and after an addition.
 
     Args:
         a: the addition.
         figures: whether to draw.
-        files: the new model and the measurements, for the command to type next.
     """
     section = _before_and_after(a)
     what = ", ".join(a.labels) or "refitted numbers"
@@ -44,7 +41,7 @@ def added_page(a: Added, figures: bool = True, files: Sequence[Path] = ()) -> Pa
         [],
         [section, *history_sections(a.model, figures)],
         brief=Section("", [], section.table),
-        next=[typed("rtec", "diagnose", *files)] if files else [],
+        next=[typed("rtec", "diagnose", *a.files)] if a.files else [],
     )
 
 
@@ -75,13 +72,12 @@ def _refit_words(refit: Added) -> str:
     return f"The model's own numbers were out of date; refitted, the residual fell from {before} to {after} {unit}. "
 
 
-def improved_page(r: Improved, figures: bool = True, target: Path | None = None) -> Page:
+def improved_page(r: Improved, figures: bool = True) -> Page:
     """All steps of an improvement.
 
     Args:
         r: the improvement.
         figures: whether to draw.
-        target: the file of the new model, for the command to type next; None where none was written.
     """
     refit = _refit_words(r.refit) if r.refit else ""
     if not r.steps:
@@ -106,7 +102,7 @@ def improved_page(r: Improved, figures: bool = True, target: Path | None = None)
         [],
         [*history, *steps, *tail],
         brief=Section("", [], history[0].table if history else None),
-        next=[typed("rtec", "history", target, "--report", "out/history")] if target else [],
+        next=[typed("rtec", "history", r.files[0], "--report", "out/history")] if r.files else [],
     )
 
 

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Sequence
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +24,12 @@ SLOW = 0.5
 """Drift below this share of the noise is not reported."""
 
 
-def compare_page(c: Comparison, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+def compare_page(c: Comparison, figures: bool = True) -> Page:
     """The page.
 
     Args:
         c: the comparison.
         figures: whether to draw.
-        files: the model and the measurements, for the command to type next.
     """
     return Page(
         title=f"Residual of the model {c.model}",
@@ -50,7 +48,7 @@ def compare_page(c: Comparison, figures: bool = True, files: Sequence[Path] = ()
             f"rtec {__version__}, rtec compare, seed {c.seed} of the random draws.",
         ],
         brief=Section("", [], _brief(c)),
-        next=_next(c, files),
+        next=_next(c),
     )
 
 
@@ -63,11 +61,11 @@ def _brief(c: Comparison) -> Table:
     return Table(head, rows, "Root mean squares; explained: share of the mean square above the noise floor.", (0, 5))
 
 
-def _next(c: Comparison, files: Sequence[Path]) -> list[str]:
+def _next(c: Comparison) -> list[str]:
     """A diagnosis, unless the model is at the noise floor."""
-    if not files or all(i.left.rms <= AT_FLOOR * i.floor for i in c.items):
+    if not c.files or all(i.left.rms <= AT_FLOOR * i.floor for i in c.items):
         return []
-    return [typed("rtec", "diagnose", *files)]
+    return [typed("rtec", "diagnose", *c.files)]
 
 
 def _lead(c: Comparison) -> str:

@@ -15,7 +15,7 @@ from rtec.diagnosis.compare.bins import cut_into
 from rtec.estimation.readings import Readings, Series
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.report.ball_bar_figures import MIDDLE, ROOM, CircleTrace, around, arrow, frame
-from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, as_png, canvas, stacked
+from rtec.report.figures import GREY, LINES, OFF, ON, WIDTH_IN, Png, as_png, canvas, stacked
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -183,7 +183,7 @@ def angle_of(readings: Readings, s: Series) -> tuple[str, Floats, Floats] | None
     return "angle on the circle, degrees", turned, np.zeros(len(turned))
 
 
-def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, predicted: Floats) -> bytes | None:
+def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, predicted: Floats) -> Png | None:
     """Measured and predicted drawn outwards from the circle, beside it the residual; None for other instruments.
 
     Args:

@@ -19,14 +19,12 @@ BETTER = 0.005
 """Share of the mean square; falls of less are none."""
 
 
-def diagnosis_page(d: Diagnosis, figures: bool = True, files: Sequence[Path] = (), machine: Path | None = None) -> Page:
+def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
     """The page.
 
     Args:
         d: the diagnosis.
         figures: whether to draw.
-        files: the model and the measurements, for commands that can be typed as they are.
-        machine: the machine file, for the same.
     """
     unit = UNITS[d.unit]
     return Page(
@@ -38,7 +36,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True, files: Sequence[Path] = (
             *([(probability(d.findings[0].confidence), "probability of rank 1")] if d.group else []),
         ],
         sections=[
-            *_to_type(d, files),
+            *_to_type(d),
             *_evidence(d, figures),
             *_confused(d),
             *_absent(d),
@@ -50,7 +48,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True, files: Sequence[Path] = (
             f"rtec {__version__}, rtec diagnose, seed {d.seed} of the random draws.",
         ],
         brief=Section("", [], _brief(d)),
-        next=_next(d, files, machine),
+        next=_next(d),
     )
 
 
@@ -68,11 +66,11 @@ def _brief(d: Diagnosis) -> Table | None:
     return Table(head, rows, f"Falls by: share of the mean square.{more}")
 
 
-def _next(d: Diagnosis, files: Sequence[Path], machine: Path | None) -> list[str]:
+def _next(d: Diagnosis) -> list[str]:
     """What adds the effect, separates the rivals, or refits the model."""
-    if not files:
+    if not d.files:
         return []
-    model, *data = files
+    model, *data = d.files
     better = f"{model.with_suffix('')}-more.toml"
     if d.verdict == "missing_effect" and d.findings[0].partner is None:
         return [typed("rtec", "add", model, *_as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
@@ -80,12 +78,12 @@ def _next(d: Diagnosis, files: Sequence[Path], machine: Path | None) -> list[str
         first = d.findings[0]
         rivals = [f"{first.effect.effect}:{first.effect.component}"]
         rivals += [f"{a.effect}:{a.component}" for a in first.confused_with if not a.apart][: BRIEF - 1]
-        return [typed("rtec", "plan", machine or "MACHINE", *data, "--rivals", ",".join(rivals))]
+        return [typed("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", ",".join(rivals))]
     if d.verdict == "unknown_effect":
-        return [line for section in _to_type(d, files) for line in section.text if line.startswith("rtec ")]
+        return [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
     if d.verdict == "nothing_missing" and not d.out_of_date:
         return []
-    return [typed("rtec", "improve", *files, "-o", better)]
+    return [typed("rtec", "improve", *d.files, "-o", better)]
 
 
 def _as_typed(effect: Effect) -> list[str]:
@@ -118,12 +116,12 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
     return [*out, Section("Candidates, best first", _candidate_words(d), _candidates(d), figure)]
 
 
-def _to_type(d: Diagnosis, files: Sequence[Path]) -> list[Section]:
+def _to_type(d: Diagnosis) -> list[Section]:
     """The command that adds an effect without a name as an expression."""
     if d.unknown is None or not d.unknown.expression:
         return []
     u = d.unknown
-    model, *data = files or (Path("MODEL"), Path("MEASUREMENT"))
+    model, *data = d.files or (Path("MODEL"), Path("MEASUREMENT"))
     given = ["rtec", "add", str(model), "--expr", u.expression]
     given += [word for p in u.parameters for word in ("--param", p)]
     given += ["--component", u.feeds, "--data", *map(str, data), "-o", f"{model.with_suffix('')}-more.toml"]

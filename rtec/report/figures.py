@@ -44,14 +44,20 @@ WIDTH_IN = 11.0
 P = ParamSpec("P")
 
 
-def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, bytes]:
+class Png(bytes):
+    """A figure as PNG; `figure` is what matplotlib drew, for whoever wants to change it."""
+
+    figure: "MplFigure"
+
+
+def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, Png]:
     """Make of a function that draws a figure one that gives it as a PNG, in this file's style.
 
     matplotlib's own style is left as it was. `inspect.unwrap` gives the function that draws.
     """
 
     @functools.wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> bytes:
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Png:
         from matplotlib import rc_context
         from matplotlib.text import Text
 
@@ -63,7 +69,9 @@ def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, bytes]:
                     text.set_text(clean_lines(words))
                     text.set_parse_math(False)
             figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
-        return out.getvalue()
+        png = Png(out.getvalue())
+        png.figure = figure
+        return png
 
     return drawn
 
@@ -71,9 +79,10 @@ def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, bytes]:
 def canvas(height_in: float) -> "MplFigure":
     """An empty figure as wide as all others."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained", facecolor="white")
+    from rtec.report.notebook import ShownFigure
+
+    figure = ShownFigure(figsize=(WIDTH_IN, height_in), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 

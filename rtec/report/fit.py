@@ -1,14 +1,12 @@
 """Report of a characterisation: the residual, the coefficients, the choice of effects, the warnings."""
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import numpy as np
 
 from rtec import __version__
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
 from rtec.diagnosis.words import spoken
+from rtec.report.figures import Png
 from rtec.report.page import Figure, Page, Section, Table, note_words, typed
 from rtec.wording import NONE, counted, number, significant, with_error
 
@@ -19,13 +17,12 @@ SURE = 3.0
 """A coefficient within so many standard errors of zero is not sure to be there."""
 
 
-def fit_page(r: Characterisation, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+def fit_page(r: Characterisation, figures: bool = True) -> Page:
     """The page.
 
     Args:
         r: the characterisation.
         figures: whether to draw.
-        files: the new model and the measurements, for the command to type next.
     """
     unit = UNITS[r.unit]
     warnings = [f"{w.text}. What to do: {w.remedy}." for w in r.warnings]
@@ -59,7 +56,7 @@ def fit_page(r: Characterisation, figures: bool = True, files: Sequence[Path] = 
             f"rtec {__version__}, rtec fit; procedure of [G 3.6].",
         ],
         brief=Section("", [], _brief(r)),
-        next=[typed("rtec", "compare", *files)] if files else [],
+        next=[typed("rtec", "compare", *r.files)] if r.files else [],
     )
 
 
@@ -125,7 +122,7 @@ def _search(r: Characterisation, figures: bool) -> list[Section]:
     return [Section("Choice of the effects", words, table, picture)]
 
 
-def _search_figure(r: Characterisation) -> bytes:
+def _search_figure(r: Characterisation) -> Png:
     from rtec.report.fit_figures import falling
 
     return falling(np.array([100 * s.inside for s in r.steps]), np.array([100 * s.held_out for s in r.steps]))

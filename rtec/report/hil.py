@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
 from rtec.report.figures import GREY, KINDS, as_png, stacked
-from rtec.report.page import Figure, Page, Section, Table, plain
+from rtec.report.page import Figure, Page, Section, Table
+from rtec.result import plain
 from rtec.wording import number, significant
 
 if TYPE_CHECKING:

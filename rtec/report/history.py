@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rtec.diagnosis.words import UNITS
+from rtec.diagnosis.words import UNITS, spoken
 from rtec.model import Model
 from rtec.report.page import Figure, Page, Section, Table
-from rtec.wording import NONE, counted, number, percent, two_numbers
+from rtec.wording import NONE, counted, number, percent, two_numbers, with_error
 
 
 def history_page(model: Model, figures: bool = True) -> Page:
@@ -23,6 +23,14 @@ def history_page(model: Model, figures: bool = True) -> Page:
     went = "is" if begun == errors[-1] else "fell from"
     lead = f"{counted(len(steps), 'change')}: the residual on held-out runs {went} {fell} {unit}."
     return Page(f"History of {model.name}", lead, [], history_sections(model, figures))
+
+
+def model_page(model: Model, figures: bool = True) -> Page:
+    """A model at a glance: its numbers, and its history."""
+    lead = f"{model.name}: {counted(len(model.effects), 'effect')} on {model.machine.name}."
+    rows = [[r["effect"], r["name"], *with_error(r["value"], r["se"]), spoken(r["unit"])] for r in model.rows()]
+    table = Table(("effect", "number", "value", "standard error", "unit"), rows, words=(0, 1, 4))
+    return Page(f"Model {model.name}", lead, [], [Section("Numbers", [], table), *history_sections(model, figures)])
 
 
 def steps_of(model: Model) -> list[dict[str, Any]]:

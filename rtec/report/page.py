@@ -1,20 +1,19 @@
 """A report: its parts, one self-contained HTML file of them (no scripts, no network), and the folder that holds it."""
 
 import json
-import math
 import shutil
 import tempfile
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
-import numpy as np
-
 from rtec.errors import RtecError
+from rtec.report.figures import Png
+from rtec.result import plain
 from rtec.text import clean_lines
 
 
@@ -33,7 +32,7 @@ class Figure:
     """A picture: file name beside the page, PNG, and what it shows, in words for those who can't see it."""
 
     name: str
-    png: bytes
+    png: Png
     shows: str
 
     @property
@@ -100,21 +99,6 @@ def _cleaned(value: Any) -> Any:
     return clean_lines(value) if isinstance(value, str) else value
 
 
-def plain(value: Any) -> Any:
-    """A result as JSON holds it: arrays become lists; what is not finite becomes null."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [plain(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value
-
-
 def note_words(notes: Mapping[str, Sequence[str]]) -> list[str]:
     """The notes of each measurement in one sentence: what is missing in it, and what was accepted."""
     return [f"{name}: {'; '.join(said)}." for name, said in notes.items() if said]
@@ -133,7 +117,7 @@ def write_page(page: Page, facts: object, folder: Path) -> Path:
     Raises:
         RtecError: the folder cannot be written.
     """
-    files = {s.figure.name: s.figure.png for s in page.sections if s.figure}
+    files: dict[str, bytes] = {s.figure.name: s.figure.png for s in page.sections if s.figure}
     files["result.json"] = (json.dumps(plain(facts), indent=2) + "\n").encode()
     files["report.html"] = render(page).encode()
     try:

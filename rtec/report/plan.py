@@ -21,8 +21,9 @@ NO_TEST = (
 )
 
 
-def plan_page(a: Answer) -> Page:
+def plan_page(a: Answer, figures: bool = True) -> Page:
     """The page, which has no figures."""
+    del figures  # it has none
     s = a.separation
     return Page(
         title="What these tests separate",

@@ -21,7 +21,8 @@ from rtec.errors import ConfigError
 from rtec.loop.records import MODE_OFF
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
-from rtec.report.page import Page, plain, render
+from rtec.report.page import Page, render
+from rtec.result import plain
 from rtec.sim.machine import SimulatedMachine
 from rtec.sim.truth import load_truth
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.replay.sigrok import read
+from rtec.playback.sigrok import read
 from rtec_drivers.modbus.frame import ModbusRequest, find_rtu, frames_of_slaves, good_crc
 from rtec_drivers.modbus.map import Register
 from tests.support.modbus_peer import crc

@@ -19,7 +19,7 @@ from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup
 from rtec.loop.state_files import DiskState, read_disk
-from rtec.replay.replay import replay_log
+from rtec.playback.replay import replay_log
 from tests.support import setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtec.correction.insertion import Corrected, InsertionSettings, PulseInserter, correct_capture
 from rtec.correction.quadrature import encode
-from rtec.replay.sigrok import read
+from rtec.playback.sigrok import read
 from tests.support import linuxcnc
 from tests.support.real_data import real_file
 

@@ -19,7 +19,7 @@ from rtec.log.reader import LogReader
 from rtec.loop.orders import Order
 from rtec.loop.run_file import Setup, load_setup
 from rtec.model import Model, save_model
-from rtec.replay.replay import replay_log
+from rtec.playback.replay import replay_log
 from tests.support import setups
 
 pytestmark = pytest.mark.xdist_group("real-clock")

@@ -26,7 +26,7 @@ from rtec.loop.run_file import load_setup
 from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.machine import load_machine
 from rtec.model import FittedEffect, Model, save_model
-from rtec.replay.replay import replay_log
+from rtec.playback.replay import replay_log
 from tests.loop.test_step import FAST, MACHINE, NS, PLAIN_NJIT, SLOW, same
 from tests.support import setups
 

@@ -26,7 +26,7 @@ from rtec.loop.output import PATIENCE_NS
 from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
-from rtec.replay.replay import replay_log
+from rtec.playback.replay import replay_log
 from tests.support import setups
 from tests.support.output_rigs import FAULTS, MS, RIGS, OutputRig, SimRig
 

@@ -14,8 +14,8 @@ from rtec.errors import LogError, MeasurementError
 from rtec.loop.run_file import load_setup
 from rtec.metrology.files.load import load_measurement
 from rtec.metrology.readers import SourceOptions, read_tables
-from rtec.replay import sigrok
-from rtec.replay.capture import MOST_CYCLES, replay_capture
+from rtec.playback import sigrok
+from rtec.playback.capture import MOST_CYCLES, replay_capture
 from tests.support import measurement_examples as examples
 from tests.support import setups
 

@@ -351,8 +351,8 @@ def test_the_shipped_laser_map(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_the_shipped_ecmc_map_on_real_data(tmp_path: Path) -> None:
     """Oracle: the largest reversal of this test as published, B = 0.03358 mm."""
     file = real_file("iso230_positioning", "b02-x_target_x.md_ISO230.dat")
-    i, _, table = import_to_files(file, load_map(MAPS / "ecmc-iso230.toml"), tmp_path / "b02")
-    assert table == tmp_path / "b02.csv"
+    i = import_to_files(file, load_map(MAPS / "ecmc-iso230.toml"), tmp_path / "b02")
+    assert i.table == tmp_path / "b02.csv"
     x, side, e = (i.columns[c] for c in ("x_mm", "dir_x", "reading_um"))
     gaps = [e[(x == t) & (side == 1)].mean() - e[(x == t) & (side == -1)].mean() for t in np.unique(x)]
     assert np.max(np.abs(gaps)) == pytest.approx(33.58, abs=0.01)

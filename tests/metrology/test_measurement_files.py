@@ -15,7 +15,6 @@ from pyarrow import parquet
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.checks import READING_CODES
-from rtec.metrology.files.columns import channel_columns
 from rtec.metrology.files.load import Leniency, load_measurement, load_measurements, save_measurement
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -423,7 +422,7 @@ def measurements(draw: st.DrawFn) -> Measurement:
 
     sensors = {f"{s.name}_degc": column(st.floats(*s.range_degc)) for s in m.sensors}
     sides = {c: column(st.sampled_from([-1.0, 0.0, 1.0])) for c in ("dir_x", "dir_z")}
-    others = {c: column(FINITE) for c in sorted(set(channel_columns(m)) - set(sensors) - set(sides))}
+    others = {c: column(FINITE) for c in sorted(set(m.columns) - set(sensors) - set(sides))}
     chosen = draw(st.sets(st.sampled_from(sorted({**sensors, **sides, **others}))))
     columns = {c: v for c, v in {**sensors, **sides, **others}.items() if c in chosen or c == "x_mm"}
     readings = column(st.one_of(SMALL, st.just(float("nan"))))
@@ -436,7 +435,7 @@ def measurements(draw: st.DrawFn) -> Measurement:
         m,
         np.sort(np.array(draw(st.lists(st.integers(-(2**53), 2**53), min_size=n, max_size=n)), dtype=np.int64)),
         np.sort(column(FINITE)),
-        {channel_columns(m)[c]: v for c, v in columns.items()},
+        {m.columns[c]: v for c, v in columns.items()},
         {"reading_um": readings},
     )
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import counts_at, decode, decode_edges
-from rtec.replay.sigrok import Capture, read, write
+from rtec.playback.sigrok import Capture, read, write
 from tests.support.real_data import real_file
 
 Bytes = NDArray[np.uint8]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtec.hil import WITHIN, Check, FaultFound, FaultOrder, OffAndOn
-from rtec.replay.replay import replay_log
+from rtec.playback.replay import replay_log
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS
 from rtec_drivers.hil.logbook import Logbook, held_spans

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from rtec.diagnosis.doubts import Doubt
 from rtec.estimation.floor import Floor
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings
+from rtec.result import Result
 
 Floats = NDArray[np.float64]
 
@@ -217,7 +218,7 @@ class Traces:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Result):
     """A model against measurements.
 
     Attributes:
@@ -230,6 +231,8 @@ class Comparison:
         doubts: about the record itself.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.compare:compare_page"
+
     model: str
     items: tuple[Compared, ...]
     notes: tuple[str, ...]
@@ -237,6 +240,10 @@ class Comparison:
     judged: Judgement = field(repr=False, compare=False)
     traces: Traces = field(repr=False, compare=False)
     doubts: tuple[Doubt, ...] = ()
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """One for each reading column of each measurement."""
+        return [c.facts() for c in self.items]
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data; keys as in the documented JSON."""

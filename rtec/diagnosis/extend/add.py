@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin
 from rtec.model.model import names_of
 from rtec.parallel import one_blas_thread
+from rtec.result import Result
 from rtec.tomlfile import nearest, validated
 from rtec.wording import percent, two_numbers
 
@@ -118,7 +119,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class Added:
+class Added(Result):
     """A model with effects added.
 
     Attributes:
@@ -135,6 +136,8 @@ class Added:
         passed_over: what these readings cannot tell from what was added.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.additions:added_page"
+
     model: Model
     labels: tuple[str, ...]
     before: Errors
@@ -146,6 +149,10 @@ class Added:
     notes: tuple[str, ...] = ()
     floor_from: str = ""
     passed_over: tuple[PassedOver, ...] = ()
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """The error before and after."""
+        return [{"when": "before", **vars(self.before)}, {"when": "after", **vars(self.after)}]
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""
@@ -379,8 +386,8 @@ def _with_smooth(joint: Joint, scale: Floats) -> float:
     return held_out(joint.weights, whole, scale).rms
 
 
-def asked_effect(name: str, component: str | None, settings: Sequence[str], model: Model) -> FittedEffect:
-    """Build an effect from `NAME`, a component and `key=value` texts.
+def asked_effect(name: str, component: str | None, given: Mapping[str, Any], model: Model) -> FittedEffect:
+    """Build an effect from its name, a component and what else it needs.
 
     An axis that is not named is the component's own. Numbers (coefficients, time constants) may be given as a start.
 
@@ -390,7 +397,6 @@ def asked_effect(name: str, component: str | None, settings: Sequence[str], mode
     name = name.lower() if name.lower() in all_effects() else name
     where = f"effect {name!r}"
     kind = effect_class(name, "rtec add")
-    given = dict(_pair(text, where) for text in settings)
     if component is None:
         raise ModelError(f"{where}: say which component error it feeds: --component EXX (`rtec effects {name}` tells)")
     arguments = {k: v for k, v in given.items() if k in kind.model_fields}
@@ -414,6 +420,15 @@ def check_one(name: str | None, expr: str | None, refit: bool) -> None:
     said = [f"effect {name!r}"] * named + ["--expr"] * (expr is not None) + ["--refit"] * refit
     if len(said) > 1:
         raise ModelError(f"add: {' and '.join(said)} together: give either a name, or --expr, or --refit")
+
+
+def settings_of(texts: Sequence[str], where: str) -> dict[str, Any]:
+    """Settings from `key=value` texts; values as in TOML, or plain words.
+
+    Raises:
+        ModelError: a text is no `key=value`.
+    """
+    return dict(_pair(text, where) for text in texts)
 
 
 def _pair(text: str, where: str) -> tuple[str, Any]:

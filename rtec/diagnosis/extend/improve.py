@@ -1,8 +1,8 @@
 """Diagnose and add, again and again, until nothing significant is left or the error is at the noise floor."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from rtec.diagnosis.extend.add import WORTH, Added, add, is_there, new_effect, residual_size, rivals_of, said
 from rtec.diagnosis.result import Diagnosis, Finding
@@ -12,6 +12,7 @@ from rtec.diagnosis.usable import check_enough
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.result import Result
 
 Stage = Callable[[str, int, int], None]
 Reason = Literal["nothing_missing", "unknown_effect", "ambiguous", "stopped", "at_floor", "no_gain", "steps"]
@@ -39,7 +40,7 @@ class ProposedStep:
 
 
 @dataclass(frozen=True)
-class Improved:
+class Improved(Result):
     """A model improved step by step.
 
     Attributes:
@@ -50,11 +51,26 @@ class Improved:
         refit: the model's own numbers fitted anew before all steps, where that was worth it.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.additions:improved_page"
+
     model: Model
     steps: tuple[Added, ...]
     diagnoses: tuple[Diagnosis, ...]
     reason: Reason
     refit: Added | None = None
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """One for each effect that was added, with the error on held-out runs before and after it."""
+        return [
+            {
+                "added": ", ".join(s.labels),
+                "before": s.before.held_out,
+                "after": s.after.held_out,
+                "noise_floor": s.floor,
+                "unit": s.unit,
+            }
+            for s in self.steps
+        ]
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""

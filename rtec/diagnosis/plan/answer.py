@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rtec.errors import ConfigError
 from rtec.machine import Machine
 from rtec.metrology.instruments.ball_bar import BallBar
 from rtec.metrology.measurement import Measurement
+from rtec.result import Result
 
 BallBarModel = Literal["linear", "non-linear"]
 Stage = Callable[[str, int, int], None]
@@ -47,7 +48,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Answer(Result):
     """What the tests can tell, and what to add.
 
     Attributes:
@@ -62,6 +63,8 @@ class Answer:
         noise: white noise that was supposed, µm or µrad.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.plan:plan_page"
+
     tests: tuple[str, ...]
     separation: Separation
     proposals: tuple[Proposal, ...] = ()
@@ -70,6 +73,11 @@ class Answer:
     separators: tuple[Separator, ...] = ()
     noise: float = 0.5
     circles: bool = False
+
+    def rows(self) -> list[Mapping[str, Any]]:
+        """The parameters, with the smallest size of each that the tests detect."""
+        found = self.separation.facts()
+        return [p | {"smallest_detectable": found["smallest_detectable"].get(p["name"])} for p in found["parameters"]]
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""

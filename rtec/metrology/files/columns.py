@@ -11,7 +11,6 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
-from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.table import Floats
 from rtec.metrology.instruments.ball_bar import BallBar, BallBarSetup, axis_along, circle_channels, travelled_deg
@@ -20,18 +19,7 @@ from rtec.metrology.units import SUFFIXES
 from rtec.tomlfile import nearest
 from rtec.wording import significant
 
-PLAIN = {name: name for name in ("spindle_rpm", "feed_mm_min", *CONSTANT_CHANNELS, "angle_deg")}
 PREFIXES = ("run", "time", "reading", "spindle", "feed", "load", "force", "angle", "dir_")
-
-
-def channel_columns(machine: Machine) -> dict[str, str]:
-    """Column name to channel name, for every channel that the machine can have."""
-    out = dict(PLAIN)
-    for axis in machine.axes:
-        c = axis.channel
-        out |= {f"{c}_mm": c, f"dir_{c}": axis.direction_channel}
-        out |= {f"v{c}_mm_s": axis.velocity_channel, f"a{c}_mm_s2": axis.acceleration_channel}
-    return out | {f"{sensor}_degc": sensor for sensor in machine.sensor_names}
 
 
 def check_columns(
@@ -42,7 +30,7 @@ def check_columns(
     Returns:
         Names to read, in the order of the file, and notes on what is not read.
     """
-    allowed = {"run", "time_s", *instrument.columns(), *channel_columns(machine)}
+    allowed = {"run", "time_s", *instrument.columns(), *machine.columns}
     wished = set(ignored)
     used, unread = [], []
     for name in dict.fromkeys(names):

@@ -13,7 +13,7 @@ import numpy as np
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.files.checks import CheckedRows, check_order, remarks
-from rtec.metrology.files.columns import channel_columns, check_columns, on_circle, still_right
+from rtec.metrology.files.columns import check_columns, on_circle, still_right
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.save import save_measurement
 from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
@@ -66,7 +66,7 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     accepted = file.table.with_(leniency)
     raw, notes, digest = _read(table, toml, instrument, machine, accepted)
     digest.update(toml.read_bytes())
-    columns = channel_columns(machine)
+    columns = machine.columns
     run = raw.columns["run"].astype(np.int64)
     channels = {columns[c]: v for c, v in raw.columns.items() if c in columns}
     return Measurement(

@@ -11,7 +11,6 @@ import tomli_w
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
-from rtec.metrology.files.columns import channel_columns
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.measurement import Measurement
 from rtec.tomlfile import nearest
@@ -34,7 +33,7 @@ def save_measurement(measurement: Measurement, path: Path) -> Path:
     """
     if path.suffix not in TABLES:
         raise MeasurementError(f"{path}: a measurement is written as NAME.csv or NAME.parquet")
-    of_channel = {channel: column for column, channel in channel_columns(measurement.machine).items()}
+    of_channel = {channel: column for column, channel in measurement.machine.columns.items()}
     columns: dict[str, Column] = {"run": measurement.run, "time_s": measurement.time_s}
     for channel, values in measurement.channels.items():
         if channel not in of_channel:

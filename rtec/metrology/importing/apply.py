@@ -1,13 +1,14 @@
 """Applying a map: a table of another program becomes the columns of a measurement, and says what it did."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rtec.errors import MeasurementError
+from rtec.frames import Kind, frame
 from rtec.machine import Machine
 from rtec.metrology.files.save import Column as Values
 from rtec.metrology.files.save import write_files
@@ -19,11 +20,12 @@ from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
 from rtec.metrology.readers.base import ForeignTable
 from rtec.metrology.units import convert, unit_of_column
+from rtec.result import Result
 from rtec.tomlfile import nearest
 
 
 @dataclass(frozen=True)
-class Imported:
+class Imported(Result):
     """What came out of a table.
 
     Attributes:
@@ -31,13 +33,37 @@ class Imported:
         reader: that read the file.
         rows_in, rows_out: rows of the file and of the measurement.
         notes: everything that was done, in words.
+        measurement: what was read back and checked, where a machine was named.
+        table: the file that was written.
     """
+
+    page_maker: ClassVar[str] = "rtec.report.measurement:imported_page"
 
     columns: dict[str, Values]
     reader: str
     rows_in: int
     rows_out: int
     notes: tuple[str, ...]
+    measurement: Measurement | None = None
+    table: Path | None = None
+
+    def facts(self) -> dict[str, Any]:
+        """What was imported; keys as in the documented JSON."""
+        read = self.measurement
+        return {
+            "table": str(self.table) if self.table else None,
+            "reader": self.reader,
+            "rows_in": self.rows_in,
+            "rows_out": self.rows_out,
+            "columns": list(self.columns),
+            "notes": list(read.notes if read else self.notes),
+            "checked": read is not None,
+            "sha256": read.sha256 if read else "",
+        }
+
+    def to_frame(self, kind: Kind | None = None) -> Any:
+        """The rows of the measurement; `kind` as for `rtec.result.Shown.to_frame`."""
+        return frame(self.columns, kind)
 
 
 def import_table(path: Path, how: ImportMap) -> Imported:
@@ -81,7 +107,7 @@ def import_to_files(
     drop_bad_rows: bool = False,
     missing_codes: Sequence[str] = (),
     force: bool = False,
-) -> tuple[Imported, Measurement | None, Path]:
+) -> Imported:
     """Import and write NAME.csv (or .parquet) and NAME.toml.
 
     Args:
@@ -94,7 +120,7 @@ def import_to_files(
         force: write over files that are there.
 
     Returns:
-        What was done, the measurement where a machine was given, and the path of the table.
+        What was done, with the measurement where a machine was given, and the path of the table.
 
     Raises:
         MeasurementError: as `import_table` and, for the result, as `load_measurement`.
@@ -115,7 +141,8 @@ def import_to_files(
     numbers = [n for code in missing_codes if (n := _number(code)) is not None]
     accepted = {"drop_bad_rows": drop_bad_rows or None, "missing_codes": numbers or None}
     write_files(table, done.columns, head, how.setup, accepted)
-    return done, load_measurement(table, machine) if machine is not None else None, table
+    read = load_measurement(table, machine) if machine is not None else None
+    return replace(done, measurement=read, table=table)
 
 
 def _number(text: str) -> float | None:

@@ -6,15 +6,17 @@ The true effects see the true temperatures; the measurement holds what the senso
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
+from rtec.frames import Kind
 from rtec.metrology.instruments.base import Instrument, Nuisance
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from rtec.result import Result
 from rtec.sim.campaign.cycle import Cycle, make_cycle
 from rtec.sim.campaign.noise import with_noise
 from rtec.sim.campaign.paths import make_path, readings_um
@@ -27,7 +29,7 @@ USUAL_NUISANCE = {"um": 5.0, "urad": 20.0, "um_per_m": 10.0, "um_per_m_degc": 0.
 
 
 @dataclass(frozen=True)
-class Simulated:
+class Simulated(Result):
     """A measurement and what is behind it.
 
     Attributes:
@@ -41,6 +43,8 @@ class Simulated:
         phase: name of the phase of each row.
     """
 
+    page_maker: ClassVar[str] = "rtec.report.measurement:recorded_page"
+
     measurement: Measurement
     components: Mapping[str, Floats]
     nuisance_um: Floats
@@ -48,6 +52,10 @@ class Simulated:
     clean: Floats
     true_degc: Mapping[str, Floats]
     phase: tuple[str, ...]
+
+    def to_frame(self, kind: Kind | None = None) -> Any:
+        """The rows of the measurement; `kind` as for `rtec.result.Shown.to_frame`."""
+        return self.measurement.to_frame(kind)
 
     def facts(self) -> dict[str, Any]:
         """What was made, for people and programs; the keys are those of the JSON."""

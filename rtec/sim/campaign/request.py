@@ -2,7 +2,6 @@
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,25 +20,18 @@ DRIFT_PROBES: Mapping[str, Any] = {
 """Of a spindle along Z, where the set-up names no probes: two radial ones 60 mm apart, and an axial one."""
 
 
-@dataclass(frozen=True)
-class SimulationOrder:
-    """An instrument as it is named on a command line."""
+def instrument_of(
+    machine: Machine, instrument: str, axis: str | None, component: str | None, setup: Mapping[str, Any]
+) -> Instrument:
+    """Set an instrument up; drift probes that are not named are the usual ones.
 
-    instrument: str
-    axis: str | None = None
-    component: str | None = None
-    setup: Sequence[str] = ()
-
-    def make(self, machine: Machine) -> Instrument:
-        """Set it up.
-
-        Raises:
-            MeasurementError: the instrument, a key, or something that the machine does not have.
-        """
-        table = setup_table(self.setup)
-        if self.instrument == "spindle_drift" and "probe" not in table:
-            table["probe"] = dict(DRIFT_PROBES)
-        return make_instrument(self.instrument, table, self.axis, self.component, machine, "simulate")
+    Raises:
+        MeasurementError: the instrument, a key, or something that the machine does not have.
+    """
+    table = dict(setup)
+    if instrument == "spindle_drift" and "probe" not in table:
+        table["probe"] = dict(DRIFT_PROBES)
+    return make_instrument(instrument, table, axis, component, machine, "simulate")
 
 
 def setup_table(items: Sequence[str]) -> dict[str, Any]:

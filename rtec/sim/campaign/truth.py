@@ -4,7 +4,6 @@ import ast
 import itertools
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from rtec.effects import effect_class
@@ -12,7 +11,7 @@ from rtec.effects.arithmetic import degree, parse
 from rtec.effects.expression import Expression
 from rtec.errors import ModelError
 from rtec.machine import Machine
-from rtec.model import FittedEffect, Model, load_model
+from rtec.model import FittedEffect, Model
 from rtec.model.model import names_of
 from rtec.tomlfile import nearest, validated
 
@@ -20,16 +19,16 @@ MOST_NAMES = 8
 FORM = "write NAME,key=value,…, for example scale,component=EXX,axis=X,k=12"
 
 
-def truth_of(machine: Machine, file: Path | None = None, effects: Sequence[str] = (), name: str = "truth") -> Model:
-    """Give the true model: the effects of a file, then those of the texts.
+def truth_of(machine: Machine, known: Model | None = None, effects: Sequence[str] = (), name: str = "truth") -> Model:
+    """Give the true model: the effects of a model, then those of the texts.
 
     Raises:
-        ModelError: the file is not for this machine, or a text says something that cannot be; the message names it.
+        ModelError: a text says something that cannot be; the message names it.
     """
-    base = load_model(file, machine) if file is not None else Model(machine, name=name)
+    base = known or Model(machine, name=name)
     added = tuple(effect_from_text(text, machine) for text in effects)
     model = Model(machine, (*base.effects, *added), name=base.name, reference_degc=base.reference_degc)
-    model.check(str(file) if file is not None else name)
+    model.check(base.name)
     return model
 
 

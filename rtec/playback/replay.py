@@ -225,7 +225,7 @@ def replay_logs(
     Args:
         setup: whose model, limits and machine are used.
         path: log or folder.
-        out: as for `rtec.replay.replay.replay_log`; not for a folder.
+        out: as for `rtec.playback.replay.replay_log`; not for a folder.
         check: compare with the commands in the log; for a folder always.
         progress: told rows (of a folder: files) done, and in all.
 

@@ -18,7 +18,7 @@ from rtec.loop.records import MODES_BY_NAME, Layout, Samples
 from rtec.loop.run_file import CaptureAxis, CaptureTable, Setup
 from rtec.loop.step import Step
 from rtec.machine import Axis
-from rtec.replay import sigrok
+from rtec.playback import sigrok
 
 MOST_CYCLES: Final = 4_000_000
 EXPANSION: Final = 48

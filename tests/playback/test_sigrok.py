@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from rtec.errors import LogError
-from rtec.replay import sigrok
-from rtec.replay.sigrok import Capture, read, write
+from rtec.playback import sigrok
+from rtec.playback.sigrok import Capture, read, write
 
 METADATA = """[global]
 sigrok version = 0.2.1

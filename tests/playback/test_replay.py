@@ -17,9 +17,9 @@ from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.step import Step
-from rtec.replay import sigrok
-from rtec.replay.capture import replay_capture
-from rtec.replay.replay import replay_log
+from rtec.playback import sigrok
+from rtec.playback.capture import replay_capture
+from rtec.playback.replay import replay_log
 from tests.loop.test_loop import run
 from tests.support import setups
 from tests.support.real_data import real_file

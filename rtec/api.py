@@ -1,0 +1,568 @@
+"""The public API: load, simulate, fit, compare, diagnose, add, improve, plan, replay; the commands call it too.
+
+Paths are `str` or `Path`. A model, a machine or a measurement is given as its file or as what was loaded from it.
+`progress(stage, done, total)` is called now and then by what takes long: the stage in words, and how much is done.
+Every error is an `rtec.errors.RtecError`, and its message says what to do.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from rtec.errors import ConfigError, ModelError
+from rtec.machine import Machine
+from rtec.machine import load_machine as _load_machine
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model, save_model
+from rtec.result import Result
+
+if TYPE_CHECKING:
+    from rtec.characterise.result import Characterisation
+    from rtec.diagnosis.compare.result import Comparison
+    from rtec.diagnosis.extend.add import Added
+    from rtec.diagnosis.extend.improve import Improved, ProposedStep
+    from rtec.diagnosis.plan.answer import Answer
+    from rtec.diagnosis.result import Diagnosis, Finding
+    from rtec.effects import Effect
+    from rtec.metrology.files.toml import Leniency
+    from rtec.metrology.importing import Imported
+    from rtec.playback.result import Replayed
+    from rtec.sim.campaign.campaign import Simulated
+
+PathLike = str | Path
+MachineLike = Machine | PathLike
+ModelLike = Model | PathLike
+MeasurementLike = Measurement | PathLike
+Progress = Callable[[str, int, int], None]
+R = TypeVar("R", bound=Result)
+Bounds = tuple[float, float, float]
+
+__all__ = [
+    "add",
+    "compare",
+    "diagnose",
+    "fit",
+    "import_table",
+    "improve",
+    "load_machine",
+    "load_measurement",
+    "load_model",
+    "plan",
+    "replay",
+    "simulate",
+]
+
+
+def load_machine(path: PathLike) -> Machine:
+    """Read a machine file.
+
+    Raises:
+        ConfigError: file, section, key and what is allowed; all faults of the file at once.
+    """
+    return _load_machine(Path(path))
+
+
+def load_model(path: PathLike, machine: MachineLike | None = None) -> Model:
+    """Read a model file.
+
+    Args:
+        path: of the model.
+        machine: that it was made for; by default its file is looked for beside the model.
+
+    Raises:
+        ModelError: the file cannot be used, or no machine file belongs to it.
+    """
+    return _model(path, machine)[0]
+
+
+def load_measurement(path: PathLike, machine: MachineLike, leniency: "Leniency | None" = None) -> Measurement:
+    """Read a measurement: a table and the TOML beside it.
+
+    Args:
+        path: table, TOML, or their common stem.
+        machine: that it was made on.
+        leniency: what is accepted, beside what the TOML accepts.
+
+    Raises:
+        MeasurementError: all faults of the table, by row, each with a way on.
+    """
+    from rtec.metrology.files.load import load_measurement as load
+
+    return load(Path(path), _machine(machine), leniency)
+
+
+def import_table(
+    path: PathLike,
+    map: PathLike,
+    out: PathLike,
+    machine: MachineLike | None = None,
+    *,
+    reader: str | None = None,
+    drop_bad_rows: bool = False,
+    missing_codes: Sequence[str] = (),
+    force: bool = False,
+) -> "Imported":
+    """Read a table of another program, and write it as a measurement: NAME.csv (or .parquet) and NAME.toml.
+
+    Args:
+        path: the table.
+        map: TOML with the meaning of each column.
+        out: NAME, NAME.csv or NAME.parquet.
+        machine: to check the result against; `Imported.measurement` is None without it.
+        reader: that reads the table; by default the one that recognises its content.
+        drop_bad_rows, missing_codes: what is accepted; noted in NAME.toml.
+        force: overwrite existing files.
+
+    Raises:
+        MeasurementError: the table or the map is wrong; line, column or key, and a way on.
+    """
+    from rtec.metrology.importing import import_to_files, load_map
+
+    return import_to_files(
+        Path(path),
+        load_map(Path(map)),
+        Path(out),
+        None if machine is None else _machine(machine),
+        reader=reader,
+        drop_bad_rows=drop_bad_rows,
+        missing_codes=missing_codes,
+        force=force,
+    )
+
+
+def simulate(
+    machine: MachineLike,
+    instrument: str,
+    *,
+    axis: str | None = None,
+    component: str | None = None,
+    setup: Mapping[str, Any] | None = None,
+    truth: ModelLike | None = None,
+    effects: Sequence[str] = (),
+    settings: PathLike | None = None,
+    changes: Mapping[str, Any] | None = None,
+    seed: int = 1,
+    out: PathLike | None = None,
+    truth_out: PathLike | None = None,
+) -> "Simulated":
+    """Simulate a measurement on a machine whose true effects you choose; the same seed gives the same numbers.
+
+    Args:
+        machine: that is measured.
+        instrument: its name, for example "laser_linear".
+        axis: that it follows.
+        component: component error that it reads directly, without lever arm.
+        setup: keys of its set-up, as under `[setup]` of a measurement: `{"beam_offset_mm": [0, 0, 150]}`.
+        truth: model with the true effects.
+        effects: further true effects, each as `NAME,key=value,…`.
+        settings: TOML file with targets, phases, temperatures, noise.
+        changes: keys and tables over those of `settings`: `{"cycles": 3, "noise": {"white_um": 0.1}}`; None changes
+            nothing.
+        seed: of noise, weather and nuisances.
+        out: NAME or NAME.csv or NAME.parquet, to write the measurement to.
+        truth_out: file for the true effects as a model.
+
+    Raises:
+        ConfigError, ModelError, MeasurementError: what cannot be, with what can.
+    """
+    from rtec.metrology.files.save import save_measurement
+    from rtec.sim.campaign.campaign import simulate_with_truth
+    from rtec.sim.campaign.request import instrument_of, settings_of, table_path
+    from rtec.sim.campaign.truth import truth_of
+
+    described = _machine(machine)
+    made = instrument_of(described, instrument, axis, component, setup or {})
+    known = truth if isinstance(truth, Model) or truth is None else load_model(truth, described)
+    true = truth_of(described, known, effects)
+    tables = {k: v for k, v in (changes or {}).items() if isinstance(v, Mapping)}
+    heads = {k: v for k, v in (changes or {}).items() if k not in tables}
+    chosen = settings_of(None if settings is None else Path(settings), tables, heads)
+    table = None if out is None else table_path(Path(out))
+    result = simulate_with_truth(true, made, chosen, seed, "simulated" if table is None else table.stem)
+    written: dict[str, Path | None] = {"table": table, "toml": None if table is None else table.with_suffix(".toml")}
+    if table is not None:
+        save_measurement(result.measurement, table)
+    if truth_out is not None:
+        save_model(true, Path(truth_out))
+    return replace(result, written=written)
+
+
+def fit(
+    machine: MachineLike,
+    measurements: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    effects: str | Iterable[str] | None = None,
+    leave_out_h: float | None = None,
+    name: str | None = None,
+    out: PathLike | None = None,
+    report: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "Characterisation":
+    """Characterise a machine: choose effects and temperatures on held-out runs, and fit them.
+
+    Args:
+        machine: that was measured.
+        measurements: one or several, of any instruments.
+        effects: fit these and no others, each as `scale` or `mount_expansion:EXX:sensor=T_bed`.
+        leave_out_h: hold out stretches of so many hours, not runs.
+        name: of the model; by default that of its file.
+        out: file for the model.
+        report: folder for the report with figures.
+        progress: called with stage, done and total.
+
+    Raises:
+        ModelError: nothing can be fitted, or what was asked for is not shown by the readings.
+        MeasurementError: a measurement cannot be read or used.
+    """
+    from rtec.characterise import characterise, read_wanted
+
+    known, target = _machine(machine), None if out is None else Path(out)
+    given = _listed(measurements)
+    if target is not None:
+        _check_out(target, [p for p in (machine, *given) if isinstance(p, str | Path)])
+    names = effects if isinstance(effects, str) or effects is None else ",".join(effects)
+    wanted = read_wanted(names, known) if names else None
+    if progress:
+        progress("reading", 0, 1)
+    read, paths = _measurements(given, known)
+    result = characterise(
+        read,
+        wanted=wanted,
+        leave_out_h=leave_out_h,
+        name=name or (target.stem if target else "model"),
+        stage=progress,
+    )
+    if target is not None:
+        save_model(result.model, target)
+    return _finished(result, target, paths, report, {"model_file": target})
+
+
+def compare(
+    model: ModelLike,
+    measurements: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    machine: MachineLike | None = None,
+    seed: int = 1,
+    report: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "Comparison":
+    """Compare a model with measurements: the residual, how much of it is noise, and where it is largest.
+
+    Args:
+        model: taken as it is; nothing is refitted.
+        measurements: one or several, of any instruments.
+        machine: of the model; by default its file is looked for beside the model.
+        seed: of the random draws.
+        report: folder for the report with figures.
+        progress: called with stage, done and total.
+
+    Raises:
+        ModelError, MeasurementError: a file cannot be read or used.
+    """
+    from rtec.diagnosis.compare.compare import compare as compare_with
+
+    known, path, _ = _model(model, machine)
+    read, paths = _measurements(_listed(measurements), known.machine)
+    return _finished(compare_with(known, read, seed=seed, stage=progress), path, paths, report)
+
+
+def diagnose(
+    model: ModelLike,
+    measurements: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    machine: MachineLike | None = None,
+    only: Iterable[str] | None = None,
+    alpha: float = 0.05,
+    seed: int = 1,
+    report: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "Diagnosis":
+    """Name the physical effect that a model lacks, with the evidence, the rivals and what could not be tested.
+
+    Args:
+        model: that is diagnosed.
+        measurements: one or several, of any instruments.
+        machine: of the model; by default its file is looked for beside the model.
+        only: test these effects only.
+        alpha: accepted false-positive rate, above 0 and at most 0.5.
+        seed: of the random draws; same seed, same result.
+        report: folder for the report with figures.
+        progress: called with stage, done and total.
+
+    Raises:
+        ModelError, MeasurementError: a file cannot be read or used; an effect of `only` does not exist.
+        ConfigError: `alpha` is out of range.
+    """
+    from rtec.diagnosis.search.diagnose import diagnose as find
+    from rtec.effects import effect_class
+
+    if not 0.0 < alpha <= 0.5:
+        raise ConfigError(f"diagnose: alpha {alpha:g}: above 0 and at most 0.5")
+    names = None if only is None else list(only)
+    for name in names or ():
+        effect_class(name, "--only")
+    known, path, machine_path = _model(model, machine)
+    read, paths = _measurements(_listed(measurements), known.machine)
+    found = find(known, read, seed=seed, alpha=alpha, only=names, explain=True, stage=progress)
+    return _finished(replace(found, machine_file=machine_path), path, paths, report)
+
+
+def add(
+    model: ModelLike,
+    measurements: MeasurementLike | Iterable[MeasurementLike],
+    effect: "str | Effect | Finding | None" = None,
+    *,
+    component: str | None = None,
+    expr: str | None = None,
+    params: Mapping[str, Bounds] | Sequence[str] = (),
+    arguments: Mapping[str, Any] | None = None,
+    machine: MachineLike | None = None,
+    out: PathLike | None = None,
+    force: bool = False,
+    report: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "Added":
+    """Add an effect to a model, refit all of it, and give the error before and after.
+
+    Args:
+        model: that grows; it is not changed itself, the new one is `Added.model`.
+        measurements: one or several, to refit with.
+        effect: its name, an effect, or a finding of `diagnose`; without it and without `expr` the model's own numbers
+            are refitted and nothing is added.
+        component: component error that a named effect or an expression feeds, for example "EXX".
+        expr: an effect of your own, `A*sin(2*pi*x/p + phi)`.
+        params: its parameters that it is not linear in: `{"p": (start, low, high)}`.
+        arguments: further arguments of a named effect, `{"sensor": "T_bed"}`.
+        machine: of the model; by default its file is looked for beside the model.
+        out: file for the new model; not written where the error on held-out runs does not fall by 0.1 %.
+        force: write it nonetheless.
+        report: folder for the report with figures.
+        progress: called with stage, done and total.
+
+    Raises:
+        ModelError, MeasurementError: a file cannot be read or used; the effect is in the model already, no reading
+            shows it, or something that it needs is missing.
+    """
+    from rtec.diagnosis.extend.add import add as add_effects
+
+    known, _, _ = _model(model, machine)
+    read, paths = _measurements(_listed(measurements), known.machine)
+    new = _new_effects(known, effect, component, expr, params, arguments or {})
+    added = add_effects(known, new, read, stage=progress)
+    target = Path(out) if out is not None and (added.better or force) else None
+    if target is not None:
+        save_model(added.model, target)
+    return _finished(added, target, paths, report, {"model_file": target})
+
+
+def improve(
+    model: ModelLike,
+    measurements: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    ask: "Callable[[ProposedStep], Finding | None] | None" = None,
+    ask_refit: "Callable[[Added], bool] | None" = None,
+    step: "Callable[[Added], None] | None" = None,
+    seed: int = 1,
+    machine: MachineLike | None = None,
+    out: PathLike | None = None,
+    report: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "Improved":
+    """Diagnose and add, one effect after the other, until no significant effect is missing.
+
+    Args:
+        model: that grows; it is not changed itself, the new one is `Improved.model`.
+        measurements: one or several, of any instruments.
+        ask: which candidate to add, None to stop; without it the best one is added.
+        ask_refit: whether to keep a refit of the model's own numbers; without it one that is worth it is kept.
+        step: given the refit and each addition as soon as it is made and written.
+        seed: of the random draws.
+        machine: of the model; by default its file is looked for beside the model.
+        out: file for the new model, written after each step; not written where nothing is added.
+        report: folder for the report with figures.
+        progress: called with stage, done and total.
+
+    Raises:
+        ModelError, MeasurementError: a file cannot be read or used.
+    """
+    from rtec.diagnosis.extend.improve import improve as go_on
+
+    known, _, _ = _model(model, machine)
+    read, paths = _measurements(_listed(measurements), known.machine)
+    target = None if out is None else Path(out)
+    done: list[Path] = []
+
+    def keep(added: "Added") -> None:
+        if target is not None:
+            save_model(added.model, target)
+            done.append(target)
+        if step:
+            step(added)
+
+    result = go_on(known, read, ask=ask, ask_refit=ask_refit, seed=seed, stage=progress, step=keep)
+    written = done[-1] if done else None
+    return _finished(result, written, paths, report, {"model_file": written})
+
+
+def plan(
+    machine: MachineLike,
+    tests: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    effects: str | Iterable[str] | None = None,
+    model: PathLike | None = None,
+    rivals: str | Iterable[str] | None = None,
+    ball_bar: Literal["linear", "non-linear"] | None = None,
+    centre: Literal["shared", "each"] = "shared",
+    noise: float = 0.5,
+    suggest: bool = True,
+    report: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "Answer":
+    """Which parameters planned tests separate, which stay confounded, and which test to add.
+
+    Args:
+        machine: that is to be measured.
+        tests: measurements, or TOML files of planned tests; nothing needs to be measured yet.
+        effects: to separate, each as `scale:EXX`; by default the usual ones.
+        model: take the effects of this model instead.
+        rivals: rank tests by how well they separate these effects.
+        ball_bar: the parameters of a ball-bar diagnosis instead: of straight guides, or of bent ones.
+        centre: of a ball bar: one centre of the table-side ball for all tests, or one for each.
+        noise: white noise of a reading, µm or µrad.
+        suggest: whether to look for tests to add.
+        report: folder for the report.
+        progress: called with stage, done and total.
+
+    Raises:
+        ConfigError, ModelError: what is asked does not fit the tests or the machine.
+    """
+    from rtec.diagnosis.plan.answer import Question, answer
+    from rtec.diagnosis.plan.tests import load_test, thinned
+
+    known = _machine(machine)
+    if progress:
+        progress("reading the tests", 0, 1)
+    given = [thinned(t if isinstance(t, Measurement) else load_test(Path(t), known)) for t in _listed(tests)]
+    question = Question(
+        _joined(effects), None if model is None else Path(model), ball_bar, _joined(rivals), centre, noise, suggest
+    )
+    return _finished(answer(known, given, question, progress), None, None, report)
+
+
+def replay(
+    config: PathLike,
+    log: PathLike,
+    *,
+    check: bool = False,
+    out: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "Replayed":
+    """Replay a log, a folder of logs, or a logic-analyser capture through the same step as the daemon.
+
+    Args:
+        config: run file: machine, model, limits.
+        log: a log of `rtec run`, a folder of logs (always checked), or a capture (`.sr`).
+        check: compare with the commands in the log, bit for bit.
+        out: file for what is recomputed; by default beside the log, and none where it is checked.
+        progress: called with stage, done and total.
+
+    Raises:
+        ConfigError, LogError: the run file, the log or the capture cannot be used.
+    """
+    from rtec.playback.result import replayed
+
+    return replayed(Path(config), Path(log), None if out is None else Path(out), check=check, progress=progress)
+
+
+def _machine(machine: MachineLike) -> Machine:
+    return machine if isinstance(machine, Machine) else load_machine(machine)
+
+
+def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path | None, Path | None]:
+    """The model, its file and its machine's file, as far as they are known."""
+    from rtec.diagnosis.machine_file import machine_file
+    from rtec.model import load_model as load
+
+    if isinstance(model, Model):
+        return model, None, None
+    path = Path(model)
+    if isinstance(machine, Machine):
+        return load(path, machine), path, None
+    described = machine_file(path, None if machine is None else Path(machine))
+    return load(path, load_machine(described)), path, described
+
+
+def _listed(items: MeasurementLike | Iterable[MeasurementLike]) -> list[MeasurementLike]:
+    return [items] if isinstance(items, str | Path | Measurement) else list(items)
+
+
+def _joined(names: str | Iterable[str] | None) -> str | None:
+    return names if isinstance(names, str) or names is None else ",".join(names)
+
+
+def _measurements(
+    given: Sequence[MeasurementLike], machine: Machine
+) -> tuple[tuple[Measurement, ...], tuple[Path, ...] | None]:
+    """Measurements, read where they are paths, all faults together; and the paths, where all are."""
+    from rtec.metrology.files.load import load_measurements
+
+    paths = [Path(item) for item in given if isinstance(item, str | Path)]
+    read = iter(load_measurements(paths, machine))
+    whole = tuple(item if isinstance(item, Measurement) else next(read) for item in given)
+    return whole, tuple(paths) if len(paths) == len(given) else None
+
+
+def _new_effects(
+    model: Model,
+    effect: "str | Effect | Finding | None",
+    component: str | None,
+    expr: str | None,
+    params: Mapping[str, Bounds] | Sequence[str],
+    arguments: Mapping[str, Any],
+) -> "list[Any]":
+    """What is to be added: nothing, an effect, or a finding with the one that goes with it."""
+    from rtec.diagnosis.extend.add import asked_effect, new_effect
+    from rtec.diagnosis.result import Finding
+    from rtec.effects.expression import expression_from_text
+
+    if effect is not None and expr is not None:
+        raise ModelError("add: an effect and an expression together: give one of them")
+    if expr is not None:
+        if component is None:
+            raise ModelError("add: name the component error that the expression feeds, for example EXX (--component)")
+        texts = (
+            [f"{name}={start!r}:{low!r}..{high!r}" for name, (start, low, high) in params.items()]
+            if isinstance(params, Mapping)
+            else list(params)
+        )
+        return [new_effect(expression_from_text(expr, texts, component, model.machine), model)]
+    if effect is None:
+        return []
+    if isinstance(effect, str):
+        return [asked_effect(effect, component, arguments, model)]
+    if isinstance(effect, Finding):
+        found = [effect, *([effect.partner] if effect.partner else [])]
+        return [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in found]
+    return [new_effect(effect, model)]
+
+
+def _finished(
+    result: R,
+    model: Path | None,
+    measurements: tuple[Path, ...] | None,
+    report: PathLike | None,
+    written: Mapping[str, Path | None] | None = None,
+) -> R:
+    """The result with the files that it is of, and its report where one is wanted."""
+    files = (model, *measurements) if model is not None and measurements is not None else ()
+    whole = replace(result, files=files, written={**(written or {}), "report": None})
+    return whole if report is None else whole.save_report(report)
+
+
+def _check_out(out: Path, inputs: Sequence[PathLike]) -> None:
+    """Before a long fit rather than after it: a model takes the place of no input, and its folder is there."""
+    read = {p.resolve() for path in map(Path, inputs) for p in (path, path.with_suffix(".toml"))}
+    if out.resolve() in read:
+        raise ModelError(f"{out}: is read by this fit (a table's TOML counts); name another file with -o")
+    out.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,136 @@
+"""A state from what a person has: numbers, arrays, a dict or a frame, named as in the machine file or a table."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtec.effects import State
+from rtec.errors import ModelError
+from rtec.frames import columns_of, is_frame
+from rtec.machine import Axis, Machine
+from rtec.tomlfile import nearest
+
+Floats = NDArray[np.float64]
+
+
+class Described(Protocol):
+    """What of a model says which channels it needs."""
+
+    @property
+    def machine(self) -> Machine:
+        """Names the channels."""
+        ...
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """That the effects read."""
+        ...
+
+    @property
+    def fed(self) -> tuple[str, ...]:
+        """Components that the effects feed."""
+        ...
+
+    @property
+    def reference_degc(self) -> float:
+        """Temperature at which a temperature effect is nothing."""
+        ...
+
+    @property
+    def dead_bands_mm(self) -> Mapping[str, float]:
+        """Motion back by at most this much is no reversal."""
+        ...
+
+
+@dataclass(frozen=True)
+class SettledState(State):
+    """Instants without a time: each is a steady state, in which every lag has settled."""
+
+    def lagged(self, value: Any, tau_s: Any) -> Floats:
+        """The value itself, (n,)."""
+        del tau_s
+        return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), self.time_s.shape))
+
+
+def state_at(model: Described, given: Any, channels: Mapping[str, ArrayLike]) -> tuple[State, bool]:
+    """The state, and whether all that was given are single numbers.
+
+    Args:
+        model: whose machine names the channels, and whose effects say which are needed.
+        given: a dict, or a frame of pandas, polars or Arrow; columns of a frame that are no channel are not read.
+        channels: further channels by name.
+
+    Raises:
+        ModelError: a name that is no channel, one that the model needs and that is missing, lengths that differ, or a
+            value that is no finite number.
+    """
+    names, frame = _names(model.machine), given is not None and not isinstance(given, Mapping) and is_frame(given)
+    if given is not None and not frame and not isinstance(given, Mapping):
+        raise ModelError(f"predict: a {type(given).__name__} is neither a dict nor a frame with named columns")
+    items = columns_of(given) if frame else dict(given or {})
+    values = {names[k]: _numbers(k, v) for k, v in items.items() if k in names or (not frame and _refused(k, names))}
+    values |= {names[k]: _numbers(k, v) for k, v in channels.items() if k in names or _refused(k, names)}
+    single = not frame and all(v.ndim == 0 for v in values.values())
+    lengths = {k: len(v) for k, v in values.items() if v.ndim}
+    if len(set(lengths.values())) > 1:
+        raise ModelError(f"predict: lengths differ: {', '.join(f'{k} {n}' for k, n in lengths.items())}")
+    n = next(iter(lengths.values()), 1)
+    whole = {k: np.ascontiguousarray(np.broadcast_to(v, (n,))) for k, v in values.items()}
+    time_s = whole.pop("time_s", None)
+    kind = SettledState if time_s is None else State
+    time = np.zeros(n) if time_s is None else time_s
+    state = kind(model.machine, time, whole, model.reference_degc, model.dead_bands_mm)
+    _check_needed(model, state, timed=time_s is not None)
+    return state, single
+
+
+def _names(machine: Machine) -> dict[str, str]:
+    """Channel by every name that it goes by: its own, its column, the axis' name, and `dir_X`."""
+    out = {c: c for c in machine.channel_names} | dict(machine.columns)
+    for axis in machine.axes:
+        out |= {axis.name: axis.channel, f"dir_{axis.name}": axis.direction_channel}
+    return out
+
+
+def _refused(name: str, names: Mapping[str, str]) -> bool:
+    raise ModelError(f"predict: {name!r} is no channel of this machine{nearest(name, names)}")
+
+
+def _numbers(name: str, value: Any) -> Floats:
+    try:
+        out = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as e:
+        raise ModelError(f"predict: {name}: {e}") from e
+    if out.ndim > 1:
+        raise ModelError(f"predict: {name} has {out.ndim} dimensions; a number or one row of numbers is expected")
+    if not np.isfinite(out).all():
+        raise ModelError(f"predict: {name} has a value that is no finite number")
+    return out
+
+
+def _check_needed(model: Described, state: State, *, timed: bool) -> None:
+    """Whether everything is there that the effects read, and every position that a lever arm depends on."""
+    machine = model.machine
+    if len(state) and "time_s" in model.channels and not timed:
+        raise ModelError("predict: time_s is missing; the model has an effect of the time")
+    for axis in machine.axes:
+        channels = {axis.direction_channel, axis.since_reversal_channel} & set(model.channels)
+        if axis.channel not in state.channels and (_is_arm(model, axis) or axis.channel in model.channels or channels):
+            raise ModelError(f"predict: the position of {axis.name} is missing: {axis.name}=…, mm")
+        if channels and axis.direction_channel not in state.channels and len(state) == 1:
+            raise ModelError(
+                f"predict: one position has no direction of motion, which the model needs: dir_{axis.name}=1 or -1"
+            )
+    for channel in model.channels:
+        if channel in machine.sensor_names and channel not in state.channels:
+            raise ModelError(f"predict: temperature {channel} is missing: {channel}=…, °C")
+
+
+def _is_arm(model: Described, axis: Axis) -> bool:
+    """Whether the lever arm of a component that the model feeds depends on an axis' position."""
+    machine = model.machine
+    fed = [machine.components.index(component) for component in model.fed]
+    return bool(np.any(machine.chain.terms[:, fed, 1 + machine.axis_names.index(axis.name)]))

@@ -1,0 +1,14 @@
+"""A figure that a notebook shows by itself, whether or not pyplot was imported."""
+
+from io import BytesIO
+
+from matplotlib.figure import Figure
+
+
+class ShownFigure(Figure):
+    """matplotlib's figure, and its picture for the cell of a notebook."""
+
+    def _repr_png_(self) -> bytes:
+        out = BytesIO()
+        self.savefig(out, format="png", dpi=72)
+        return out.getvalue()

@@ -1,0 +1,149 @@
+"""What every result can do: plain data, a table, figures, a page; and how it looks in a notebook."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from html import escape
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from rtec.errors import RtecError
+from rtec.frames import Kind, frame
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+DRAWN = "_drawn"
+"""Where a result keeps its page once it is drawn."""
+
+
+def plain(value: Any) -> Any:
+    """A result as JSON holds it: arrays become lists; what is not finite becomes null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+class Shown(ABC):
+    """What can be shown as plain data, as a table, as figures, as a page."""
+
+    page_maker: ClassVar[str]
+    """`module:function` of the report that makes its page; the report is above the results and imports them."""
+
+    @abstractmethod
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The rows of `to_frame`."""
+        return [self.facts()]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as `--json` prints it: arrays are lists, what is not finite is None."""
+        return dict(plain(self.facts()))
+
+    def to_frame(self, kind: Kind | None = None) -> Any:
+        """The result's table, one number or text a cell.
+
+        Args:
+            kind: "pandas", "polars" or "arrow"; by default the first of them that is installed.
+
+        Raises:
+            RtecError: what `kind` names is not installed.
+        """
+        rows = [{k: v for k, v in row.items() if _is_cell(v)} for row in plain(self.rows())]
+        names = dict.fromkeys(name for row in rows for name in row)
+        return frame({name: [row.get(name) for row in rows] for name in names}, kind)
+
+    def page(self, figures: bool = True) -> Any:
+        """The page of the report (`rtec.report.page.Page`), with figures or without; drawn once."""
+        if DRAWN in self.__dict__:
+            return self.__dict__[DRAWN]
+        module, _, name = self.page_maker.partition(":")
+        page = getattr(import_module(module), name)(self, figures)
+        if figures:
+            self.__dict__[DRAWN] = page
+        return page
+
+    def plot(self, name: str | None = None) -> "Figure":
+        """One figure of the report, as matplotlib has it: change it, `savefig` it, or let a notebook show it.
+
+        Args:
+            name: of the figure, as in the report's folder without `.png`; by default the one that shows most.
+
+        Raises:
+            RtecError: there is no such figure.
+        """
+        figures = {s.figure.name.removesuffix(".png"): s.figure for s in self.page().sections if s.figure}
+        if not figures or (name is not None and name not in figures):
+            what = f"no figure {name!r}" if name else "no figure"
+            raise RtecError(f"{type(self).__name__}: {what}; there are: {', '.join(figures) or 'none'}")
+        chosen: Figure = figures[name or next(iter(figures))].png.figure
+        return chosen
+
+    def _repr_html_(self) -> str:
+        page = self.page(figures=False)
+        sections = [page.brief] if page.brief else page.sections
+        table = next((s.table for s in sections if s.table), None)
+        return f"<p><b>{escape(page.lead)}</b></p>{_html(table) if table else ''}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result(Shown):
+    """Base of what `rtec.fit`, `rtec.compare`, `rtec.diagnose` and the others give.
+
+    Attributes:
+        files: its model file (the new one where one was written) and the measurements, for commands that can be typed
+            as they are; empty where one of them was in memory only.
+        machine_file: the machine's file, where it is known.
+        written: what was written, by its key in `to_dict`; None where nothing was.
+    """
+
+    files: tuple[Path, ...] = field(default=(), repr=False, compare=False)
+    machine_file: Path | None = field(default=None, repr=False, compare=False)
+    written: Mapping[str, Path | None] = field(default_factory=dict, repr=False, compare=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as `--json` prints it: arrays are lists, what is not finite is None, paths are texts."""
+        return super().to_dict() | {name: str(path) if path else None for name, path in self.written.items()}
+
+    def save_report(self, folder: str | Path) -> Self:
+        """Write `report.html`, `result.json` and the figures into a folder; gives the result that knows of it.
+
+        Raises:
+            RtecError: the folder cannot be written.
+        """
+        write, page = import_module("rtec.report.page").write_page, self.page()
+        path: Path = write(page, self.to_dict(), Path(folder))
+        saved = replace(self, written={**self.written, "report": path})
+        saved.__dict__[DRAWN] = page
+        return saved
+
+
+def _is_cell(value: object) -> bool:
+    return value is None or isinstance(value, str | int | float | bool)
+
+
+def _html(table: Any) -> str:
+    """A table of a page as HTML; every text is escaped."""
+    sides = ["left" if k in table.words else "right" for k in range(len(table.head))]
+
+    def line(tag: str, cells: Any) -> str:
+        texts = (f'<{tag} style="text-align:{s}">{escape(c)}</{tag}>' for s, c in zip(sides, cells, strict=True))
+        return f"<tr>{''.join(texts)}</tr>"
+
+    body = "".join(line("td", row) for row in table.rows)
+    return f"<table><thead>{line('th', table.head)}</thead><tbody>{body}</tbody></table>"
