@@ -11,6 +11,8 @@ The functions are those of `rtec.api`, which is imported at the first use of one
 
 from typing import TYPE_CHECKING
 
+from rtec.version import __version__
+
 if TYPE_CHECKING:
     from rtec.api import (
         add,
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
         simulate,
     )
     from rtec.errors import RtecError
-
-__version__ = "0.1.0"
 
 __all__ = [
     "RtecError",

@@ -10,7 +10,6 @@ from typing import Annotated
 
 import typer
 
-from rtec import __version__
 from rtec.cli import (
     ballbar,
     compare,
@@ -36,6 +35,7 @@ from rtec.cli import control as ctl
 from rtec.cli import control as status_command
 from rtec.cli.screen import shielded
 from rtec.errors import RtecError
+from rtec.version import __version__
 
 app = typer.Typer(
     name="rtec",

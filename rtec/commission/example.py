@@ -3,10 +3,9 @@
 from pathlib import Path
 from typing import Final
 
-import rtec
 from rtec.commission.files import write_together
 
-SHIPPED: Final = Path(rtec.__file__).parent / "configs"
+SHIPPED: Final = Path(__file__).parents[1] / "configs"
 """Where they are, in a clone and in an installed package alike."""
 FOLDER: Final = "configs"
 """What the folder is called that they are copied to: the commands in the documentation name it."""

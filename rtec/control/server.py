@@ -323,7 +323,7 @@ def _user(uid: int) -> str:
 
 
 def _origin(setup: Setup) -> dict[str, Any]:
-    from rtec import __version__
+    from rtec.version import __version__
 
     return {
         "rtec_version": __version__,

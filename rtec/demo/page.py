@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec import __version__
 from rtec.demo import figures
 from rtec.demo.day import CYLINDER, FACE, OTHER, Floats
 from rtec.demo.live import RATE_HZ
@@ -13,6 +12,7 @@ from rtec.demo.second_story import later_sections
 from rtec.demo.sizes import line
 from rtec.demo.story import FINER, Story
 from rtec.report.page import Figure, Page, Section, Table, write_page
+from rtec.version import __version__
 
 TITLE = "A turning centre over a day, uncorrected and corrected"
 

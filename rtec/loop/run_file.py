@@ -210,7 +210,7 @@ class Setup:
 
     def log_header(self) -> dict[str, str]:
         """What the log says of its origin."""
-        from rtec import __version__
+        from rtec.version import __version__
 
         return {
             "rtec_version": __version__,

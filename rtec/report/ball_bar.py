@@ -7,7 +7,6 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec import __version__
 from rtec.metrology.ball_bar.causes import causes, feeds_of
 from rtec.metrology.ball_bar.design import SETTING_UP, NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import RESIDUAL, BallBarDiagnosis
@@ -17,6 +16,7 @@ from rtec.metrology.ball_bar.search import NotFound
 from rtec.metrology.instruments.ball_bar import Plane
 from rtec.report import ball_bar_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.version import __version__
 from rtec.wording import NONE, number, percent, significant
 
 UNITS = {

@@ -7,13 +7,13 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec import __version__
 from rtec.diagnosis.compare.bins import MOVES, REAL_DEGC, cut_into, time_unit
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
 from rtec.diagnosis.words import UNITS, named, sentence, spoken
 from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.version import __version__
 from rtec.wording import counted, number, percent, significant
 
 Floats = NDArray[np.float64]

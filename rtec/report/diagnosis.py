@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
-from rtec import __version__
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable
 from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken
 from rtec.effects import Effect
 from rtec.report.evidence import evidence
 from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.version import __version__
 from rtec.wording import NONE, counted, number, percent, probability, with_error
 
 SHOWN, WHERE, MOST_NUMBERS, BRIEF = 8, 5, 4, 3

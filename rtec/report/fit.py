@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from rtec import __version__
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
 from rtec.diagnosis.words import spoken
 from rtec.report.figures import Png
 from rtec.report.page import Figure, Page, Section, Table, note_words, typed
+from rtec.version import __version__
 from rtec.wording import NONE, counted, number, significant, with_error
 
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}

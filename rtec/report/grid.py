@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec import __version__
 from rtec.errors import MeasurementError
 from rtec.metrology.grid.compare import certain, directions, feeds, not_compared, places
 from rtec.metrology.grid.paths import TRIM_MM, Edge
@@ -14,6 +13,7 @@ from rtec.metrology.grid.setup import GridSetup, Item, analyse, same_feed, slowe
 from rtec.metrology.measurement import Measurement
 from rtec.report import grid_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
+from rtec.version import __version__
 from rtec.wording import counted, number
 
 FEET = (

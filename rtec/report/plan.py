@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 
-from rtec import __version__
 from rtec.diagnosis.plan.answer import Answer
 from rtec.diagnosis.plan.parameters import hours_in_words
 from rtec.diagnosis.plan.plan import WEAK, Proposal, Separation
 from rtec.diagnosis.plan.separating import Pair, Separator
 from rtec.diagnosis.words import spoken
 from rtec.report.page import Page, Section, Table
+from rtec.version import __version__
 from rtec.wording import number, significant
 
 SHOWN = 8

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec import __version__
 from rtec.metrology.procedures.drift import Approach, Drift, PhaseFit, SpeedPhase, Trace
 from rtec.metrology.procedures.iso230_2 import Positioning
 from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
 from rtec.report import procedures_figures as draw
 from rtec.report.page import Figure, Page, Section, Table
+from rtec.version import __version__
 from rtec.wording import number
 
 Floats = NDArray[np.float64]

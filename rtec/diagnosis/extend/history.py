@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from rtec import __version__
 from rtec.estimation.readings import Readings
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
+from rtec.version import __version__
 
 
 @dataclass(frozen=True)

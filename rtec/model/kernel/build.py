@@ -16,8 +16,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
-from rtec import __version__, jit
+from rtec import jit
 from rtec.jit import njit
+from rtec.version import __version__
 
 HEADER = "import math\n\nfrom rtec.jit import njit\n"
 
