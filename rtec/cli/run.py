@@ -142,7 +142,9 @@ def show_dry_run(setup: "Setup", found: dict[str, Any]) -> None:
         console.print(f"axis {axis}: the model would ask for {um + 0.0:+.2f} µm", highlight=False)  # no -0.00
     for reason in found["reasons"]:
         console.print(f"would hold: {reason}", style="yellow")
-    console.print("ready to run" if not found["reasons"] else "not ready: see above")
+    for trouble in found["troubles"]:
+        console.print(trouble, style="bold red", markup=False, highlight=False)
+    console.print("not ready: see above" if found["reasons"] or found["troubles"] else "ready to run")
 
 
 def _axes(status: "Status", largest_um: dict[str, float] | None = None) -> Table:
@@ -169,7 +171,7 @@ def run(
         float | None, typer.Option("--duration", "-d", min=0.001, max=1e9, help="Seconds.  [default: until Ctrl-C]")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check every file and device, read each once, command nothing.")
+        bool, typer.Option("--dry-run", help="Check every file and device, wait up to 3 s for first readings, command nothing. Status 1: not ready.")
     ] = False,
     log: Annotated[
         Path | None, typer.Option("--log", help="Write the log here, not into the run file's log_folder.")
@@ -225,9 +227,10 @@ def _dry_run(setup: "Setup", as_json: bool) -> None:
     found = dry_run(setup)
     if as_json:
         print_json(found)
-        return
-
-    show_dry_run(setup, found)
+    else:
+        show_dry_run(setup, found)
+    if found["reasons"] or found["troubles"]:
+        raise typer.Exit(1)
 
 
 def _facts(report: "Report") -> dict[str, Any]:

@@ -1,30 +1,43 @@
-"""All checks of a run without commanding anything: files, devices, one reading of each, what the model asks for."""
+"""All checks of a run without commanding anything: files, devices, first readings, what the model asks for.
+
+Many devices are polled and give their first reading after a second or two: it is waited for.
+"""
 
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from rtec.correction.guard import HOLD_REASONS, REASONS, Flag
-from rtec.loop.clock import RealClock
-from rtec.loop.devices import make_devices, open_ports
+from rtec.loop.clock import Clock, RealClock
+from rtec.errors import DriverError
+from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.records import MODE_ON, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 
 NS = 1e-9
+WAIT_S: Final = 3.0
+"""So long may the first readings take, as long as `rtec doctor` looks."""
+LOOK_NS: Final = 20_000_000
 
 
-def dry_run(setup: Setup) -> dict[str, Any]:
-    """Open every device, read each, step once; the actuator is opened and told nothing.
+def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) -> dict[str, Any]:
+    """Open every device, wait for a reading of everything, step once; the actuator is opened, and commanded nothing.
+
+    Args:
+        setup: what would run.
+        clock: the computer's where not given.
+        wait_s: longest wait for the first readings.
 
     Returns:
-        `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` why the guard would hold.
+        `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` why the guard would hold;
+        `troubles` of devices.
 
     Raises:
         RtecError: a file or device is not as it should be.
     """
-    clock = RealClock()
+    clock = clock or RealClock()
     step = Step(setup.step_settings())
     step.warm_up()
     sample = Samples.empty(step.layout, 1)
@@ -32,11 +45,7 @@ def dry_run(setup: Setup) -> dict[str, Any]:
     sample.spindle_rpm[:] = np.nan
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
-        ports.counts.read_counts(sample.counts[0])  # the first reading of anything may take its time: it is not judged
-        for source in ports.temperatures:
-            source.read_temperatures(sample.degc[0], sample.degc_time_ns[0])
-        if ports.spindle is not None:
-            sample.spindle_rpm[0] = ports.spindle.read_spindle()
+        wrong = _first_readings(ports, sample, clock, wait_s)
         sample.counts_time_ns[0] = ports.counts.read_counts(sample.counts[0])
         sample.time_ns[0] = clock.now_ns()
     sample.mode[0] = MODE_ON
@@ -46,7 +55,39 @@ def dry_run(setup: Setup) -> dict[str, Any]:
         "inputs": input_rows(setup, sample),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
         "reasons": [text for flag, text in REASONS.items() if flag & Flag(flags)],
+        "troubles": wrong,
     }
+
+
+def _first_readings(ports: Ports, sample: Samples, clock: Clock, wait_s: float) -> list[str]:
+    """Read everything until all of it is there, or the time is over; give what is wrong with devices then."""
+    end_ns = clock.now_ns() + round(wait_s / NS)
+    while True:
+        wrong = _read(ports, sample)
+        there = not wrong and bool(np.isfinite(sample.degc[0]).all())
+        if there or clock.now_ns() >= end_ns:
+            return wrong
+        clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
+
+
+def _read(ports: Ports, sample: Samples) -> list[str]:
+    """Read everything once, good values into the sample; give what is wrong, a line a device."""
+    wrong = {}
+    try:
+        ports.counts.read_counts(sample.counts[0])
+    except DriverError as e:
+        wrong[ports.name("counts")] = str(e)
+    for k, source in enumerate(ports.temperatures):
+        try:
+            source.read_temperatures(sample.degc[0], sample.degc_time_ns[0])
+        except DriverError as e:
+            wrong[ports.name("temperatures", k)] = str(e)
+    if ports.spindle is not None:
+        try:
+            sample.spindle_rpm[0] = ports.spindle.read_spindle()
+        except DriverError as e:
+            wrong[ports.name("spindle")] = str(e)
+    return [f"device {name}: {text}" for name, text in wrong.items()]
 
 
 def input_rows(setup: Setup, sample: Samples) -> list[tuple[str, str, str]]:

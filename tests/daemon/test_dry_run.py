@@ -1,0 +1,46 @@
+"""A dry run with devices that are polled, or silent. Oracle: registers of the slaves, and when they answer."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rtec.cli.main import status
+from tests.support import setups
+from tests.support.doctor_rig import run_file, sim
+from tests.support.modbus_peer import FakeSlave, line, serial, slave_table
+
+pytestmark = pytest.mark.xdist_group("real-clock")
+ROLE = {"counts": "box", "actuator": "box", "temperatures": ["polled"]}
+
+
+def dry(folder: Path, slaves: dict[int, FakeSlave], capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    with line(slaves) as bus:
+        sensors = {"a": slave_table(1, "T_spindle_front", timeout_s=2.0), "b": slave_table(2, "T_bed", timeout_s=0.2)}
+        polled = {"driver": "modbus", "serial": serial(bus.port), "slave": sensors}
+        path = run_file(folder, ROLE, {"box": sim(folder), "polled": polled})
+        code = status(["run", str(path), "--dry-run", "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_first_readings_are_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The first slave needs 0.4 s for its first answer: 25.0 and 21.5 degrees all the same, and it is ready."""
+    setups.setup(tmp_path)
+    slaves = {1: FakeSlave(value=lambda _: 250, delay_s=0.4), 2: FakeSlave(value=lambda _: 215)}
+    code, found = dry(tmp_path, slaves, capsys)
+    values = {name: value for name, value, _ in found["inputs"]}
+    assert (values["T_spindle_front"], values["T_bed"]) == ("25.00 °C", "21.50 °C")
+    assert (code, found["reasons"], found["troubles"]) == (0, [], [])
+
+
+def test_one_that_stays_silent_is_named_and_ends_with_status_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setups.setup(tmp_path)
+    code, found = dry(tmp_path, {1: FakeSlave(value=lambda _: 250), 2: FakeSlave(silent=True)}, capsys)
+    assert code == 1
+    assert found["reasons"] == ["a temperature (or the spindle speed) is stale or was never read"]
+    assert len(found["troubles"]) == 1
+    assert "device polled: " in found["troubles"][0]
+    assert "T_bed" in found["troubles"][0]
