@@ -7,6 +7,7 @@ DRIVERS: dict[str, tuple[str, str]] = {
     "sim": ("rtec_drivers.sim", "SimDriver"),
     "serial_box": ("rtec_drivers.box.driver", "SerialBoxDriver"),
     "ascii_lines": ("rtec_drivers.ascii.driver", "AsciiLinesDriver"),
+    "ascii_offset": ("rtec_drivers.ascii.offset", "AsciiOffsetDriver"),
     "modbus": ("rtec_drivers.modbus.driver", "ModbusDriver"),
     "can": ("rtec_drivers.can.driver", "CanDriver"),
     "can_encoders": ("rtec_drivers.can.encoders", "CanEncodersDriver"),

@@ -171,7 +171,11 @@ def run(
         float | None, typer.Option("--duration", "-d", min=0.001, max=1e9, help="Seconds.  [default: until Ctrl-C]")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check every file and device, wait up to 3 s for first readings, command nothing. Status 1: not ready.")
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Check files and devices, wait 3 s at most for first readings, command nothing. Status 1: not ready.",
+        ),
     ] = False,
     log: Annotated[
         Path | None, typer.Option("--log", help="Write the log here, not into the run file's log_folder.")

@@ -35,6 +35,12 @@ SPEED = {"max_speed_mm_s": {"X": 400.0, "Z": 400.0}}
 ACTUATORS: dict[str, dict[str, Any]] = {
     "sim": {"truth": "sim/turning-centre.toml"},
     "serial_box": {"port": "/dev/none", **SPEED},
+    "ascii_offset": {
+        "tcp": {"host": "none", "port": 1},
+        "command": ["{X} {Z}"],
+        "unit": "um",
+        "resolution_um": 1.0,
+    },
     "can_box": {"interface": "virtual", "channel": "none", **SPEED},
     "zmq_link": {"state": "ipc://none", "command": "ipc://nothing"},
 }

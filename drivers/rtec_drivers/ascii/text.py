@@ -103,7 +103,7 @@ TO_DEGC = {
     "0.1degc": (0.1, 0.0),
     "0.01degc": (0.01, 0.0),
 }
-MM = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
+MM_OF = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
 LARGEST = 1e15
 """°C, counts or 1/min. Up to here a count keeps its last digit; a position beyond would wrap to a believable one."""
 
@@ -114,14 +114,19 @@ class LineReader:
     What stands before the first line end is thrown away: it may be the second half of a line, and half a number is a
     wrong number. So is a line longer than allowed.
 
+    Args:
+        end: the byte that ends a line.
+        longest: longer lines are garbage.
+        from_start: the first byte begins a line, as with a device that speaks only when it is spoken to.
+
     Attributes:
         too_long: how many lines were.
     """
 
-    def __init__(self, end: bytes, longest: int) -> None:
+    def __init__(self, end: bytes, longest: int, *, from_start: bool = False) -> None:
         self.too_long = 0
         self._end, self._longest = end, longest
-        self._rest, self._skip = b"", True
+        self._rest, self._skip = b"", not from_start
 
     def feed(self, received: bytes) -> list[bytes]:
         """Give the lines that these bytes complete."""
@@ -194,7 +199,7 @@ class LineParser:
         for name, text in match.groupdict().items():
             if text is None:
                 continue
-            number = _number(text, self._options.decimal)
+            number = number_in(text, self._options.decimal)
             if number is None:
                 faults[name] = f"{name}: {text[:20]!r} is no number"
             else:
@@ -207,7 +212,7 @@ class LineParser:
         return PrintedLine(values, faults)
 
 
-def _number(text: str, decimal: str) -> float | None:
+def number_in(text: str, decimal: str) -> float | None:
     """A number with that decimal sign and no other; None where it is none."""
     text = text.strip()
     if decimal == ",":
@@ -225,5 +230,5 @@ def _scale(name: str, unit: str | None, machine: Machine) -> tuple[float, float]
     if name in machine.sensor_names:
         return TO_DEGC[unit or "degc"]
     if name in machine.axis_names and unit not in (None, "counts"):
-        return MM[str(unit)] * machine.axis(name).counts_per_mm, 0.0
+        return MM_OF[str(unit)] * machine.axis(name).counts_per_mm, 0.0
     return 1.0, 0.0

@@ -13,12 +13,13 @@ from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.tomlfile import Strict, nearest
+from rtec_drivers.byte_line import ByteLine, way_of
 from rtec_drivers.link_worker import NS, Backoff, Worker
 from rtec_drivers.modbus.frame import Exchange, RtuExchange, TcpExchange
-from rtec_drivers.modbus.line import ModbusLine, RtuLine, TcpLine, TcpOptions
+from rtec_drivers.modbus.line import TcpOptions
 from rtec_drivers.modbus.map import Register, blocks_of, load_profile
 from rtec_drivers.modbus.poll import Poller, Slave
-from rtec_drivers.serial_line import PortFinder, PortOptions
+from rtec_drivers.serial_line import PortOptions
 from rtec_drivers.thermocouple import TemperatureReadings
 
 
@@ -141,8 +142,8 @@ open_codes = [32767, -32768]
         maps = _register_maps(options)
         self._readings = TemperatureReadings(machine.sensor_names, {n: r for m in maps.values() for n, r in m.items()})
         self._maps = maps
-        self._connect, self._retry = _way(options, clock)
-        self._worker: Worker[ModbusLine] | None = None
+        self._connect, self._retry = way_of(options.serial, options.tcp, clock)
+        self._worker: Worker[ByteLine] | None = None
         self._slaves: list[Slave] = []
         self.poller: Poller | None = None
 
@@ -196,7 +197,7 @@ open_codes = [32767, -32768]
     def _backoff(self) -> Backoff:
         return Backoff(self._retry.first_retry_s, self._retry.longest_retry_s)
 
-    def _serve(self, line: ModbusLine) -> None:
+    def _serve(self, line: ByteLine) -> None:
         worker = self._worker
         if worker is not None:
             self.poller = Poller(self._slaves, self._readings, self._clock, self._exchange(worker.wait_until_ns))
@@ -229,17 +230,6 @@ open_codes = [32767, -32768]
     def _tell(self, why: str) -> None:
         if why:
             self._readings.silent([n for m in self._maps.values() for n in m], why)
-
-
-def _way(options: ModbusOptions, clock: Clock) -> tuple[Callable[[], ModbusLine], PortOptions | TcpOptions]:
-    """How the line is opened, and the options that say when to try again."""
-    serial, tcp = options.serial, options.tcp
-    if tcp is not None:
-        return (lambda: TcpLine(tcp, clock)), tcp
-    if serial is None:
-        raise ConfigError("give either serial or tcp")
-    finder = PortFinder(serial)
-    return (lambda: RtuLine(serial, finder, clock)), serial
 
 
 def _register_maps(options: ModbusOptions) -> dict[str, Mapping[str, Register]]:

@@ -16,7 +16,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInput
 
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import Clock
-from rtec_drivers.modbus.line import ModbusLine
+from rtec_drivers.byte_line import ByteLine
 
 HOLDING, INPUT = 3, 4
 MAX_REGISTERS = 125
@@ -157,7 +157,7 @@ class Exchange(Protocol):
 
     numbered: bool
 
-    def ask(self, line: ModbusLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
+    def ask(self, line: ByteLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
         """The answer or None, and what came besides."""
         ...
 
@@ -176,7 +176,7 @@ class RtuExchange:
     def __init__(self, clock: Clock, worker_wait: Callable[[int], None], silence_ns: int) -> None:
         self._clock, self._wait, self._silence_ns = clock, worker_wait, silence_ns
 
-    def ask(self, line: ModbusLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
+    def ask(self, line: ByteLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
         """Send when the line has been quiet; take the frame of exactly the shape that was asked for."""
         self._wait(self._clock.now_ns() + self._silence_ns)
         line.send(request.rtu())
@@ -198,7 +198,7 @@ class TcpExchange:
     def __init__(self, clock: Clock) -> None:
         self._clock, self._transaction, self._rest = clock, 0, b""
 
-    def ask(self, line: ModbusLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
+    def ask(self, line: ByteLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
         """Send with the next number; skip answers with any other."""
         self._transaction = self._transaction % 0xFFFF + 1
         line.send(request.tcp(self._transaction))

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field
 
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import Clock
+from rtec_drivers.byte_line import ByteLine
 from rtec_drivers.link_worker import NS, Backoff, Worker
 from rtec_drivers.modbus.frame import ERRORS, LONGEST_NOISE, Exchange, frames_of_slaves, why_not
-from rtec_drivers.modbus.line import ModbusLine
 from rtec_drivers.modbus.map import Block
 from rtec_drivers.thermocouple import TemperatureReadings
 
@@ -122,7 +122,7 @@ class Poller:
         self.requests = self.late = 0
         self._why = ""
 
-    def serve(self, line: ModbusLine, worker: Worker[ModbusLine]) -> None:
+    def serve(self, line: ByteLine, worker: Worker[ByteLine]) -> None:
         """Ask whoever is due, for ever.
 
         Raises:
@@ -158,7 +158,7 @@ class Poller:
         later = (s.due_ns if s.due_ns > now_ns else s.due_ns + STARVED_NS + 1 for s in failing)
         return None, min(next_ns, *later) if failing else next_ns
 
-    def _ask(self, line: ModbusLine, slave: Slave) -> None:
+    def _ask(self, line: ByteLine, slave: Slave) -> None:
         for block in slave.blocks:
             asked_ns = self._clock.now_ns()
             self.requests += 1
@@ -195,7 +195,7 @@ class Poller:
         self._why = f"slave {slave.number} ({slave.name}): error {error}: {ERRORS.get(error, 'it refuses')}"
         self._readings.silent(slave.names, self._why)
 
-    def _idle(self, line: ModbusLine, worker: Worker[ModbusLine], wake_ns: int) -> None:
+    def _idle(self, line: ByteLine, worker: Worker[ByteLine], wake_ns: int) -> None:
         """Wait for the next turn; listen meanwhile if an old answer may come, so as to know how late it is."""
         if self._exchange.numbered or not any(s.failing for s in self._slaves):
             worker.wait_until_ns(wake_ns)
@@ -208,7 +208,7 @@ class Poller:
             data += more
         self._look_for_late(data, None)
 
-    def _drop_old(self, line: ModbusLine) -> None:
+    def _drop_old(self, line: ByteLine) -> None:
         """Whatever came unasked is thrown away, and whose it was is noted; numbered answers are sorted out later."""
         if self._exchange.numbered:
             return

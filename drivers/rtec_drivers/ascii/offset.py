@@ -1,0 +1,387 @@
+"""A controller that takes offsets as lines of text: its actuator, over a serial port or TCP."""
+
+import math
+import re
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.correction.sinks import Sink
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
+from rtec.loop.clock import Clock
+from rtec.machine import Machine
+from rtec_drivers.ascii.offset_options import ENDS, OffsetOptions, OffsetText
+from rtec_drivers.ascii.text import LINE_ENDS, LineReader
+from rtec_drivers.byte_line import ByteLine, way_of
+from rtec_drivers.link_worker import NS, Backoff, Worker
+
+IntArray = NDArray[np.int64]
+Output = tuple[int, ...]
+IDLE_S = 0.1
+"""What the controller says unasked is looked at this often."""
+RETRY_NS = 100_000_000
+"""A command that was not taken is sent again after this, as long as the loop repeats it."""
+DRAIN_NS = 200_000_000
+"""So long may the last command take on its way out: 24 characters at 1200 baud."""
+MOST_LINES = 64
+"""So that a controller that babbles does not keep the thread."""
+HOLDS = "the correction holds until it is ordered to resume"
+
+
+class OffsetAccount:
+    """What the loop wants, what the controller has, and what is wrong; shared by the loop and the line's thread.
+
+    Attributes:
+        lost: why nobody knows which offsets the controller has; "" where that is known.
+        wake: set when there is something to command.
+    """
+
+    def __init__(self) -> None:
+        self.lost, self.wake = "", threading.Event()
+        self._lock = threading.Lock()
+        self._has: Output | None = None
+        self._wanted: Output | None = None
+        self._sent: Output | None = None
+        self._trouble: DriverError | None = DriverUnavailable("not opened yet")
+        self._refusal: DriverError | None = None
+
+    def order(self, output: Output) -> None:
+        """Want this, unless the controller has it.
+
+        Raises:
+            DriverError: an order to resume is waited for, or the controller does not take commands.
+        """
+        with self._lock:
+            if self.lost:
+                raise DriverFault(self.lost)
+            if output != self._has:
+                self._wanted = output
+                self.wake.set()
+            if trouble := self._trouble or self._refusal:
+                raise trouble
+
+    def has(self) -> Output:
+        """What the controller has.
+
+        Raises:
+            DriverError: it has not said yet.
+        """
+        with self._lock:
+            if self._has is None:
+                raise self._trouble or DriverUnavailable("the controller has not said yet which offsets it has")
+            return self._has
+
+    def told(self, output: Output) -> None:
+        """Take it from an earlier run that the controller has this."""
+        with self._lock:
+            self._has = output
+
+    def take(self) -> Output | None:
+        """Give what is to be commanded now, once; None for nothing."""
+        with self._lock:
+            self.wake.clear()
+            wanted, self._wanted = self._wanted, None
+            if wanted is None or wanted == self._has or self.lost:
+                return None
+            self._sent = wanted
+            return wanted
+
+    def accepted(self, output: Output, confirmed: bool) -> None:
+        """The controller took this command; whether that says that it has it."""
+        with self._lock:
+            self._refusal = None
+            if confirmed:
+                self._has, self._sent = output, None
+
+    def refused(self, refusal: DriverError) -> None:
+        """It did not take the command."""
+        with self._lock:
+            self._refusal = refusal
+
+    def read_back(self, output: Output) -> None:
+        """The controller says that it has this: what it had, or by axis what it was sent since, or it started anew."""
+        with self._lock:
+            known = [k for k in (self._has, self._sent) if k is not None]
+            if self._has is not None and any(x not in {k[i] for k in known} for i, x in enumerate(output)):
+                self._lose(f"the controller has {list(output)}, and was commanded {list(known[-1])}")
+            self._has, self._trouble = output, None
+
+    def restarted(self, line: str) -> None:
+        """The controller printed what it prints after a start."""
+        with self._lock:
+            self._lose(f"the controller restarted: {line[:60]!r}")
+
+    def well(self) -> None:
+        """The line is open, and nothing is wrong with it that is known."""
+        with self._lock:
+            self._trouble = None
+
+    def fail(self, trouble: DriverError) -> None:
+        """The controller cannot be reached, or gives no answer that makes sense."""
+        with self._lock:
+            self._trouble = trouble
+
+    def resume(self) -> None:
+        """What the controller has now is right."""
+        with self._lock:
+            self.lost = ""
+
+    def _lose(self, why: str) -> None:
+        self._wanted = None
+        self.lost = self.lost or f"{why}: check a known position; {HOLDS}"
+
+
+class AsciiOffsetDriver:
+    """Controller that takes an offset for each axis as a line of text, over a serial port or TCP.
+
+    A thread of its own sends the newest command, waits for the acknowledgement, and reads the offsets back where the
+    controller can say them; the loop never waits. A command is sent again only when the loop repeats it, so that one
+    that nobody wants any more moves nothing. Where the controller cannot say what it has, the driver is a `OneWay`.
+
+    Args:
+        options: what the run file says.
+        machine: whose axes the outputs follow.
+        clock: deadlines are in its time.
+        base: not used; there are no files.
+
+    Raises:
+        ConfigError: the lines do not fit the machine, or print too few digits.
+    """
+
+    options_model = OffsetOptions
+    EXAMPLE = """\
+[device.offsets]
+driver = "ascii_offset"
+serial = {port = "/dev/serial/by-id/usb-FTDI_FT232R_A5069RR4-if00-port0", baud = 19200, parity = "even"}
+# or: tcp = {host = "192.168.1.60", port = 5000}
+command = ["OFS X={X:.4f} Z={Z:.4f}"]          # mm with four decimals: OFS X=-0.0124 Z=0.0035
+unit = "mm"
+resolution_um = 0.1                            # also that of [output.X] and [output.Z]
+factor = {X = 2.0}                             # this controller takes X as a diameter
+acknowledge = "OK"
+refuse = "ERR.*"
+ask = "OFS?"                                   # leave both out where it cannot say
+answer = 'OFS X=(?P<X>\\S+) Z=(?P<Z>\\S+)'
+line_end = "crlf"
+"""
+
+    def __init__(self, options: OffsetOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
+        del base
+        self.options, self._axes, self._clock = options, machine.axis_names, clock
+        self._text = OffsetText(options, machine)
+        self._account = OffsetAccount()
+        self._connect, self._retry = way_of(options.serial, options.tcp, clock)
+        self._worker: Worker[ByteLine] | None = None
+        self._ending = False
+        if options.ask is None:
+            self._account.told((0,) * len(self._axes))
+            self.was_told = self._was_told
+            """Only where nothing can be read back is it a `OneWay`."""
+
+    def __enter__(self) -> Self:
+        """Open the line.
+
+        Raises:
+            DriverUnavailable: it is not there, and the options say `at_start = "required"`.
+        """
+        line = None
+        try:
+            line = self._connect()
+        except DriverUnavailable as e:
+            if self._retry.at_start == "required":
+                raise
+            self._account.fail(e)
+        if line is not None and self.options.ask is None:
+            self._account.well()
+        self._ending = False
+        backoff = Backoff(self._retry.first_retry_s, self._retry.longest_retry_s)
+        self._worker = Worker("rtec-offsets", self._clock, self._connect, self._serve, self._tell, backoff)
+        self._worker.start(line)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Send what is still to be sent, then close the line."""
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            self._ending = True
+            self._account.wake.set()
+            worker.stop()
+
+    def refuses(self, sink: Sink) -> str:
+        """Take the kind that the options name, in their resolution."""
+        wanted = self.options
+        if sink.kind == "pulse" or sink.kind != wanted.actuator:
+            return f"takes {wanted.actuator!r} (its option actuator), not {sink.kind!r}"
+        if not math.isclose(sink.unit_um, wanted.resolution_um, rel_tol=1e-9):
+            return f"has resolution_um = {wanted.resolution_um:g}, the output has {sink.unit_um:g}: make them equal"
+        return ""
+
+    def apply(self, output: IntArray) -> None:
+        """Command the absolute offsets, in units of `resolution_um`; the line's thread sends them.
+
+        Raises:
+            DriverFault: the controller refused a command, or an order to resume is waited for.
+            DriverTimeout: it does not acknowledge.
+            DriverUnavailable: the line is gone; it is being opened again.
+        """
+        self._check_entered()
+        self._account.order(tuple(int(n) for n in output))
+
+    def read_output(self, output: IntArray) -> None:
+        """Fill in what the controller says that it has; where it cannot say, what it was sent or acknowledged last.
+
+        Raises:
+            DriverError: it has not said yet.
+        """
+        self._check_entered()
+        output[:] = self._account.has()
+
+    def hold(self) -> None:
+        """Nothing to do: the controller keeps its offsets."""
+
+    @property
+    def must_resume(self) -> str:
+        """Why it waits for an order to resume; "" where it does not."""
+        return self._account.lost
+
+    def resume(self) -> None:
+        """The order to go on from the offsets that the controller has now."""
+        self._account.resume()
+
+    def _was_told(self, output: IntArray) -> None:
+        self._account.told(tuple(int(n) for n in output))
+
+    def _check_entered(self) -> None:
+        if self._worker is None:
+            raise DriverUnavailable("ascii_offset: not entered, so its line is not open")
+
+    def _tell(self, why: str) -> None:
+        if why:
+            self._account.fail(DriverUnavailable(f"{self.options.place}: {why}; trying again"))
+
+    def _serve(self, line: ByteLine) -> None:
+        worker = self._worker
+        if worker is None:
+            return
+        talk = OffsetTalk(self.options, self._text, self._account, line, self._clock)
+        if self.options.ask is None:
+            self._account.well()
+        ask_ns = self._clock.now_ns()
+        while True:
+            ending = self._ending  # looked at first, so that what was ordered before is still sent
+            command = self._account.take()
+            taken = command is None or talk.command(command)
+            if self.options.ask is not None and (command is not None or self._clock.now_ns() >= ask_ns):
+                talk.read_back(self._axes)
+                ask_ns = self._clock.now_ns() + round(self.options.ask_period_s * NS)
+            else:
+                talk.listen()
+            if talk.answers:
+                worker.backoff.reset()
+            if ending:
+                if command is not None:  # closing throws away what the port has not sent yet
+                    self._clock.sleep_until_ns(self._clock.now_ns() + DRAIN_NS)
+                return
+            if taken:
+                self._account.wake.wait(IDLE_S)
+            else:
+                worker.wait_until_ns(self._clock.now_ns() + RETRY_NS)
+
+
+class OffsetTalk:
+    """One conversation over an open line.
+
+    Attributes:
+        answers: has the controller said anything that was understood?
+    """
+
+    def __init__(
+        self, options: OffsetOptions, text: OffsetText, account: OffsetAccount, line: ByteLine, clock: Clock
+    ) -> None:
+        self.answers = False
+        self._options, self._text, self._account, self._line, self._clock = options, text, account, line, clock
+        self._reader = LineReader(LINE_ENDS[options.line_end], options.longest_line, from_start=True)
+        self._heard: list[str] = []
+        self._lines: list[str] = []
+        patterns = (options.acknowledge, options.refuse, options.restarted)
+        self._yes, self._no, self._restart = (None if p is None else re.compile(p) for p in patterns)
+
+    def command(self, output: Output) -> bool:
+        """Send the lines of a command, each after the one before was acknowledged; say whether all were taken."""
+        self.listen()
+        for line in self._text.lines(output):
+            self._send(line)
+            trouble = None if self._yes is None else self._acknowledged(line.decode(self._options.encoding))
+            if trouble is not None:
+                self._account.refused(trouble)
+                return False
+        self._account.accepted(output, confirmed=self._options.ask is None)
+        return True
+
+    def read_back(self, axes: tuple[str, ...]) -> None:
+        """Ask which offsets are in force; note the answer."""
+        ask = self._options.ask or ""
+        self.listen()
+        self._send(ask.encode(self._options.encoding))
+        end_ns = self._end_ns()
+        while (line := self._next(end_ns)) is not None:
+            try:
+                units = self._text.units(line)
+            except ValueError as e:
+                self._account.fail(DriverFault(f"{self._options.place}: the answer {line[:60]!r}: {e}"))
+                return
+            if units is not None:
+                self.answers = True
+                self._account.read_back(tuple(units.get(axis, 0) for axis in axes))
+                return
+        self._account.fail(self._silent(ask))
+
+    def listen(self) -> None:
+        """Take in what was said unasked."""
+        for _ in range(MOST_LINES):
+            if self._next(0) is None:
+                return
+
+    def _acknowledged(self, sent: str) -> DriverError | None:
+        end_ns = self._end_ns()
+        while (line := self._next(end_ns)) is not None:
+            if self._yes is not None and self._yes.fullmatch(line):
+                self.answers = True
+                return None
+            if self._no is not None and self._no.fullmatch(line):
+                self.answers = True
+                return DriverFault(f"{self._options.place}: the controller refuses {sent!r}: {line[:60]!r}")
+        return self._silent(sent)
+
+    def _silent(self, sent: str) -> DriverTimeout:
+        place, wait_s = self._options.place, self._options.timeout_s
+        said = f"; it said {self._heard[-1][:60]!r}" if self._heard else ""
+        return DriverTimeout(f"{place}: no answer to {sent!r} that is understood, within {wait_s:g} s{said}")
+
+    def _end_ns(self) -> int:
+        self._heard.clear()
+        return self._clock.now_ns() + round(self._options.timeout_s * NS)
+
+    def _send(self, line: bytes) -> None:
+        self._line.send(line + ENDS[self._options.line_end])
+
+    def _next(self, until_ns: int) -> str | None:
+        """Give the next line; None where none came until then; at 0, one that has arrived."""
+        while not self._lines:
+            received = self._line.receive(until_ns)
+            self._lines += [x.decode(self._options.encoding, "replace").strip() for x in self._reader.feed(received)]
+            if not self._lines and (not received or self._clock.now_ns() >= until_ns):
+                return None
+        if 0 < until_ns <= self._clock.now_ns():
+            return None
+        line = self._lines.pop(0)
+        self._heard.append(line)
+        if self._restart is not None and self._restart.fullmatch(line):
+            self._account.restarted(line)
+        return line
