@@ -42,6 +42,7 @@ ACTUATORS: dict[str, dict[str, Any]] = {
         "resolution_um": 1.0,
     },
     "can_box": {"interface": "virtual", "channel": "none", **SPEED},
+    "linuxcnc": {"socket": "none.sock", "unit_um": 1.0},
     "zmq_link": {"state": "ipc://none", "command": "ipc://nothing"},
 }
 
