@@ -61,7 +61,6 @@ class LinuxCncDriver:
     """
 
     options_model = LinuxCncOptions
-    TAKES = ("following_error", "origin_offset", "pulse")
     EXAMPLE = """\
 [device.cnc]
 driver = "linuxcnc"
