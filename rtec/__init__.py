@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         load_measurement,
         load_model,
         plan,
+        propose_import,
         replay,
         simulate,
     )
@@ -43,6 +44,7 @@ __all__ = [
     "load_measurement",
     "load_model",
     "plan",
+    "propose_import",
     "replay",
     "simulate",
 ]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rtec.diagnosis.result import Diagnosis, Finding
     from rtec.effects import Effect
     from rtec.metrology.files.toml import Leniency
-    from rtec.metrology.importing import Imported
+    from rtec.metrology.importing import Imported, ImportProposal
     from rtec.playback.result import Replayed
     from rtec.sim.campaign.campaign import Simulated
 
@@ -49,6 +49,7 @@ __all__ = [
     "load_measurement",
     "load_model",
     "plan",
+    "propose_import",
     "replay",
     "simulate",
 ]
@@ -92,9 +93,27 @@ def load_measurement(path: PathLike, machine: MachineLike, leniency: "Leniency |
     return load(Path(path), _machine(machine), leniency)
 
 
+def propose_import(
+    path: PathLike, machine: MachineLike | None = None, answers: Mapping[str, str] | None = None
+) -> "ImportProposal":
+    """Propose how a table of another program is read: its columns, first values, guesses with reasons, questions.
+
+    Args:
+        path: the table.
+        machine: that it was measured on; its axes and sensors are looked for.
+        answers: to questions, by key; `ImportProposal.answered` gives more of them.
+
+    Raises:
+        MeasurementError: the file is no table, or an answer is not possible.
+    """
+    from rtec.metrology.importing import propose
+
+    return propose(Path(path), None if machine is None else _machine(machine), {}, answers)
+
+
 def import_table(
-    path: PathLike,
-    map: PathLike,
+    path: PathLike | Sequence[PathLike],
+    map: "PathLike | ImportProposal",
     out: PathLike,
     machine: MachineLike | None = None,
     *,
@@ -106,29 +125,34 @@ def import_table(
     """Read a table of another program, and write it as a measurement: NAME.csv (or .parquet) and NAME.toml.
 
     Args:
-        path: the table.
-        map: TOML with the meaning of each column.
+        path: the table; several of one form become runs.
+        map: TOML with the meaning of each column; or a proposal, which is then written as NAME-map.toml.
         out: NAME, NAME.csv or NAME.parquet.
-        machine: to check the result against; `Imported.measurement` is None without it.
+        machine: to check the result against; `Imported.measurement` is None without it, and without a proposal's.
         reader: that reads the table; by default the one that recognises its content.
         drop_bad_rows, missing_codes: what is accepted; noted in NAME.toml.
         force: overwrite existing files.
 
     Raises:
-        MeasurementError: the table or the map is wrong; line, column or key, and a way on.
+        MeasurementError: the table or the map is wrong, or the proposal has open questions; line, column or key, and a
+            way on.
     """
-    from rtec.metrology.importing import import_to_files, load_map
+    from rtec.metrology.importing import ImportProposal, import_to_files, load_map, save_map
 
-    return import_to_files(
-        Path(path),
-        load_map(Path(map)),
+    proposal = map if isinstance(map, ImportProposal) else None
+    how = map.import_map() if isinstance(map, ImportProposal) else load_map(Path(map))
+    on = None if machine is None else _machine(machine)
+    done = import_to_files(
+        [Path(path)] if isinstance(path, str | Path) else [Path(p) for p in path],
+        how,
         Path(out),
-        None if machine is None else _machine(machine),
+        on or (proposal.machine if proposal else None),
         reader=reader,
         drop_bad_rows=drop_bad_rows,
         missing_codes=missing_codes,
         force=force,
     )
+    return done if proposal is None or done.table is None else replace(done, map=save_map(proposal, done.table))
 
 
 def simulate(

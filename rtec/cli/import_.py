@@ -1,5 +1,6 @@
 """`rtec import`: files of other programs become measurements."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,18 +9,25 @@ import typer
 from rtec.cli.common import Json, print_json
 
 if TYPE_CHECKING:
-    from rtec.metrology.importing import Imported
-    from rtec.metrology.readers import ForeignTable, SourceOptions
+    from rtec.metrology.importing import Imported, ImportProposal
 
 
 def import_(
-    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="File of another program.")] = None,
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE...", help="File of another program; several become runs.")
+    ] = None,
     map_: Annotated[Path | None, typer.Option("--map", help="Map (TOML): the meaning of each column.")] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="NAME, NAME.csv or NAME.parquet; NAME.toml goes beside it.")
     ] = None,
     reader: Annotated[str | None, typer.Option("--as", metavar="READER", help="Reader.  [default: by content]")] = None,
-    machine: Annotated[Path | None, typer.Option("--machine", help="Machine file to check the result against.")] = None,
+    machine: Annotated[
+        Path | None, typer.Option("--machine", "-m", help="Machine file: its axes and sensors; checks the result.")
+    ] = None,
+    answer: Annotated[
+        list[str] | None,
+        typer.Option("--answer", "-a", metavar="KEY=VALUE", help="What the file does not say; repeatable."),
+    ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the readers.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     drop_bad_rows: Annotated[bool, typer.Option("--drop-bad-rows", help="Drop rows with an unusable cell.")] = False,
@@ -28,29 +36,99 @@ def import_(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Imports a table of another program as a measurement: NAME.csv and NAME.toml.
+    """Imports tables of other programs as a measurement: NAME.csv and NAME.toml.
 
-    Without -o it prints what FILE holds, and a map to begin with. If FILE cannot be read without help (encoding,
-    delimiter, decimal commas, lines to skip), give a MAP with [source] alone. The notes on the import are printed and
-    kept in NAME.toml.
+    Without --map it finds out how FILE is written and what its columns are, and shows a proposed map with reasons. It
+    asks only what the file does not say: on a terminal, else with --answer. With -o it writes the measurement, and the
+    map that made it as NAME-map.toml. The notes on the import are printed and kept in NAME.toml.
 
-    Example: `rtec import scope.csv --map configs/maps/laser-decimal-comma.toml -o laser-x`
+    Example: `rtec import scope.csv --machine machine.toml --answer axis=X -o laser-x`
     """
     if list_:
         _list(as_json=as_json)
         return
-    if file is None:
+    if not files:
         raise typer.BadParameter("name a FILE, or ask for --list", param_hint="FILE")
-    if out is None:
-        _look(file, map_, reader, as_json=as_json)
+    if map_ is not None and out is not None:
+        _import(files, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
         return
-    if map_ is None:
-        raise typer.BadParameter("-o needs a --map; without -o, a map to begin with is shown", param_hint="--map")
-    _import(file, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
+    proposal = _proposal(files[0], map_, reader, machine, answer or [])
+    if out is None:
+        if as_json:
+            print_json(proposal.facts())
+        else:
+            typer.echo(proposal.toml())
+        return
+    _write(files, proposal, out, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
+
+
+def _proposal(
+    file: Path, map_: Path | None, reader: str | None, machine: Path | None, answers: list[str]
+) -> "ImportProposal":
+    """The proposal; on a terminal with the answers of whoever sits there."""
+    from rtec.errors import MeasurementError
+    from rtec.machine import load_machine
+    from rtec.metrology.importing import propose
+    from rtec.tomlfile import read_toml
+
+    told = read_toml(map_, MeasurementError) if map_ is not None else {}
+    if reader is not None:
+        told = told | {"source": {**told.get("source", {}), "reader": reader}}
+    given = {}
+    for text in answers:
+        key, mark, value = text.rpartition("=")
+        if not mark:
+            raise typer.BadParameter(f"{text!r}: write KEY=VALUE", param_hint="--answer")
+        given[key.strip()] = value.strip()
+    proposal = propose(file, load_machine(machine) if machine is not None else None, told, given)
+    return _asked(proposal) if sys.stdin.isatty() and sys.stdout.isatty() else proposal
+
+
+def _asked(proposal: "ImportProposal") -> "ImportProposal":
+    """Ask what is not known until nothing is; questions with a usual answer take Enter."""
+    from rtec.errors import MeasurementError
+
+    typer.echo(proposal.toml(), err=True)
+    while proposal.questions:
+        question = proposal.questions[0]
+        allowed = ", ".join(question.choices) or question.hint
+        choices = f" ({allowed})" if allowed else ""
+        given = typer.prompt(f"{question.text}{choices}", default=question.default, err=True)
+        try:
+            proposal = proposal.answered({question.key: str(given)})
+        except MeasurementError as e:
+            typer.echo(str(e), err=True)
+    return proposal
+
+
+def _write(
+    files: list[Path],
+    proposal: "ImportProposal",
+    out: Path,
+    lenient: tuple[bool, list[str]],
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """The measurement and the map that made it."""
+    from rtec import api
+    from rtec.cli.common import bar
+
+    with bar(f"importing {files[0].name}"):
+        done = api.import_table(
+            files, proposal, out, proposal.machine, drop_bad_rows=lenient[0], missing_codes=lenient[1], force=force
+        )
+    if as_json:
+        print_json(done.to_dict())
+        return
+    for line in proposal.conclusions:
+        typer.echo(f"  {line}")
+    _show(done)
+    typer.echo(f"map: {done.facts()['map']}")
 
 
 def _import(
-    file: Path,
+    files: list[Path],
     map_: Path,
     out: Path,
     reader: str | None,
@@ -63,9 +141,9 @@ def _import(
     from rtec import api
     from rtec.cli.common import bar
 
-    with bar(f"importing {file.name}"):
+    with bar(f"importing {files[0].name}"):
         done = api.import_table(
-            file, map_, out, machine, reader=reader, drop_bad_rows=lenient[0], missing_codes=lenient[1], force=force
+            files, map_, out, machine, reader=reader, drop_bad_rows=lenient[0], missing_codes=lenient[1], force=force
         )
     if as_json:
         print_json(done.to_dict())
@@ -83,43 +161,6 @@ def _show(done: "Imported") -> None:
     typer.echo(f"{counted(done.rows_in, 'row')} in, {counted(done.rows_out, 'row')} out: {table} and {table.stem}.toml")
     if not facts["checked"]:
         typer.echo("not checked against a machine; --machine MACHINE.toml checks it")
-
-
-def _look(file: Path, map_: Path | None, reader: str | None, *, as_json: bool) -> None:
-    from rtec.errors import MeasurementError
-    from rtec.metrology.importing import starter_map
-    from rtec.metrology.readers import SourceOptions as Told
-    from rtec.metrology.readers import read_tables
-    from rtec.tomlfile import read_toml, validated
-
-    told = read_toml(map_, MeasurementError).get("source", {}) if map_ is not None else {}
-    how = validated(Told, {**told, "reader": reader} if reader else told, f"{map_}: [source]", MeasurementError)
-    name, tables = read_tables(file, how)
-    if as_json:
-        print_json({"reader": name, "tables": [_facts(t) for t in tables]})
-        return
-    typer.echo(f"# {file} read as {name}: " + ", ".join(f"{t.name} ({len(t)} rows)" for t in tables))
-    for note in dict.fromkeys(n for t in tables for n in t.notes):
-        typer.echo(f"# {note}")
-    typer.echo(starter_map(name, tables).replace("[source]\n", f"[source]\n{_as_told(how)}", 1))
-
-
-def _as_told(how: "SourceOptions") -> str:
-    """What the user's map says of the file, for the map that is shown."""
-    import tomli_w
-
-    return tomli_w.dumps(how.model_dump(mode="json", exclude_defaults=True, exclude={"reader", "table"}))
-
-
-def _facts(table: "ForeignTable") -> dict[str, object]:
-    return {
-        "name": table.name,
-        "rows": len(table),
-        "columns": [
-            {"name": n, "unit": table.units.get(n), "text": v.dtype == object} for n, v in table.columns.items()
-        ],
-        "notes": list(table.notes),
-    }
 
 
 def _list(*, as_json: bool) -> None:

@@ -77,7 +77,7 @@ def write_files(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _write_table(path, columns)
-        with _whole(path.with_name(path.stem + ".toml")) as out:
+        with whole(path.with_name(path.stem + ".toml")) as out:
             out.write(tomli_w.dumps(content).encode())
     except OSError as e:
         raise MeasurementError(f"{path}: cannot be written: {e.strerror}") from e
@@ -88,7 +88,7 @@ def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
     from pyarrow import csv, parquet
 
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
-    with _whole(path) as out:
+    with whole(path) as out:
         if path.suffix == ".csv":
             # Names of columns are plain words; arrow would put them in quotes.
             out.write((",".join(columns) + "\n").encode())
@@ -98,7 +98,7 @@ def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[BinaryIO]:
+def whole(path: Path) -> Iterator[BinaryIO]:
     """A file that takes its name only once all of it is written."""
     part = path.with_name(f".{path.name}.part")
     try:

@@ -1,6 +1,21 @@
-"""Turning tables of other programs into measurements by a column map."""
+"""Turning tables of other programs into measurements by a column map, which is proposed from the file itself."""
 
-from rtec.metrology.importing.apply import Imported, import_table, import_to_files
-from rtec.metrology.importing.map import ImportMap, load_map, starter_map
+from rtec.metrology.importing.apply import Imported, import_measurement, import_table, import_to_files
+from rtec.metrology.importing.map import ImportMap, load_map
+from rtec.metrology.importing.propose import ForeignColumn, ImportProposal, ImportQuestion, propose, save_map
+from rtec.metrology.readers.layout import Guess
 
-__all__ = ["ImportMap", "Imported", "import_table", "import_to_files", "load_map", "starter_map"]
+__all__ = [
+    "ForeignColumn",
+    "Guess",
+    "ImportMap",
+    "ImportProposal",
+    "ImportQuestion",
+    "Imported",
+    "import_measurement",
+    "import_table",
+    "import_to_files",
+    "load_map",
+    "propose",
+    "save_map",
+]

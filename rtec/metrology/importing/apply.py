@@ -1,8 +1,10 @@
 """Applying a map: a table of another program becomes the columns of a measurement, and says what it did."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,6 +18,7 @@ from rtec.metrology.files.table import Floats
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.importing.clock import runs, seconds
 from rtec.metrology.importing.map import Column, ImportMap
+from rtec.metrology.importing.rows import Bools, condition, from_events
 from rtec.metrology.measurement import Measurement
 from rtec.metrology.readers import read_tables
 from rtec.metrology.readers.base import ForeignTable
@@ -35,6 +38,7 @@ class Imported(Result):
         notes: everything that was done, in words.
         measurement: what was read back and checked, where a machine was named.
         table: the file that was written.
+        map: the file that a proposed map was written to.
     """
 
     page_maker: ClassVar[str] = "rtec.report.measurement:imported_page"
@@ -46,12 +50,14 @@ class Imported(Result):
     notes: tuple[str, ...]
     measurement: Measurement | None = None
     table: Path | None = None
+    map: Path | None = None
 
     def facts(self) -> dict[str, Any]:
         """What was imported; keys as in the documented JSON."""
         read = self.measurement
         return {
             "table": str(self.table) if self.table else None,
+            "map": str(self.map) if self.map else None,
             "reader": self.reader,
             "rows_in": self.rows_in,
             "rows_out": self.rows_out,
@@ -66,39 +72,117 @@ class Imported(Result):
         return frame(self.columns, kind)
 
 
-def import_table(path: Path, how: ImportMap) -> Imported:
-    """Read a file of another program by a map.
+def import_table(paths: Path | Sequence[Path], how: ImportMap) -> Imported:
+    """Read a file of another program by a map; or several files of the same form as runs that follow one another.
+
+    The files follow by their dates where these are in them, with the true time between; else in the order given.
 
     Raises:
-        MeasurementError: the file or the map is wrong; names line, column or key, and a way on.
+        MeasurementError: a file or the map is wrong; names line, column or key, and a way on.
     """
+    files = [paths] if isinstance(paths, Path) else list(paths)
+    parts = [_part(path, how) for path in files]
+    return parts[0].imported if len(parts) == 1 else _joined(parts, how)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What came out of one file, and when it began."""
+
+    path: Path
+    imported: Imported
+    began: datetime | None
+
+
+def _part(path: Path, how: ImportMap) -> _Part:
     reader, tables = read_tables(path, how.source)
-    table = _chosen(tables, how.source.table, str(path))
+    table = chosen(tables, how.source.table, str(path))
     notes = [f"read as {reader}" + ("" if how.source.reader else ", as it looks"), *table.notes]
     rows_in = len(table)
-    table, left_out = _required(table, how, str(path))
-    notes += left_out
+    if how.events is not None:
+        table = from_events(table, how.events.channel, how.events.value, how.events.unit, str(path))
+        notes.append(table.notes[-1])
+    keep = _kept(table, how, str(path), notes)
     _unused(table, how, notes)
-    clock = seconds(table, how.time, str(path))
-    notes += clock.notes
     columns: dict[str, Floats] = {}
     faults = []
     for name, column in how.column.items():
         try:
-            columns[name], told = _column(table, name, column, str(path))
+            columns[name], told = _column(table, name, column, keep, str(path))
             notes += told
         except MeasurementError as e:
             faults.append(str(e))
     if faults:
         raise MeasurementError("\n".join(faults))
+    keep = _after_first(columns, how, keep, str(path), notes)
+    columns = {n: v[keep] for n, v in columns.items()}
+    table = table.rows(keep)
+    clock = seconds(table, how.time, str(path))
+    notes += clock.notes
     run, told = runs(table, how.run, clock, columns, str(path))
     notes += told
     out: dict[str, Values] = {"run": run, "time_s": clock.time_s, **columns}
-    return Imported(out, reader, rows_in, len(table), tuple(notes))
+    return _Part(path, Imported(out, reader, rows_in, len(table), tuple(notes)), clock.began)
+
+
+def _joined(parts: Sequence[_Part], how: ImportMap) -> Imported:
+    """Files one after another; the time between them is that of their dates, else `restart_gap_s`, and is said."""
+    dates = [p.began for p in parts if p.began is not None]
+    dated = len(dates) == len(parts)
+    if dated:
+        parts = sorted(parts, key=lambda p: p.began or dates[0])
+    notes = [n for n in parts[0].imported.notes if all(n in p.imported.notes for p in parts)]
+    columns: dict[str, list[Values]] = {n: [] for n in parts[0].imported.columns}
+    end_s, runs_before = 0.0, 0
+    for i, part in enumerate(parts):
+        one = part.imported.columns
+        time_s = np.asarray(one["time_s"], dtype=np.float64)
+        start_s = end_s + how.time.restart_gap_s if i else 0.0
+        if dated and part.began is not None:
+            start_s = (part.began - min(dates)).total_seconds()
+            if i and start_s < end_s:
+                raise MeasurementError(
+                    f"{part.path}: begins at {part.began:%Y-%m-%d %H:%M:%S}, before {parts[i - 1].path.name} ends; "
+                    "files of one measurement follow one another"
+                )
+        own, run = np.unique(one["run"], return_inverse=True)
+        for name, values in columns.items():
+            values.append(one[name])
+        columns["time_s"][-1] = time_s - time_s[0] + start_s
+        columns["run"][-1] = run + 1 + runs_before
+        when = f", from {part.began:%Y-%m-%d %H:%M:%S}" if part.began else ""
+        number = (
+            f"runs {runs_before + 1} to {runs_before + len(own)} are" if len(own) > 1 else f"run {runs_before + 1} is"
+        )
+        notes.append(f"{number} {part.path.name}{when}")
+        notes += [f"{part.path.name}: {n}" for n in part.imported.notes if n not in notes]
+        runs_before += len(own)
+        end_s = float(columns["time_s"][-1][-1])
+    if not dated:
+        notes.append(
+            f"the files have no dates: they follow as given, {how.time.restart_gap_s:g} s apart, which is made up"
+        )
+    joined: dict[str, Values] = {n: np.concatenate([x.astype(np.float64) for x in v]) for n, v in columns.items()}
+    joined["run"] = joined["run"].astype(np.int64)
+    rows_in, rows_out = (sum(getattr(p.imported, f) for p in parts) for f in ("rows_in", "rows_out"))
+    return Imported(joined, parts[0].imported.reader, rows_in, rows_out, tuple(notes))
+
+
+def import_measurement(paths: Path | Sequence[Path], how: ImportMap, machine: Machine) -> Measurement:
+    """Import as a measurement in memory, with all checks that a measurement file gets.
+
+    Raises:
+        MeasurementError: as `import_to_files`.
+    """
+    first = paths if isinstance(paths, Path) else paths[0]
+    with TemporaryDirectory() as folder:
+        done = import_to_files(paths, how, Path(folder) / f"{first.stem}.csv", machine)
+    assert done.measurement is not None  # noqa: S101 (a machine was given)
+    return done.measurement
 
 
 def import_to_files(
-    path: Path,
+    paths: Path | Sequence[Path],
     how: ImportMap,
     out: Path,
     machine: Machine | None = None,
@@ -111,7 +195,7 @@ def import_to_files(
     """Import and write NAME.csv (or .parquet) and NAME.toml.
 
     Args:
-        path: file of the other program.
+        paths: file of the other program, or several as runs.
         how: the map.
         out: NAME, NAME.csv or NAME.parquet.
         machine: where given, the result is read back as a measurement of it, with all checks.
@@ -135,9 +219,10 @@ def import_to_files(
     if words:
         known = how.source.model_copy(update={"missing": (*how.source.missing, *words)})
         how = how.model_copy(update={"source": known})
-    done = import_table(path, how)
+    done = import_table(paths, how)
     head: dict[str, Any] = how.measurement.model_dump(mode="json")
-    head["notes"] = [*head["notes"], f"imported from {path.name}", *done.notes]
+    files = [paths] if isinstance(paths, Path) else paths
+    head["notes"] = [*head["notes"], f"imported from {', '.join(p.name for p in files)}", *done.notes]
     numbers = [n for code in missing_codes if (n := _number(code)) is not None]
     accepted = {"drop_bad_rows": drop_bad_rows or None, "missing_codes": numbers or None}
     write_files(table, done.columns, head, how.setup, accepted)
@@ -153,12 +238,17 @@ def _number(text: str) -> float | None:
 
 
 def _may_write(table: Path, *, force: bool) -> None:
-    there = [p for p in (table, table.with_name(table.stem + ".toml")) if p.exists()]
+    there = [p for p in (table, table.with_name(f"{table.stem}.toml")) if p.exists()]
     if there and not force:
         raise MeasurementError(f"{there[0]}: is there already; another name, or --force to write over it")
 
 
-def _chosen(tables: list[ForeignTable], name: str | None, source: str) -> ForeignTable:
+def chosen(tables: Sequence[ForeignTable], name: str | None, source: str) -> ForeignTable:
+    """The table of that name; the only one where no name is given.
+
+    Raises:
+        MeasurementError: there are several, or none of that name.
+    """
     names = [t.name for t in tables]
     if name is None:
         if len(tables) > 1:
@@ -171,23 +261,37 @@ def _chosen(tables: list[ForeignTable], name: str | None, source: str) -> Foreig
     return tables[names.index(name)]
 
 
-def _required(table: ForeignTable, how: ImportMap, source: str) -> tuple[ForeignTable, list[str]]:
-    """Leave out rows that lack what `[rows] require` names; held values are carried over them first."""
-    held = {c.from_ for c in how.column.values() if c.fill == "hold"}
+def _kept(table: ForeignTable, how: ImportMap, source: str, notes: list[str]) -> Bools:
+    """Rows that `[rows]` lets through, (n,)."""
     keep = np.ones(len(table), dtype=np.bool_)
     for name in how.rows.require:
         values = table.column(name, source)
         keep &= values != "" if values.dtype == np.object_ else np.isfinite(values.astype(np.float64))
     if not keep.any():
         raise MeasurementError(f"{source}: no row has a value in all of {', '.join(how.rows.require)}; no row remains")
-    carried = {n: _held(table.numbers(n, source)) for n in held if n in table.columns}
-    columns = {n: (carried.get(n, v))[keep] for n, v in table.columns.items()}
-    dropped = int((~keep).sum())
-    notes = [f"{dropped} rows without {', '.join(how.rows.require)} left out"] if dropped else []
-    for name, values in carried.items():
-        gaps = int((np.isnan(table.numbers(name, source)) & np.isfinite(values) & keep).sum())
-        notes.append(f"column {name!r}: last value held in {gaps} rows")
-    return ForeignTable(table.name, columns, table.units, table.lines[keep], table.notes, table.wrong), notes
+    if dropped := int((~keep).sum()):
+        notes.append(f"{dropped} rows without {', '.join(how.rows.require)} left out")
+    if how.rows.where is not None:
+        before = int(keep.sum())
+        keep &= condition(how.rows.where).holds(table, source)
+        notes.append(f"{before - int(keep.sum())} rows left out where not {how.rows.where}")
+        if not keep.any():
+            raise MeasurementError(f"{source}: [rows] where = {how.rows.where!r} holds in no row; no row remains")
+    return keep
+
+
+def _after_first(columns: Mapping[str, Floats], how: ImportMap, keep: Bools, source: str, notes: list[str]) -> Bools:
+    """Of the kept rows those from the first value of every held column on."""
+    for name, column in how.column.items():
+        if column.fill is None:
+            continue
+        early = keep & np.isnan(columns[name])
+        if early.any() and np.isfinite(columns[name]).any():
+            notes.append(f"{int(early.sum())} rows before the first value of {name} left out")
+            keep = keep & ~early
+    if not keep.any():
+        raise MeasurementError(f"{source}: no row comes after the first value of every held column; no row remains")
+    return keep
 
 
 def _held(values: Floats) -> Floats:
@@ -196,43 +300,66 @@ def _held(values: Floats) -> Floats:
 
 
 def _unused(table: ForeignTable, how: ImportMap, notes: list[str]) -> None:
-    used = {how.time.column, how.run.column} | {n for c in how.column.values() for n in (c.from_, c.minus)}
+    used = {how.time.column, how.time.date, how.run.column} | {
+        n for c in how.column.values() for n in (c.from_, c.minus)
+    }
     unused = [n for n in table.columns if n not in used]
     if unused:
         notes.append(f"columns of the file not used: {', '.join(unused[:20])}" + (" …" if len(unused) > 20 else ""))
 
 
-def _column(table: ForeignTable, name: str, column: Column, source: str) -> tuple[Floats, list[str]]:
-    """One column of the measurement and what was done for it."""
-    values = _numbers(table, column, source)
+def _column(table: ForeignTable, name: str, column: Column, keep: Bools, source: str) -> tuple[Floats, list[str]]:
+    """One column of the measurement, in all rows of the file, and what was done for it."""
+    values = _numbers(table, column, keep, source)
     target = unit_of_column(name)
     unit = _unit(table, name, column, target, source)
     notes = []
     for code in column.missing_codes:
         hit = np.isclose(values, code, rtol=1e-9, atol=0.0)
         values = np.where(hit, np.nan, values)
-        notes.append(f"{name}: {code:g} taken as missing in {int(hit.sum())} rows")
+        notes.append(f"{name}: {code:g} taken as missing in {int((hit & keep).sum())} rows")
+    if column.fill == "hold":
+        held = _held(values)
+        gaps = int((np.isnan(values) & np.isfinite(held) & keep).sum())
+        notes.append(f"column {column.from_!r}: last value held in {gaps} rows")
+        values = held
     if column.minus is not None:
         values = values - table.numbers(column.minus, source)
+    if column.take is not None:
+        values = _taken(values, column, table, source)
     try:
         values = convert(values * (column.scale * column.sign), unit, target)
     except ValueError as e:
         raise MeasurementError(f"{source}: [column.{name}] {e}") from e
     done = f"{name} from {column.from_!r}"
     done += f" minus {column.minus!r}" if column.minus else ""
+    done += {"sum": ", added up", "difference": ", each minus the one before"}.get(column.take or "", "")
     done += f" × {column.scale * column.sign:g}" if column.scale * column.sign != 1.0 else ""
     done += f", {unit} to {target}" if unit != target else ""
     done += f" + {column.offset:g}" if column.offset else ""
     return values + column.offset, [done, *notes]
 
 
-def _numbers(table: ForeignTable, column: Column, source: str) -> Floats:
+def _taken(values: Floats, column: Column, table: ForeignTable, source: str) -> Floats:
+    """Sums of steps, or steps of sums; the first row has no step."""
+    if column.take == "difference":
+        return np.concatenate([[np.nan], np.diff(values)])
+    lost = np.flatnonzero(np.isnan(values))
+    if len(lost):
+        raise MeasurementError(
+            f"{source}: line {table.lines[lost[0]]}: column {column.from_!r}: no step ({len(lost)} in all), so that no "
+            "sum after it is known; fill in 0 where nothing moved, or take from a column without gaps"
+        )
+    return np.cumsum(values)
+
+
+def _numbers(table: ForeignTable, column: Column, keep: Bools, source: str) -> Floats:
     values = table.column(column.from_, source)
     if not column.values or values.dtype != np.object_:
         return table.numbers(column.from_, source)
     out = np.empty(len(values))
     for i, text in enumerate(values):
-        if text and text not in column.values:
+        if text and text not in column.values and keep[i]:
             raise MeasurementError(
                 f"{source}: line {table.lines[i]}: column {column.from_!r}: {text!r} has no meaning in values"
                 f"{nearest(text, column.values)}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,18 +11,26 @@ from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
 from rtec.metrology.importing.map import Run, Time
 from rtec.metrology.readers.base import Floats, ForeignTable, Ints
-from rtec.metrology.readers.times import parsed
+from rtec.metrology.readers.times import EPOCH_EXCEL, EPOCH_FILETIME, EPOCH_UNIX, parsed
 from rtec.metrology.units import convert
 from rtec.tomlfile import nearest
 
 
 @dataclass(frozen=True)
 class RowClock:
-    """Time of each row, s, (n,); rows at which the file's own clock starts again; what to tell about it."""
+    """Time of each row.
+
+    Attributes:
+        time_s: (n,).
+        restarts: rows at which the file's own clock starts again.
+        notes: what to tell about it.
+        began: date and time of time 0, where the file has dates; local times as they are, as if in UTC.
+    """
 
     time_s: Floats
     restarts: Ints
     notes: tuple[str, ...]
+    began: datetime | None = None
 
 
 def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
@@ -33,31 +42,49 @@ def seconds(table: ForeignTable, time: Time, source: str) -> RowClock:
     if time.column is None:
         step_s = time.step_s or 1.0
         order: Floats = np.arange(len(table), dtype=np.float64) * step_s
-        return RowClock(order, np.empty(0, dtype=np.int64), (f"time is the order of rows, {step_s:g} s apart",))
+        made_up = f"the file has no time: its rows are taken as {step_s:g} s apart"
+        return RowClock(order, np.empty(0, dtype=np.int64), (made_up,))
+    epoch = None
     if time.format is not None or time.unit == "iso":
-        time_s = _of_day(table, time.column, time.format, source)
+        time_s, epoch = _of_day(table, time, source)
     else:
         values = table.numbers(time.column, source)
         unit = time.unit or table.units.get(time.column)
         if not unit:
             raise MeasurementError(f"{source}: [time] column {time.column!r}: the file tells no unit; say unit = …")
-        time_s = _since(values, unit)
+        time_s, epoch = _since(values, unit)
     lost = np.flatnonzero(np.isnan(time_s))
     if len(lost):
         line = f"{source}: line {table.lines[lost[0]]}: no time ({len(lost)} rows in all)"
         raise MeasurementError(f"{line}; leave them out: [rows] require = [{time.column!r}]")
-    return _put_in_order(time_s, table, time, source)
+    return _put_in_order(time_s, epoch, table, time, source)
 
 
-def _since(values: Floats, unit: str) -> Floats:
-    if unit == "filetime":
-        return (values - np.nanmin(values)) * 1e-7 if np.isfinite(values).any() else values
-    return values * 86400.0 if unit == "excel" else convert(values, unit, "s")
+STANDS_MM = 1e-3
+EPOCHS = {"filetime": (EPOCH_FILETIME, 1e-7), "excel": (EPOCH_EXCEL, 86400.0), "unix": (EPOCH_UNIX, 1.0)}
 
 
-def _of_day(table: ForeignTable, name: str, pattern: str | None, source: str) -> Floats:
-    """Seconds since the first time of day."""
+def _since(values: Floats, unit: str) -> tuple[Floats, datetime | None]:
+    """Seconds, and the date and time of second 0 where the unit has one."""
+    if unit not in EPOCHS or not np.isfinite(values).any():
+        return values if unit in EPOCHS else convert(values, unit, "s"), None
+    epoch, second = EPOCHS[unit]
+    least = float(np.nanmin(values))
+    try:
+        return (values - least) * second, epoch + timedelta(seconds=least * second)
+    except OverflowError:
+        return (values - least) * second, None
+
+
+def _of_day(table: ForeignTable, time: Time, source: str) -> tuple[Floats, datetime | None]:
+    """Seconds since the first time of day, and that one where it has a date."""
+    name, pattern = time.column or "", time.format
     texts = table.column(name, source)
+    if time.date is not None:
+        texts = np.array(
+            [f"{d} {t}".strip() for d, t in zip(table.column(time.date, source), texts, strict=True)], dtype=np.object_
+        )
+    dated = pattern is None or any(word in pattern for word in ("%d", "%j", "%x", "%c"))
     out = np.full(len(table), np.nan)
     first = None
     for i, text in enumerate(texts):
@@ -71,10 +98,10 @@ def _of_day(table: ForeignTable, name: str, pattern: str | None, source: str) ->
             raise MeasurementError(f"{line} is no time ({e}); {way}") from e
         first = first or moment
         out[i] = (moment - first).total_seconds()
-    return out
+    return out, first if dated else None
 
 
-def _put_in_order(time_s: Floats, table: ForeignTable, time: Time, source: str) -> RowClock:
+def _put_in_order(time_s: Floats, epoch: datetime | None, table: ForeignTable, time: Time, source: str) -> RowClock:
     notes = []
     falls = np.flatnonzero(np.diff(time_s) < 0) + 1
     if len(falls) and not time.restarts:
@@ -89,10 +116,15 @@ def _put_in_order(time_s: Floats, table: ForeignTable, time: Time, source: str) 
         for i in falls:
             time_s[i:] += time_s[i - 1] + time.restart_gap_s - time_s[i]
         notes.append(f"the clock starts again {len(falls)} times; {time.restart_gap_s:g} s are put between")
-    if time.from_zero and len(time_s) and time_s[0] != 0.0:
+    began = None
+    if epoch is not None and len(time_s):
+        began = epoch + timedelta(seconds=float(time_s[0]))
+        notes.append(f"time 0 is {began:%Y-%m-%d %H:%M:%S}")
+        time_s = time_s - time_s[0]
+    elif time.from_zero and len(time_s) and time_s[0] != 0.0:
         notes.append(f"time 0 is {time_s[0]:.10g} s of the file")
         time_s = time_s - time_s[0]
-    return RowClock(time_s, falls, tuple(notes))
+    return RowClock(time_s, falls, tuple(notes), began)
 
 
 def runs(
@@ -120,7 +152,7 @@ def runs(
     begins = np.zeros(len(table), dtype=np.bool_)
     begins[clock.restarts] = True
     if run.direction_of is not None:
-        begins |= _reversals(run.direction_of, run.dead_band_mm, columns, source)
+        begins |= _reversals(run.direction_of, run.dead_band_mm, columns, clock.time_s, source)
     if run.gap_s is not None:
         begins |= np.diff(clock.time_s, prepend=clock.time_s[:1]) > run.gap_s
     if run.jump_mm is not None:
@@ -130,10 +162,23 @@ def runs(
     return numbers, [f"{numbers[-1]} runs" if numbers[-1] > 1 else "all rows are one run"]
 
 
-def _reversals(name: str, dead_band_mm: float, columns: Mapping[str, Floats], source: str) -> NDArray[np.bool_]:
+def _reversals(
+    name: str, dead_band_mm: float, columns: Mapping[str, Floats], time_s: Floats, source: str
+) -> NDArray[np.bool_]:
+    """Rows that begin the way back. Of rows that stand at the turning point those after the longest pause belong to it;
+    of rows without one, the later half: the same targets are read from both sides.
+    """
     positions = [n for n in columns if n.endswith("_mm")]
     if name not in positions:
         raise MeasurementError(f"{source}: [run] direction_of = {name!r} is no position{nearest(name, positions)}")
-    direction = direction_track(np.ascontiguousarray(columns[name]), dead_band_mm)
-    before = np.concatenate([direction[:1], direction[:-1]])
-    return np.asarray((direction != before) & (before != 0.0))
+    position = np.ascontiguousarray(columns[name])
+    direction = direction_track(position, dead_band_mm)
+    begins = np.zeros(len(position), dtype=np.bool_)
+    for i in np.flatnonzero((np.diff(direction) != 0.0) & (direction[:-1] != 0.0)) + 1:
+        first = i - 1
+        while first > 0 and abs(position[first - 1] - position[i - 1]) <= STANDS_MM:
+            first -= 1
+        pauses = np.diff(time_s[first:i])
+        long = len(pauses) > 0 and pauses.max() > 1.5 * np.median(pauses)
+        begins[first + 1 + int(np.argmax(pauses)) if long else i - (i - first) // 2] = True
+    return begins

@@ -1,7 +1,6 @@
 """The map of `rtec import`: which column of a file is which column of a measurement, and in what unit."""
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,13 +8,13 @@ from pydantic import Field, field_validator, model_validator
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.toml import MeasurementTable
-from rtec.metrology.readers.base import ForeignTable, SourceOptions
+from rtec.metrology.importing.rows import condition
+from rtec.metrology.readers.base import SourceOptions
 from rtec.metrology.units import UNITS, canonical
 from rtec.quantities import Code, Coefficient, Factor, MillimetresNotNegative, MillimetresPositive, SecondsPositive
 from rtec.tomlfile import Strict, read_toml, validated
 
-TIMES = ("time", "t", "ts", "time_s", "zeit", "timestamp", "uhrzeit", "date", "datum", "datetime")
-FORMS = ("iso", "filetime", "excel")
+FORMS = ("iso", "filetime", "excel", "unix")
 TARGET = re.compile(
     r"[a-z][a-z0-9_]*_mm|dir_\w+|v\w+_mm_s|a\w+_mm_s2|\w+_degc|spindle_rpm|feed_mm_min|load_kg|angle_deg"
     r"|reading(_[A-Za-z0-9]+)*_(um|urad)",
@@ -31,6 +30,8 @@ class Column(Strict):
     Attributes:
         from_: column of the file.
         minus: column of the file that is taken off, in the same unit: actual minus nominal.
+        take: "sum": the file has steps, and the value is the sum of all so far; "difference": the file has running
+            totals, and the value is each one minus the one before. Rows that are left out count, too.
         unit: of the file's numbers, where the reader does not tell it; the measurement's own where nobody does.
         scale, sign, offset: see above.
         fill: "hold" keeps the last value where there is none.
@@ -40,6 +41,7 @@ class Column(Strict):
 
     from_: str = Field(alias="from")
     minus: str | None = None
+    take: Literal["sum", "difference"] | None = None
     unit: str | None = None
     scale: Factor = 1.0
     sign: Literal[1, -1] = 1
@@ -66,7 +68,9 @@ class Time(Strict):
 
     Attributes:
         column: of the file.
-        unit: a unit of time, or "iso", "filetime" (100 ns since 1601), "excel" (days since 1900).
+        date: column of the date, where it is in another one than the time of day; `format` reads "DATE TIME".
+        unit: a unit of time, or "iso", "filetime" (100 ns since 1601), "excel" (days since 1900), "unix" (seconds
+            since 1970).
         format: strptime pattern of a time of day.
         from_zero: does the first row become 0? Times of day always begin at 0.
         restarts: a time that falls begins a new run: put it after the one before, `restart_gap_s` later.
@@ -74,6 +78,7 @@ class Time(Strict):
     """
 
     column: str | None = None
+    date: str | None = None
     unit: str | None = None
     format: str | None = None
     from_zero: bool = True
@@ -85,8 +90,10 @@ class Time(Strict):
     def _one_way(self) -> "Time":
         if (self.column is None) == (self.step_s is None):
             raise ValueError("give either column or step_s")
-        if self.column is None and (self.unit or self.format or self.restarts):
-            raise ValueError("step_s stands alone; unit, format and restarts belong to a column")
+        if self.column is None and (self.unit or self.format or self.restarts or self.date):
+            raise ValueError("step_s stands alone; date, unit, format and restarts belong to a column")
+        if self.date and self.unit != "iso" and not self.format:
+            raise ValueError('date needs a format for "DATE TIME", such as "%d.%m.%Y %H:%M:%S", or unit = "iso"')
         if self.unit and self.format:
             raise ValueError("give unit or format, not both")
         if self.unit and self.unit not in FORMS and UNITS[canonical(self.unit)].kind != "time":
@@ -119,15 +126,41 @@ class Run(Strict):
 
 
 class RowRules(Strict):
-    """`[rows]`: rows without a value in one of these columns of the file are left out, counted."""
+    """`[rows]`: which rows of the file are used; the others are left out, counted.
+
+    Attributes:
+        require: columns of the file in which a row needs a value.
+        where: condition on columns of the file, such as `bed_target == 105 and status != "warm-up"`.
+    """
 
     require: tuple[str, ...] = ()
+    where: str | None = None
+
+    @field_validator("where")
+    @classmethod
+    def _readable(cls, where: str | None) -> str | None:
+        return where if where is None else condition(where).text
+
+
+class EventLog(Strict):
+    """`[events]`: a log with one value a line; each channel becomes a column, events of one instant become one row.
+
+    Attributes:
+        channel: column of the file with the names of channels.
+        value: column of the file with their values.
+        unit: column of the file with their units.
+    """
+
+    channel: str
+    value: str
+    unit: str | None = None
 
 
 class ImportMap(Strict):
     """A whole map."""
 
     source: SourceOptions = SourceOptions()
+    events: EventLog | None = None
     measurement: MeasurementTable
     setup: dict[str, Any] = Field(default_factory=dict)
     time: Time
@@ -160,53 +193,3 @@ def load_map(path: Path) -> ImportMap:
         MeasurementError: file, section, key and what is allowed.
     """
     return validated(ImportMap, read_toml(path, MeasurementError), str(path), MeasurementError)
-
-
-def starter_map(reader: str, tables: Sequence[ForeignTable]) -> str:
-    """A map to begin with for a file: its columns stand there, what only people know is to be filled in."""
-    columns = [name for table in tables[:1] for name in table.columns]
-    time = next((n for n in columns if n.lower() in TIMES), None)
-    source = [f'reader = "{reader}"']
-    if len(tables) > 1:
-        source.append(f'table = "{tables[0].name}"        # or one of: {", ".join(t.name for t in tables[1:])}')
-    first = next((n for n in columns if n != time), "?")
-    shown = "\n".join(f"#   {n}{_told(tables[0], n)}" for n in columns)
-    return f"""# Columns of the file:
-{shown}
-[source]
-{chr(10).join(source)}
-
-[measurement]
-instrument = "laser_linear"     # what read it
-axis = "X"
-# component = "EXX"             # only where the readings are that component already: no lever arm enters then
-machine = "NAME"                # as in the machine file
-
-[setup]                         # what the instrument needs
-
-[time]
-{f"column = {_quoted(time)}" if time else "step_s = 1.0                    # the file has no time"}
-
-[run]                           # nothing here: all is one run
-# column = …, or direction_of = "x_mm", gap_s = 60, jump_mm = 50
-
-[column.x_mm]
-from = {_quoted(first)}
-unit = "mm"
-
-[column.reading_um]
-from = {_quoted(columns[-1] if columns else "?")}
-unit = "um"
-# minus = …                     # a reading is actual minus nominal
-"""
-
-
-def _told(table: ForeignTable, name: str) -> str:
-    unit = f" [{table.units[name]}]" if table.units.get(name) else ""
-    text = " (text)" if table.columns[name].dtype == object else ""
-    return unit + text
-
-
-def _quoted(text: str) -> str:
-    inner = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{inner}"'

@@ -1,13 +1,13 @@
 """What a reader gives, and what it may be told about the file."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from rtec.errors import MeasurementError
 from rtec.limits import check_size
@@ -29,10 +29,12 @@ class SourceOptions(Strict):
     Attributes:
         reader: name of the reader.
         table: name of the table, in files that hold several.
-        encoding, delimiter, decimal, thousands: of a delimited text; decimal and thousands are never guessed.
+        encoding, delimiter, decimal, thousands: of a delimited text; the delimiter " " is any run of blanks.
+        widths: characters of each column, where the cells have fixed places instead of a delimiter.
         skip_rows: lines before the header.
         comment: lines that begin with this are no rows.
         header: does the first line hold the names? Without it columns are `c1`, `c2`, …
+        names: of the columns, where no line of the file has them.
         unit_row: does the line under the header hold units?
         missing: words that stand for "no value".
         swap_directions: ecmc only: what the file calls forward is backward.
@@ -46,10 +48,26 @@ class SourceOptions(Strict):
     thousands: Literal[".", ",", " ", "'", "\u00a0", "\u202f"] | None = None
     skip_rows: Counts = 0
     comment: Annotated[str, Field(min_length=1)] | None = None
+    widths: Annotated[tuple[Annotated[int, Field(ge=1, le=10_000)], ...], Field(min_length=1)] | None = None
     header: bool = True
+    names: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     unit_row: bool = False
     missing: tuple[str, ...] = ()
     swap_directions: bool = False
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "SourceOptions":
+        if self.widths is not None and self.delimiter is not None:
+            raise ValueError("give a delimiter or widths, not both")
+        if self.names is not None and self.header:
+            raise ValueError(
+                "names are for a file without a header: header = false; else [column.NAME] from = … renames"
+            )
+        if self.names is not None and len(set(self.names)) < len(self.names):
+            raise ValueError("a name is given twice")
+        if self.delimiter is not None and self.delimiter == self.decimal:
+            raise ValueError(f"delimiter and decimal are both {self.decimal!r}; such a table cannot be read")
+        return self
 
 
 @dataclass(frozen=True)
@@ -64,6 +82,7 @@ class ForeignTable:
         notes: what the reader told.
         wrong: of a column of texts, line and text of the first cell that is no number, where the reader knows it.
         where: how the user tells the reader more, for messages; "" where nothing can be told.
+        decimal: mark in the numbers of its columns of texts.
     """
 
     name: str
@@ -73,6 +92,7 @@ class ForeignTable:
     notes: tuple[str, ...] = field(default=())
     wrong: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     where: str = WHERE
+    decimal: str = "."
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -91,8 +111,12 @@ class ForeignTable:
             f"{source}: line {line}: column {name!r}: {text!r} is no number; {_way(text, self.where)}"
         )
 
+    def rows(self, keep: NDArray[np.bool_]) -> "ForeignTable":
+        """Only these rows."""
+        return replace(self, columns={n: v[keep] for n, v in self.columns.items()}, lines=self.lines[keep])
+
     def _first_text(self, values: Floats | Texts) -> tuple[int, str]:
-        i = next((i for i, v in enumerate(values) if not _is_number(str(v))), 0)
+        i = next((i for i, v in enumerate(values) if number_or_none(str(v), self.decimal) is None), 0)
         return int(self.lines[i]), str(values[i])
 
     def column(self, name: str, source: str) -> Floats | Texts:
@@ -102,12 +126,13 @@ class ForeignTable:
         return self.columns[name]
 
 
-def _is_number(text: str) -> bool:
+def number_or_none(text: str, decimal: str = ".") -> float | None:
+    """The number that a cell is, NaN where it is empty; None where it is a word."""
+    plain = text.strip() if decimal == "." else text.strip().replace(".", "?").replace(decimal, ".")
     try:
-        float(text or "nan")
+        return float(plain or "nan") if "_" not in plain else None
     except ValueError:
-        return False
-    return "_" not in text
+        return None
 
 
 def _way(text: str, where: str) -> str:

@@ -1,7 +1,8 @@
-"""Any delimited text: a header, then rows."""
+"""Any text table: a header or none, then rows of cells between delimiters, blanks, or in fixed places."""
 
 import csv
 import io
+import itertools
 import re
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,13 @@ def read(path: Path, source: SourceOptions, where: str = WHERE) -> list[ForeignT
         MeasurementError: not text, no rows, or rows of another length than the header; by line.
     """
     text, notes = decoded(path, source.encoding)
+    return [table_of(path, text, source, notes, where)]
+
+
+def table_of(
+    path: Path, text: str, source: SourceOptions, notes: tuple[str, ...] = (), where: str = WHERE
+) -> ForeignTable:
+    """Give the table that a text holds; see `read`."""
     lines = text.split("\n")
     kept = [
         i
@@ -35,22 +43,38 @@ def read(path: Path, source: SourceOptions, where: str = WHERE) -> list[ForeignT
         raise MeasurementError(
             f"{path}: no rows" + (f" after the first {source.skip_rows}" if source.skip_rows else "")
         )
-    delimiter = source.delimiter or _delimiter([lines[i] for i in kept[:20]])
-    if source.delimiter is None:
-        notes = (*notes, f"cells are divided by {delimiter!r}, as it seems")
-    names, units, first = _header(path, [lines[i] for i in kept[:2]], delimiter, source, where)
+    if source.delimiter is None and source.widths is None:
+        source = source.model_copy(update={"delimiter": _delimiter([lines[i] for i in kept[:20]])})
+        notes = (*notes, f"cells are divided by {source.delimiter!r}, as it seems")
+    names, units, first = _header(path, [lines[i] for i in kept[:2]], source, where)
     rows = kept[first:]
     if not rows:
         raise MeasurementError(f"{path}: no rows under the header")
     at = np.array(rows, dtype=np.int64) + 1
-    table = _cells(path, [lines[i] for i in rows], at, names, delimiter, where)
+    table = _cells(path, [lines[i] for i in rows], at, names, source, where)
     columns: dict[str, Floats | Texts] = {}
     wrong = {}
     for name in names:
         columns[name], bad = _numbers_or_texts(table.column(name), source)
         if bad is not None:
             wrong[name] = (int(at[bad]), str(columns[name][bad]))
-    return [ForeignTable(path.stem, columns, units, at, notes, wrong, where)]
+    return ForeignTable(path.stem, columns, units, at, notes, wrong, where, source.decimal)
+
+
+def split(line: str, source: SourceOptions) -> list[str]:
+    """The cells of one line, without blanks around them.
+
+    Raises:
+        csv.Error: a quote in it is not closed, or the line is no text.
+    """
+    if source.widths is not None:
+        ends = list(itertools.accumulate(source.widths))
+        # What is beyond the last column belongs to it: a wider number is not cut off.
+        ends[-1] = max(ends[-1], len(line))
+        return [line[a:b].strip() for a, b in zip([0, *ends], ends, strict=False)]
+    if source.delimiter == " ":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=source.delimiter or ","), [])]
 
 
 def _delimiter(lines: list[str]) -> str:
@@ -60,77 +84,96 @@ def _delimiter(lines: list[str]) -> str:
     return (alike or seen or [","])[0]
 
 
-def _header(
-    path: Path, lines: list[str], delimiter: str, source: SourceOptions, where: str
-) -> tuple[list[str], dict[str, str], int]:
+def _header(path: Path, lines: list[str], source: SourceOptions, where: str) -> tuple[list[str], dict[str, str], int]:
     """Names, units, and how many lines they took."""
-    cells = [[c.strip() for c in row] for row in csv.reader(lines, delimiter=delimiter)]
+    try:
+        cells = [split(line, source) for line in lines]
+    except csv.Error as e:
+        raise MeasurementError(f"{path}: {e}; is this a text table?") from e
     if not source.header:
-        return [f"c{i + 1}" for i in range(len(cells[0]))], {}, 0
+        names = list(source.names or (f"c{i + 1}" for i in range(len(cells[0]))))
+        return names, {n: u for n in names if (u := bracketed(n))}, 0
     names = [n or f"c{i + 1}" for i, n in enumerate(cells[0])]
     for name in names:
         if names.count(name) > 1:
-            other = f", or {where} header = false with skip_rows, and use c1, c2, …" if where else ""
+            other = f", or {where} header = false with skip_rows and names = [ … ]" if where else ""
             raise MeasurementError(
                 f"{path}: column {name!r} is {names.count(name)} times in the header; rename one{other}"
             )
-    units = {n: u for n in names if (u := _bracketed(n))}
+    units = {n: u for n in names if (u := bracketed(n))}
     if not source.unit_row:
         return names, units, 1
     if len(cells) < 2:
         raise MeasurementError(f"{path}: unit_row = true, and there is no line under the header")
-    return names, units | {n: u for n, c in zip(names, cells[1], strict=False) if (u := _unit(c.strip("[]() ")))}, 2
+    return (
+        names,
+        units | {n: u for n, c in zip(names, cells[1], strict=False) if (u := unit_named(c.strip("[]() ")))},
+        2,
+    )
 
 
-def _bracketed(name: str) -> str:
+def bracketed(name: str) -> str:
     """The unit in a name like `Pos X [mm]` or `T1 (°C)`."""
     found = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
-    return _unit(found.group(1)) if found else ""
+    return unit_named(found.group(1)) if found else ""
 
 
-def _unit(text: str) -> str:
+def unit_named(text: str) -> str:
+    """The unit that a word means; empty where it means none."""
     try:
         return canonical(text) if text and text not in UNITS.keys() - {"1"} else text
     except ValueError:
         return ""
 
 
-def _cells(path: Path, lines: list[str], at: Ints, names: list[str], delimiter: str, where: str) -> Any:
+def _cells(path: Path, lines: list[str], at: Ints, names: list[str], source: SourceOptions, where: str) -> Any:
     """All cells as texts."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
+    if source.widths is not None or source.delimiter == " ":
+        rows = [split(line, source) for line in lines]
+        if any(len(row) != len(names) for row in rows):
+            _tell_widths(path, lines, at, len(names), source, where)
+        return pa.table(
+            {n: pa.array(cells, pa.string()) for n, cells in zip(names, zip(*rows, strict=True), strict=True)}
+        )
     try:
         table = arrow_csv.read_csv(
             io.BytesIO("\n".join(lines).encode()),
             read_options=arrow_csv.ReadOptions(column_names=names, block_size=64 << 20),
-            parse_options=arrow_csv.ParseOptions(delimiter=delimiter),
+            parse_options=arrow_csv.ParseOptions(delimiter=source.delimiter or ","),
             convert_options=arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string())),
         )
     except (pa.ArrowException, ValueError) as e:
-        _tell_widths(path, lines, at, len(names), delimiter, where)
-        raise MeasurementError(f"{path}: not a table divided by {delimiter!r}: {str(e).splitlines()[0]}") from e
+        _tell_widths(path, lines, at, len(names), source, where)
+        raise MeasurementError(f"{path}: not a table divided by {source.delimiter!r}: {str(e).splitlines()[0]}") from e
     if table.num_rows != len(lines):
         raise MeasurementError(f"{path}: {len(lines)} lines and {table.num_rows} rows: a quote is not closed?")
     return table
 
 
-def _tell_widths(path: Path, lines: list[str], at: Ints, width: int, delimiter: str, where: str) -> None:
+def _tell_widths(path: Path, lines: list[str], at: Ints, width: int, source: SourceOptions, where: str) -> None:
     faults = Faults(str(path))
     for line, number in zip(lines, at.tolist(), strict=True):
         try:
-            n = len(next(csv.reader([line], delimiter=delimiter)))
+            n = len(split(line, source))
         except csv.Error as e:
             faults.row("csv", number, str(e), "is this a text table?")
             continue
         if n != width:
-            way = f"is the delimiter {delimiter!r}?" + (
-                f" lines before the header: {where} skip_rows = …; after it: comment = …"
-                if where
-                else " decimal commas? write decimals with a point"
-            )
-            faults.row("width", number, f"has {n} cells, the header has {width}", way)
+            faults.row("width", number, f"has {n} cells, the header has {width}", _width_way(source, where))
     faults.raise_if_any()
+
+
+def _width_way(source: SourceOptions, where: str) -> str:
+    if not where:
+        return f"is the delimiter {source.delimiter!r}? decimal commas? write decimals with a point"
+    if source.widths is not None:
+        return f"{where} widths = [ … ] has as many numbers as there are names"
+    empty = "empty cells? widths = [ … ] instead of a delimiter; " if source.delimiter == " " else ""
+    before = f"lines before the header: {where} skip_rows = …; after it: comment = …"
+    return f"is the delimiter {source.delimiter!r}? {empty}{before}"
 
 
 def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Texts, int | None]:

@@ -78,7 +78,7 @@ READERS: dict[str, FileReader] = {
     ),
     "delimited": FileReader(
         "rtec.metrology.readers.delimited",
-        "any text table: comma, semicolon, tab or bar",
+        "any text table: comma, semicolon, tab, bar, blanks, fixed width",
         "the names in its header",
         lambda _: True,
     ),

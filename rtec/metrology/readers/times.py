@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 EPOCH_FILETIME = datetime(1601, 1, 1, tzinfo=UTC)
+EPOCH_UNIX = datetime(1970, 1, 1, tzinfo=UTC)
 EPOCH_EXCEL = datetime(1899, 12, 30, tzinfo=UTC)
 
 

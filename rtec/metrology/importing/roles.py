@@ -1,0 +1,519 @@
+"""Which column of a foreign table is what: time, runs, positions, readings, temperatures; and what must be asked."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Protocol
+
+import numpy as np
+
+from rtec.effects.derived import direction_track
+from rtec.errors import MeasurementError
+from rtec.machine import Machine
+from rtec.metrology.importing.words import (
+    DIRECTIONS,
+    axis_letter,
+    bare_unit,
+    has,
+    is_nominal,
+    sensor_called,
+    sensor_name,
+    sensors_like,
+    words_of,
+)
+from rtec.metrology.instruments.registry import INSTRUMENTS
+from rtec.metrology.readers.base import Floats, ForeignTable, number_or_none
+from rtec.metrology.readers.delimited import unit_named
+from rtec.metrology.readers.layout import Guess
+from rtec.metrology.units import UNITS, convert
+
+DATES = (
+    "%d.%m.%Y", "%d.%m.%y", "%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y",
+    "%d/%m/%y", "%m/%d/%y", "%d-%b-%Y", "%d %b %Y", "%Y%m%d",
+)  # fmt: skip
+CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+JOINS = (" ", "T", "-", "_", ", ")
+TRIED = 400
+"""Cells that a form of time is tried on."""
+LEAVE = "leave out"
+LENGTH_HINT = "um, mm, inch; for counts the size of one, such as 2.5 um"
+UNIX = (1e8, 5e9)
+UNIX_MS = (1e11, 5e12)
+EXCEL = (20000.0, 80000.0)
+
+
+class Asks(Protocol):
+    """A question by its fields; gives the answer, or the usual one, or None."""
+
+    def __call__(
+        self, key: str, text: str, choices: tuple[str, ...] = (), default: str | None = None, hint: str = ""
+    ) -> str | None:
+        """Ask."""
+
+
+@dataclass(frozen=True)
+class _When:
+    """A form of time that all cells have."""
+
+    column: str
+    keys: dict[str, Any]
+    reason: str
+
+
+class ColumnRoles:
+    """What the columns of a table are taken for.
+
+    Args:
+        table: of the file; an event log as columns.
+        machine: that it was measured on, or None.
+        told: tables of a map that are known.
+        ask: asks what is not known.
+        is_log: do channels come at times of their own?
+
+    Attributes:
+        use: column of the file to column of the measurement and the reason.
+        units: of the columns of the file, as far as they say.
+        guesses: what was concluded beside the columns.
+    """
+
+    def __init__(
+        self, table: ForeignTable, machine: Machine | None, told: Mapping[str, Any], ask: Asks, *, is_log: bool
+    ) -> None:
+        self.table, self.machine, self.told, self.ask, self.is_log = table, machine, told, ask, is_log
+        self.use: dict[str, tuple[str, str]] = {}
+        self.units = {n: u for n in table.columns if (u := table.units.get(n) or bare_unit(n))}
+        self.guesses: list[Guess] = []
+        self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in told.get("column", {}).items()}
+        for target, column in self.columns.items():
+            self.use[str(column.get("from"))] = (target, "given")
+
+    def content(self) -> dict[str, Any]:
+        """The map without `[source]`, `[events]` and `[setup]`."""
+        time = dict(self.told.get("time", {})) or self._time()
+        run = self._run_column()
+        self._temperatures()
+        self._motion()
+        measurement = self._measured(dict(self.told.get("measurement", {})))
+        if not run:
+            run = self._runs(measurement)
+        self._directions(measurement)
+        out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.told.get("run", run))}
+        if rows := dict(self.told.get("rows", {})) or self._rows():
+            out["rows"] = rows
+        return out | {"column": self.columns}
+
+    def _free(self, *, texts: bool = False) -> list[str]:
+        return [n for n, v in self.table.columns.items() if n not in self.use and (v.dtype == np.object_) == texts]
+
+    def _values(self, name: str) -> Floats:
+        return self.table.columns[name].astype(np.float64)
+
+    def _finite(self, name: str) -> Floats:
+        values = self._values(name)
+        return values[np.isfinite(values)]
+
+    def _take(self, name: str, target: str, reason: str, **keys: Any) -> None:
+        unit = (
+            {} if "unit" in keys or self.table.units.get(name) or name not in self.units else {"unit": self.units[name]}
+        )
+        hold = {"fill": "hold"} if self.is_log and not target.startswith("reading") else {}
+        self.columns[target] = {"from": name, **unit, **keys, **hold}
+        self.use[name] = (target, reason)
+
+    # --- time
+
+    def _time(self) -> dict[str, Any]:
+        """`[time]`."""
+        found = self._moment() or self._number_of_time()
+        if found is None:
+            self.guesses.append(Guess("time", None, "made up: the file has no time, its rows are taken as 1 s apart"))
+            return {"step_s": 1.0}
+        self.use[found.column] = ("time_s", found.reason)
+        keys = {"column": found.column, **found.keys}
+        if found.column in self._numbers_all() and not keys.get("format"):
+            values = self._finite(found.column)
+            if len(values) > 1 and (np.diff(values) < 0).any():
+                keys["restarts"] = True
+                self.guesses.append(
+                    Guess("time.restarts", True, f"{found.column!r} falls: every run has its own clock")
+                )
+        return keys
+
+    def _numbers_all(self) -> list[str]:
+        return [n for n, v in self.table.columns.items() if v.dtype != np.object_]
+
+    def _moment(self) -> _When | None:
+        """Texts that are date and time; date and time of day in two columns; time of day alone."""
+        clock = None
+        dates: list[tuple[str, tuple[str, ...]]] = []
+        for name in self._free(texts=True):
+            cells = [str(v) for v in self.table.columns[name] if v][:TRIED]
+            if not cells:
+                continue
+            if "T" in cells[0] and (forms := ["iso"] if _iso(cells) else []):
+                return _When(name, {"unit": "iso"}, "date and time as in ISO 8601")
+            forms = [d + j + c for d in DATES for j in JOINS for c in CLOCKS if _fit(cells, d + j + c)]
+            if forms:
+                form = self._which(name, forms)
+                return _When(name, {"format": form}, f"date and time, {form}")
+            days = tuple(d for d in DATES if _fit(cells, d))
+            if days:
+                dates.append((name, days))
+            forms = [c for c in CLOCKS if _fit(cells, c)]
+            clock = clock or ((name, forms[0]) if forms else None)
+        if clock is None:
+            return None
+        if dates:
+            name, days = dates[0]
+            day = self._which(name, list(days))
+            self.use[name] = ("time_s", f"date, {day}")
+            return _When(clock[0], {"date": name, "format": f"{day} {clock[1]}"}, f"time of day, {clock[1]}")
+        return _When(clock[0], {"format": clock[1]}, f"time of day, {clock[1]}; no date in the file")
+
+    def _which(self, name: str, forms: list[str]) -> str:
+        """Day before month, or month before day: asked where the cells allow both."""
+        shortest = [f for f in forms if len(f) == min(map(len, forms))]
+        if len({f[:5] for f in shortest}) == 1 or not {"%d/%m", "%m/%d", "%d-%m", "%m-%d"} & {f[:5] for f in shortest}:
+            return shortest[0]
+        choices = tuple(shortest)
+        return self.ask(f"date of {name}", "Is the day or the month first?", choices, choices[0]) or choices[0]
+
+    def _number_of_time(self) -> _When | None:
+        """Numbers that a name, a unit or their size make a time."""
+        for name in sorted(self._free(), key=lambda n: not has(n, "time")):
+            unit, values = self.units.get(name, ""), self._finite(name)
+            is_unit = bool(unit) and UNITS[unit].kind == "time"
+            if not (has(name, "time") or is_unit) or not len(values) or (unit and not is_unit):
+                continue
+            if is_unit:
+                given = {} if self.table.units.get(name) else {"unit": unit}
+                return _When(name, given, f"time in {unit}, as its name says")
+            return self._epoch(name, values)
+        return None
+
+    def _epoch(self, name: str, values: Floats) -> _When | None:
+        low, high = float(values.min()), float(values.max())
+        if low > 1e16:
+            return _When(name, {"unit": "filetime"}, "numbers of this size are FILETIME, 100 ns since 1601")
+        if UNIX[0] < low and high < UNIX[1]:
+            return _When(name, {"unit": "unix"}, "numbers of this size are seconds since 1970")
+        if UNIX_MS[0] < low and high < UNIX_MS[1]:
+            return _When(name, {"unit": "ms"}, "numbers of this size are milliseconds since 1970")
+        if EXCEL[0] < low and high < EXCEL[1] and (values % 1).any() and high - low < 400:
+            return _When(name, {"unit": "excel"}, "numbers of this size are days since 1900")
+        if (np.diff(values) < 0).sum() > len(values) // 3:
+            return None
+        unit = self.ask(f"unit of {name}", f"Unit of the time {name!r}?", ("s", "ms", "min", "h"), "s")
+        return _When(name, {"unit": unit}, "time by its name")
+
+    # --- what is not the reading
+
+    def _run_column(self) -> dict[str, Any]:
+        for name in self._free():
+            values = self._values(name)
+            if has(name, "run") and np.array_equal(values, np.round(values)):
+                self.use[name] = ("run", "numbers of runs, by its name")
+                return {"column": name}
+        return {}
+
+    def _temperatures(self) -> None:
+        sensors = self.machine.sensor_names if self.machine else ()
+        for name in self._free():
+            unit = self.units.get(name, "")
+            like = bool(unit) and UNITS[unit].kind == "temperature"
+            if not (like or (not unit and self._warm(name))):
+                continue
+            reason = f"a temperature in {unit}" if like else "a temperature, by its name and its values"
+            if not like:
+                unit = "degc" if float(np.median(self._finite(name))) < 60.0 else ""
+            target = self._sensor(name, sensors) if sensors else sensor_name(name)
+            if not target or f"{target}_degc" in self.columns:
+                why = {None: "of no sensor known yet", "": "left out"}.get(target, f"a second one for {target}")
+                self.use[name] = ("", f"{reason}, {why}")
+                continue
+            if not unit:
+                unit = (
+                    self.ask(f"unit of {name}", f"Unit of the temperature {name!r}?", ("°C", "°F", "K"), "°C") or "°C"
+                )
+            told = {} if self.table.units.get(name) else {"unit": unit}
+            self._take(name, f"{target}_degc", reason, **told)
+
+    def _warm(self, name: str) -> bool:
+        """Is a column without a unit a temperature? Its name says so, it is no setting, and its values can be."""
+        values = self._finite(name)
+        named = has(name, "temperature") or re.fullmatch(r"(?i)t(_.*|\d+)|.*_t\d*|.*temp", name.strip()) is not None
+        known = self.machine is not None and sensor_called(name, self.machine.sensor_names) != ""
+        if not (named or known) or has(name, "setting") or not len(values):
+            return False
+        return bool(-60.0 < np.median(values) < 500.0)
+
+    def _sensor(self, name: str, sensors: tuple[str, ...]) -> str | None:
+        """The machine's sensor; "" where the column is to be left out, None where it is not answered."""
+        fitting = sensors_like(name, sensors)
+        if len(fitting) == 1:
+            return fitting[0]
+        choices = (*(fitting or sensors), LEAVE)
+        answer = self.ask(f"sensor of {name}", f"Which sensor of the machine is {name!r}?", choices, None)
+        return "" if answer == LEAVE else answer
+
+    def _motion(self) -> None:
+        for name in self._free():
+            unit = self.units.get(name, "")
+            kind = UNITS[unit].kind if unit else ""
+            if kind == "turning" or (not unit and has(name, "spindle")):
+                self._take(name, "spindle_rpm", "the spindle's speed", **({} if unit else {"unit": "rpm"}))
+            elif kind == "speed" and has(name, "feed"):
+                self._take(name, "feed_mm_min", "feed")
+            elif kind == "mass":
+                self._take(name, "load_kg", "load")
+
+    # --- positions and readings
+
+    def _measured(self, head: dict[str, Any]) -> dict[str, Any]:
+        """`[measurement]`, with the columns of positions and readings."""
+        free = [n for n in self._free() if len(self._finite(n))]
+        readings = [n for n in self.columns if n.startswith("reading")]
+        deviations = [n for n in free if self._is_reading(n)]
+        rest = [n for n in free if n not in deviations]
+        actual = [n for n in rest if has(n, "actual")]
+        nominal = [n for n in rest if n not in actual and self._is_position(n)]
+        nominal.sort(key=lambda n: (n not in self.units, words_of(n)[:1] in (["position"], ["pos"])))
+        if not deviations and not readings and not (actual and nominal):
+            deviations, nominal = self._by_size(rest, nominal)
+            actual = []
+        by_axis = self._positions(nominal, head)
+        if not readings:
+            self._reading(deviations, actual, nominal, head)
+        self._head(head, by_axis, nominal)
+        return head
+
+    def _is_reading(self, name: str) -> bool:
+        unit = self.units.get(name, "")
+        kind = UNITS[unit].kind if unit else ""
+        if unit in ("um", "nm", "mil", "uinch") or kind == "angle":
+            return not has(name, "nominal")
+        return has(name, "deviation") and kind in ("", "length")
+
+    def _is_position(self, name: str) -> bool:
+        unit = self.units.get(name, "")
+        if unit and UNITS[unit].kind != "length":
+            return False
+        return bool(axis_letter(name)) or is_nominal(name) or unit in ("mm", "m", "inch", "cm")
+
+    def _by_size(self, rest: list[str], nominal: list[str]) -> tuple[list[str], list[str]]:
+        """Nothing is called a reading: the one column that is no position; else it is asked."""
+        lengths = [n for n in rest if not self.units.get(n) or UNITS[self.units[n]].kind in ("length", "angle")]
+        lengths = [n for n in lengths if not has(n, "index") and not has(n, "setting")] or lengths
+        others = [n for n in lengths if n not in nominal]
+        choices = tuple(dict.fromkeys([*others, *nominal]))
+        if not choices:
+            return [], nominal
+        whole = len(others) == 1 and np.array_equal(self._finite(others[0]), np.round(self._finite(others[0])))
+        usual = others[0] if len(others) == 1 and nominal and not whole else None
+        name = self.ask("reading", "Which column is the reading?", choices, usual)
+        return ([name], [n for n in nominal if n != name]) if name else ([], [])
+
+    def _positions(self, nominal: Sequence[str], head: dict[str, Any]) -> dict[str, str]:
+        """Take the positions; gives the axis of each. One without a letter is that of the axis asked for."""
+        axes = self.machine.axis_names if self.machine else ()
+        out: dict[str, str] = {}
+        for name in nominal:
+            letter = axis_letter(name)
+            if letter and axes and letter not in axes:
+                self.use[name] = ("", f"the machine has no axis {letter}")
+                continue
+            if not letter and head.get("axis") is None:
+                choices = tuple(axes) or ("X", "Y", "Z")
+                head["axis"] = self.ask("axis", "Which axis moved?", choices, axes[0] if len(axes) == 1 else None)
+            letter = letter or head["axis"] or ""
+            if not letter or letter in out.values():
+                why = "a second position" if letter else "a position, of an axis not known yet"
+                self.use.setdefault(name, ("", why))
+                continue
+            self._take(name, f"{letter.lower()}_mm", f"position of {letter}", **self._length(name))
+            out[name] = letter
+        return out
+
+    def _length(self, name: str) -> dict[str, Any]:
+        """`unit` of a position where the file does not say it, and `scale` where it counts something."""
+        if self.units.get(name):
+            return {}
+        answer = self.ask(f"unit of {name}", f"Unit of the position {name!r}?", (), "mm", LENGTH_HINT)
+        return self._in_unit(answer, name, "length")
+
+    def _in_unit(self, answer: str | None, name: str, *kinds: str) -> dict[str, Any]:
+        """`unit` and `scale` of an answer such as "um" or "2.5 um"; empty where there is none."""
+        if answer is None:
+            return {}
+        size, _, word = answer.strip().rpartition(" ")
+        unit, scale = unit_named(word), number_or_none(size) if size else 1.0
+        if unit not in UNITS or UNITS[unit].kind not in kinds or not scale or not np.isfinite(scale):
+            allowed = ", ".join(u for u, x in UNITS.items() if x.kind in kinds)
+            raise MeasurementError(
+                f"unit of {name}: {answer!r} is none; allowed: {allowed}, or a number and one of these"
+            )
+        return {"unit": unit} | ({"scale": scale} if scale != 1.0 else {})
+
+    def _reading(
+        self,
+        deviations: Sequence[str],
+        actual: Sequence[str],
+        nominal: Sequence[str],
+        head: dict[str, Any],
+    ) -> None:
+        """The reading: a deviation, or actual minus nominal; its unit and its sign."""
+        if deviations:
+            name = deviations[0]
+            if len(deviations) > 1:
+                if self._tool_tip(deviations, head):
+                    return
+                picked = self.ask("reading", "Which column is the reading?", tuple(deviations), None)
+                for other in deviations:
+                    if other != picked:
+                        self.use[other] = (
+                            "",
+                            "could be the reading" if picked is None else "another reading than that asked for",
+                        )
+                if picked is None:
+                    return
+                name = picked
+            self._deviation(name, actual, nominal)
+            return
+        if actual and nominal:
+            name, of = actual[0], nominal[0]
+            unit = {} if self.units.get(name) or self.units.get(of) else self._length(of)
+            self._take(name, "reading_um", f"actual minus nominal: less {of!r}", minus=of, **unit)
+
+    def _deviation(self, name: str, actual: Sequence[str], nominal: Sequence[str]) -> None:
+        keys = {} if self.units.get(name) else self._unit_of_reading(name)
+        unit = self.units.get(name) or keys.get("unit", "")
+        if not unit:
+            self.use[name] = ("", "the reading, in a unit not known yet")
+            return
+        target = "reading_urad" if UNITS[unit].kind == "angle" else "reading_um"
+        sign, why = self._sign(name, actual, nominal, unit, keys.get("scale", 1.0))
+        if sign is None:
+            answer = self.ask(
+                "sign", "Is the reading actual minus nominal (+1) or nominal minus actual (-1)?", ("+1", "-1"), "+1"
+            )
+            sign, why = int(answer or "+1"), "the reading"
+        self._take(name, target, why, **keys, **({"sign": -1} if sign < 0 else {}))
+
+    def _unit_of_reading(self, name: str) -> dict[str, Any]:
+        """By size, where one unit only makes sense: deviations of machines are below a few tenths of a millimetre."""
+        values = self._finite(name)
+        usual = "um" if np.abs(values - np.median(values)).max() >= 1.0 else None
+        answer = self.ask(
+            f"unit of {name}", f"Unit of the reading {name!r}?", (), usual, f"urad, arcsec, {LENGTH_HINT}"
+        )
+        return self._in_unit(answer, name, "length", "angle")
+
+    def _sign(
+        self, name: str, actual: Sequence[str], nominal: Sequence[str], unit: str, scale: float
+    ) -> tuple[int | None, str]:
+        """From columns of actual and nominal values, where the file has them beside the deviation."""
+        if not (actual and nominal) or not {self.units.get(actual[0]), self.units.get(nominal[0])} <= {"mm", None}:
+            return None, ""
+        difference = (self._values(actual[0]) - self._values(nominal[0])) * 1e3
+        reading = convert(self._values(name) * scale, unit, "um") if UNITS[unit].kind == "length" else np.zeros(0)
+        if reading.shape != difference.shape:
+            return None, ""
+        for sign in (1, -1):
+            off = np.abs(sign * reading - difference)
+            if np.nanmax(off, initial=0.0) <= 1.0 and np.nanmax(np.abs(reading), initial=0.0) > 3.0:
+                which = "actual minus nominal" if sign > 0 else "nominal minus actual, turned round"
+                return sign, f"the reading: {which}, as the other columns show"
+        return None, ""
+
+    def _tool_tip(self, deviations: Sequence[str], head: dict[str, Any]) -> bool:
+        """Three readings in X, Y and Z: a point beside the tool."""
+        letters = [axis_letter(n) for n in deviations]
+        if head.get("instrument") not in (None, "tool_tip") or sorted(letters) != ["X", "Y", "Z"]:
+            return False
+        head["instrument"] = "tool_tip"
+        for name, letter in zip(deviations, letters, strict=True):
+            given = {} if self.units.get(name) else self._unit_of_reading(name)
+            self._take(name, f"reading_{letter.lower()}_um", f"reading in {letter}", **given)
+        return True
+
+    def _head(self, head: dict[str, Any], by_axis: Mapping[str, str], nominal: Sequence[str]) -> None:
+        """Instrument, axis and machine."""
+        angle = "reading_urad" in self.columns
+        has_reading = any(n.startswith("reading") for n in self.columns)
+        if not head.get("instrument"):
+            usual = "laser_linear" if has_reading and nominal and not angle else None
+            answer = self.ask("instrument", "What read it?", tuple(INSTRUMENTS), usual)
+            if answer:
+                head["instrument"] = answer
+        kind = INSTRUMENTS.get(head.get("instrument", ""))
+        if head.get("axis") is None and kind is not None and kind.axis_use == "required":
+            moving = [a for n, a in by_axis.items() if np.ptp(self._finite(n)) > 0]
+            axes = tuple(self.machine.axis_names) if self.machine else tuple(sorted({"X", "Y", "Z", *by_axis.values()}))
+            if len(moving) == 1:
+                head["axis"] = moving[0]
+                self.guesses.append(Guess("axis", moving[0], "it is the one that moves"))
+            else:
+                head["axis"] = self.ask("axis", "Which axis moved?", axes, None)
+        if head.get("axis") is None:
+            head.pop("axis", None)
+        if not head.get("machine"):
+            machine = self.machine.name if self.machine else self.ask("machine", "Which machine?", (), None)
+            if machine:
+                head["machine"] = machine
+
+    # --- rows
+
+    def _directions(self, head: Mapping[str, Any]) -> None:
+        axis = head.get("axis")
+        if not axis:
+            return
+        for name in self._free(texts=True):
+            words = {str(v) for v in self.table.columns[name] if v}
+            meaning = {w: DIRECTIONS[w.lower()] for w in sorted(words) if w.lower() in DIRECTIONS}
+            if has(name, "direction") and words and len(meaning) == len(words):
+                self._take(name, f"dir_{axis.lower()}", "direction, by its words", unit="1", values=meaning)
+        for name in self._free():
+            values = self._finite(name)
+            if has(name, "direction") and len(values) and set(np.unique(values)) <= {-1.0, 0.0, 1.0}:
+                self._take(name, f"dir_{axis.lower()}", "direction, -1 or +1", unit="1")
+
+    def _runs(self, head: Mapping[str, Any]) -> dict[str, Any]:
+        """Every reversal of the axis begins a run, where it reverses."""
+        target = f"{str(head.get('axis') or '').lower()}_mm"
+        column = self.columns.get(target)
+        if column is None or column.get("from") not in self.table.columns or column.get("take"):
+            return {}
+        values = self._finite(column["from"])
+        if len(values) < 3:
+            return {}
+        track = direction_track(np.ascontiguousarray(values), 0.01)
+        turns = int((np.diff(track[track != 0]) != 0).sum())
+        if not 0 < turns <= len(values) // 3:
+            return {}
+        self.guesses.append(Guess("run", target, f"{target} turns round {turns} times: each way is a run"))
+        return {"direction_of": target}
+
+    def _rows(self) -> dict[str, Any]:
+        """Of a log the rows with a reading."""
+        readings = [c["from"] for n, c in self.columns.items() if n.startswith("reading")]
+        return {"require": readings} if self.is_log and readings else {}
+
+
+def _fit(cells: Sequence[str], form: str) -> bool:
+    """Do all cells have this form? Tried on the ends first, which rule most forms out."""
+    for text in (cells[0], cells[-1], *cells):
+        try:
+            datetime.strptime(text.strip(), form)
+        except ValueError:
+            return False
+    return True
+
+
+def _iso(cells: Sequence[str]) -> bool:
+    try:
+        for text in cells:
+            datetime.fromisoformat(text.strip())
+    except ValueError:
+        return False
+    return True

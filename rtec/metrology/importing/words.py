@@ -1,0 +1,165 @@
+"""What the columns of foreign tables are called: words for roles in several languages, and units in names."""
+
+import re
+from typing import Final
+
+from rtec.metrology.readers.delimited import unit_named
+from rtec.metrology.units import UNITS
+
+WORDS: Final[dict[str, frozenset[str]]] = {
+    "time": frozenset(
+        {
+            "time",
+            "t",
+            "ts",
+            "zeit",
+            "timestamp",
+            "uhrzeit",
+            "zeitstempel",
+            "datetime",
+            "elapsed",
+            "temps",
+            "heure",
+            "hora",
+            "tiempo",
+        }
+    ),
+    "date": frozenset({"date", "datum", "day", "tag", "jour", "fecha"}),
+    "run": frozenset({"run", "lauf", "cycle", "zyklus", "pass", "durchgang", "durchlauf", "messreihe", "series"}),
+    "direction": frozenset({"direction", "dir", "richtung", "sense", "fahrtrichtung"}),
+    "nominal": frozenset(
+        {
+            "soll",
+            "sollposition",
+            "sollwert",
+            "nominal",
+            "target",
+            "cmd",
+            "command",
+            "commanded",
+            "setpoint",
+            "ziel",
+            "consigne",
+            "pos",
+            "position",
+        }
+    ),
+    "actual": frozenset(
+        {
+            "reference",
+            "ist",
+            "istposition",
+            "istwert",
+            "actual",
+            "act",
+            "measured",
+            "gemessen",
+            "messwert",
+            "laser",
+            "mesure",
+        }
+    ),
+    "deviation": frozenset(
+        {
+            "abweichung",
+            "deviation",
+            "dev",
+            "error",
+            "err",
+            "fehler",
+            "delta",
+            "diff",
+            "differenz",
+            "reading",
+            "residual",
+            "abw",
+            "ecart",
+            "probe",
+        }
+    ),
+    "temperature": frozenset({"temp", "temperatur", "temperature", "degc", "celsius", "thermocouple", "pt100"}),
+    "spindle": frozenset({"rpm", "spindle_rpm", "drehzahl", "spindeldrehzahl", "speed"}),
+    "feed": frozenset({"feed", "vorschub", "feedrate"}),
+    "load": frozenset({"load", "last", "beladung"}),
+    "setting": frozenset({"target", "set", "soll", "setpoint", "cmd"}),
+    "index": frozenset(
+        {"index", "nr", "no", "sample", "order", "id", "line", "row", "zeile", "punkt", "point", "nummer"}
+    ),
+    "channel": frozenset(
+        {"channel", "kanal", "signal", "tag", "name", "sensor", "variable", "source", "quelle", "item"}
+    ),
+    "value": frozenset({"value", "wert", "val", "reading", "messwert", "data"}),
+    "unit": frozenset({"unit", "einheit", "units"}),
+}
+DIRECTIONS: Final = {
+    "+": 1, "-": -1, "fwd": 1, "bwd": -1, "forward": 1, "backward": -1, "back": -1, "vor": 1, "zurück": -1, "rück": -1,
+    "up": 1, "down": -1, "pos": 1, "neg": -1, "hin": 1, "her": -1, "f": 1, "b": -1,
+}  # fmt: skip
+PLACES: Final = {
+    "mutter": "nut", "bett": "bed", "luft": "air", "umgebung": "air", "raum": "air", "ambient": "air", "room": "air",
+    "spindel": "spindle", "vorn": "front", "vorne": "front", "hinten": "rear", "schlitten": "carriage",
+    "spindelstock": "headstock", "öl": "oil", "gestell": "frame", "ständer": "column", "säule": "column",
+    "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale", "kühlmittel": "coolant",
+}  # fmt: skip
+# Letters that mean much else: no units without brackets.
+NOT_BARE: Final = frozenset({"f", "d", "t", "g", "1", "'", '"', "in", "h"})
+
+
+def words_of(name: str) -> list[str]:
+    """The words of a name, small: `mcu_posZ [mm]` gives mcu, pos, z."""
+    bare = re.sub(r"[\[(][^\])]*[\])]\s*$", "", name)
+    apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
+    return [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
+
+
+def has(name: str, role: str) -> bool:
+    """Is a word for this role in the name? One letter alone is a word for time, not `t_nut`."""
+    words = words_of(name)
+    return any(w in WORDS[role] and (len(w) > 1 or len(words) == 1) for w in words)
+
+
+def is_nominal(name: str) -> bool:
+    """Is the name that of a commanded position, and nothing else: `Soll X`, not `bed_target`?"""
+    words = words_of(name)
+    known = WORDS["nominal"] | {"axis", "achse", "x", "y", "z", "u", "v", "w"}
+    return bool(words) and all(w in known for w in words)
+
+
+def axis_letter(name: str) -> str:
+    """The one axis letter in a name: `Pos X [mm]`, `x_cmd`, `X-Soll`; empty where there is none, or two."""
+    letters = [w.upper() for w in words_of(name) if w in ("x", "y", "z", "u", "v", "w")]
+    return letters[0] if len(letters) == 1 else ""
+
+
+def bare_unit(name: str) -> str:
+    """The unit at the end of a name without brackets: `ch1_um`, `Weg/mm`, `T1 °C`; empty where there is none."""
+    found = re.search(r"(?:[_/ ]|\bin )([^\s_/\[\]()]+(?:/(?:s|min|m))?)$", name)
+    word = found.group(1) if found else ""
+    if not word or word.lower() in NOT_BARE:
+        return ""
+    unit = unit_named(word)
+    return unit if unit in UNITS else ""
+
+
+def sensor_name(name: str) -> str:
+    """A name of a sensor made from that of a column: `Mutter [°C]` gives T_nut."""
+    words = [w for w in words_of(name) if w not in WORDS["temperature"] and w not in ("t", "deg", "c", "f", "k")]
+    words = [w[1:] if re.fullmatch(r"t\d+", w) else w for w in words]
+    plain = "_".join(PLACES.get(w, w) for w in words)
+    plain = re.sub(r"\W|[^\x00-\x7f]", "_", plain).strip("_")
+    return f"T_{plain}" if plain else "T_1"
+
+
+def sensors_like(name: str, sensors: tuple[str, ...]) -> tuple[str, ...]:
+    """The sensors of a machine that a column's name can mean: that of its name, else those that hold all its words."""
+    words = sensor_name(name).removeprefix("T_").split("_")
+    of = {s: [w.lower() for w in re.split(r"[^A-Za-z0-9]+", s.removeprefix("T_")) if w] for s in sensors}
+    if exact := sensor_called(name, sensors):
+        return (exact,)
+    return tuple(s for s, theirs in of.items() if set(words) <= set(theirs))
+
+
+def sensor_called(name: str, sensors: tuple[str, ...]) -> str:
+    """The sensor of exactly this name, or of the name made from it; empty where there is none."""
+    same = {s.lower(): s for s in sensors}
+    return same.get(name.lower().strip()) or same.get(sensor_name(name).lower(), "")

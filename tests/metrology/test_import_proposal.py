@@ -1,0 +1,448 @@
+"""`rtec import` without a map: what it concludes from a file, what it asks, and what it never makes up.
+
+Oracles: one measurement written in five ways must come back as the same numbers; the law that made it must be named by
+the diagnosis; tables written by hand; the README of the real data.
+"""
+
+import json
+import tomllib
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rtec.cli.main import status
+from rtec.errors import MeasurementError
+from rtec.machine import load_machine
+from rtec.metrology.files.load import load_measurement
+from rtec.metrology.importing import Imported, ImportProposal, import_measurement, import_table, load_map, propose
+from rtec.metrology.importing.rows import condition
+from rtec.model import Model, save_model
+from tests.support.real_data import real_file
+
+ROOT = Path(__file__).parents[2]
+TURNING = ROOT / "configs" / "machines" / "turning-centre.toml"
+MACHINE = load_machine(TURNING)
+BEGAN = datetime(2026, 11, 21, 8, 0, 0)
+PER_DEGREE = 0.012
+Row = tuple[float, float, float, float]
+
+
+def rows() -> list[Row]:
+    """Time s, x mm, reading µm, nut °C: six ways along X while the nut warms; the screw grows with it."""
+    rng = np.random.default_rng(7)
+    out, time_s = [], 0.0
+    for way in range(6):
+        for x in np.arange(0.0, 201.0, 20.0)[:: 1 if way % 2 == 0 else -1]:
+            nut = round(20.0 + 1.2 * way + 0.001 * time_s, 3)
+            out.append((time_s, float(x), round(PER_DEGREE * x * (nut - 20.0) + rng.normal(0.0, 0.15), 3), nut))
+            time_s += 5.0
+        time_s += 900.0
+    return out
+
+
+def comma(value: float) -> str:
+    return f"{value:.3f}".replace(".", ",")
+
+
+def semicolons(data: list[Row]) -> bytes:
+    head = "Laserprogramm 3.2\nBediener: Müller\n\nZeit [s];Soll [mm];Abweichung [µm];Mutter [°C]\n"
+    return (head + "".join(";".join(map(comma, row)) + "\n" for row in data)).encode("cp1252")
+
+
+def blanks(data: list[Row]) -> bytes:
+    return "".join(f"{t:10.1f}   {x:8.3f}  {e:8.3f} {nut:7.3f}\n" for t, x, e, nut in data).encode()
+
+
+def fixed_width(data: list[Row]) -> bytes:
+    """Every seventh row has no remark, and remarks have blanks in them: only the places divide the cells."""
+    head = "  time s   pos X     dev X  T x nut  remark\n       s      mm        um     degC\n"
+    marks = ["" if i % 7 else "door was open" for i in range(len(data))]
+    lines = [
+        f"{t:8.1f}{x:8.1f}{e:10.3f}{nut:9.3f}  {m}".rstrip() for (t, x, e, nut), m in zip(data, marks, strict=True)
+    ]
+    return (head + "\n".join(lines) + "\n").encode("utf-16")
+
+
+def date_and_time(data: list[Row]) -> bytes:
+    """The laser's own position, not its deviation; the nut in °F."""
+    out = ["Date\tTime\tX [mm]\tLaser X [mm]\tT_x_nut [F]"]
+    for t, x, e, nut in data:
+        when = BEGAN + timedelta(seconds=t)
+        out.append(f"{when:%d/%m/%Y}\t{when:%H:%M:%S}\t{x:.1f}\t{x + e / 1000.0:.6f}\t{nut * 1.8 + 32.0:.4f}")
+    return "\r\n".join(out).encode()
+
+
+def events(data: list[Row]) -> bytes:
+    out = ["time,channel,value"]
+    for t, x, e, nut in data:
+        when = (BEGAN + timedelta(seconds=t)).isoformat()
+        out += [f"{when},x_cmd,{x}", f"{when},T_x_nut,{nut}", f"{when},laser deviation,{e}"]
+    return "\n".join(out).encode()
+
+
+WRITTEN = {f.__name__: f for f in (semicolons, blanks, fixed_width, date_and_time, events)}
+ANSWERS = {
+    "semicolons": ["axis=X", "sensor of Mutter [°C]=T_x_nut"],
+    "blanks": ["names=t s, x mm, dev um, T_x_nut degC"],
+}
+
+
+@pytest.mark.parametrize("way", list(WRITTEN))
+def test_five_foreign_tables_are_one_command_away(way: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the numbers that were written, in five ways of writing; and that the map that is kept does it again."""
+    file, data = put(tmp_path, WRITTEN[way](rows()), "foreign.txt"), rows()
+    answers = [x for a in ANSWERS.get(way, []) for x in ("--answer", a)]
+    out = ["-o", str(tmp_path / "laser-x")]
+    assert status(["import", str(file), "--machine", str(TURNING), *answers, *out]) == 0
+    said = capsys.readouterr().out
+    assert "66 rows out" in said
+    assert "What read it? laser_linear" in said  # assumed, and so said
+    m = load_measurement(tmp_path / "laser-x.csv", MACHINE)
+    t, x, e, nut = (np.array(v) for v in zip(*data, strict=True))
+    np.testing.assert_array_equal(m.time_s, t)
+    np.testing.assert_array_equal(m.channels["x"], x)
+    np.testing.assert_allclose(m.readings["reading_um"], e, atol=1e-8)
+    np.testing.assert_allclose(m.channels["T_x_nut"], nut, atol=1e-3 if way == "date_and_time" else 1e-12)
+    assert m.run.tolist() == [1 + i // 11 for i in range(66)]
+    again = import_table(file, load_map(tmp_path / "laser-x-map.toml"))
+    np.testing.assert_array_equal(again.columns["reading_um"], m.readings["reading_um"])
+
+
+@pytest.mark.parametrize("way", ["semicolons", "date_and_time"])
+def test_the_second_command_is_the_diagnosis(way: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the law that made the readings, a screw that grows by 12 µm/m·K as its nut warms."""
+    file = put(tmp_path, WRITTEN[way](rows()), "foreign.txt")
+    answers = [x for a in ANSWERS.get(way, []) for x in ("--answer", a)]
+    assert status(["import", str(file), "--machine", str(TURNING), *answers, "-o", str(tmp_path / "laser-x")]) == 0
+    save_model(Model(MACHINE, (), name="empty"), tmp_path / "model.toml")
+    capsys.readouterr()
+    command = ["diagnose", str(tmp_path / "model.toml"), str(tmp_path / "laser-x.csv"), "--machine", str(TURNING)]
+    assert status([*command, "--only", "axis_expansion,scale,backlash", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "axis_expansion" in json.dumps(found["candidates"][0])
+    assert "T_x_nut" in json.dumps(found["candidates"][0])
+
+
+def put(folder: Path, content: str | bytes, name: str = "file.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def proposed(folder: Path, content: str | bytes, answers: Mapping[str, str] | None = None) -> ImportProposal:
+    return propose(put(folder, content), MACHINE, {}, answers)
+
+
+# --- how a file is written
+
+BODY = "".join(f"{i};{i * 0.5:.1f}\n" for i in range(8))
+
+
+@pytest.mark.parametrize(
+    ("text", "source"),
+    [
+        ("t;e\n" + BODY, {"delimiter": ";"}),
+        ("t;e\n" + BODY.replace(".", ","), {"delimiter": ";", "decimal": ","}),
+        ("t\te\n" + BODY.replace(";", "\t"), {"delimiter": "\t"}),
+        ("t|e\n" + BODY.replace(";", "|"), {"delimiter": "|"}),
+        ("t  e\n" + BODY.replace(";", "   "), {"delimiter": " "}),
+        (BODY, {"delimiter": ";", "header": False}),
+        ("made by X\n\nt;e\n" + BODY, {"delimiter": ";", "skip_rows": 2}),
+        ("# made by X\nt;e\n" + BODY, {"delimiter": ";", "comment": "#"}),
+        ("t;e\ns;um\n" + BODY, {"delimiter": ";", "unit_row": True}),
+        ("t;e\n[s];[µm]\n" + BODY, {"delimiter": ";", "unit_row": True}),
+        ("t;e\n" + BODY + "9;---\n", {"delimiter": ";", "missing": ["---"]}),
+        ("t;e\n" + BODY + "1.000,5;1\n", {"delimiter": ";", "decimal": ",", "thousands": "."}),
+        ("t;e\n" + BODY + "1'000.5;1\n", {"delimiter": ";", "thousands": "'"}),
+        ("t,e\n" + BODY.replace(";", ",") + '"1,000.5",1\n', {"delimiter": ",", "thousands": ","}),
+        (("t;µ\n" + BODY).encode("cp1252"), {"delimiter": ";", "encoding": "cp1252"}),
+        (("t;e\n" + BODY).encode("utf-16"), {"delimiter": ";"}),
+        (("t;e\n" + BODY).encode("utf-16-le"), {"delimiter": ";", "encoding": "utf-16-le"}),
+        (("t;e\n" + BODY).replace("\n", "\r\n"), {"delimiter": ";"}),
+        ("# t e\n" + BODY.replace(";", " "), {"delimiter": " ", "names": ["t", "e"], "header": False}),
+    ],
+)
+def test_how_a_table_is_written(tmp_path: Path, text: str | bytes, source: dict[str, object]) -> None:
+    """Oracle: the tables were written so."""
+    found = dict(proposed(tmp_path, text).content["source"])
+    for key, value in source.items():
+        assert found.get(key) == value, (key, found)
+    extra = set(found) - set(source) - {"reader", "names", "skip_rows", "comment"}
+    assert not extra, found
+
+
+def test_a_first_row_of_numbers_is_data_and_that_is_said(tmp_path: Path) -> None:
+    """A program that takes row one for names loses a reading in silence. Oracle: the number of rows in the file."""
+    p = proposed(tmp_path, BODY)
+    assert p.rows == 8
+    assert any("taken for a row, not for a header" in line for line in p.conclusions)
+    p = proposed(tmp_path, "t;e\n" + BODY)
+    assert any("line 1 is taken for the header" in line for line in p.conclusions)
+
+
+def test_a_time_that_is_made_up_is_said(tmp_path: Path) -> None:
+    """Oracle: the file has no time."""
+    p = proposed(tmp_path, "x [mm];dev [um]\n0;1\n10;2\n20;3\n")
+    assert p.content["time"] == {"step_s": 1.0}
+    assert any("made up" in line for line in p.conclusions)
+    notes = import_measurement(p.path, p.import_map(), MACHINE).notes
+    assert any("the file has no time" in n for n in notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "no lines"),
+        (b"\n\n\n", "no lines"),
+        (b"a;b\n", "no row with a number"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 8, "save as CSV"),
+        (b"PK\x03\x04" + bytes(range(1, 256)) * 40, "save as CSV"),
+        (b"1,5,2,5\n", "no row"),
+        (b"x,y\n1,5,2,5\n2,5,3,5\n3,5,4,5\n", "commas divide cells and decimals alike"),
+        (b"t;e\n" + b"9" * (2 << 20), "a line is longer"),
+        ("t;e\n1;2\n".encode("utf-16")[:-1], "is this a text table?"),
+    ],
+)
+def test_what_is_no_table_gets_one_clear_message(
+    tmp_path: Path, content: bytes, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: exit status 2, one message that names the file, no traceback."""
+    file = put(tmp_path, content)
+    if said == "no row":  # one line of numbers is a table without names: it is shown, and asks what it is
+        assert status(["import", str(file)]) == 0
+        return
+    assert status(["import", str(file)]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert str(file) in err
+    assert "Traceback" not in err
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(at=st.integers(0, 200), new=st.one_of(st.text(max_size=3), st.sampled_from(['"', ";;", "\n", "=1+1", "\x00"])))
+def test_hostile_cells(tmp_path: Path, at: int, new: str) -> None:
+    """Whatever is in a cell: a proposal whose TOML reads back, or one clear error."""
+    text = semicolons(rows()[:9]).decode("cp1252")
+    file = put(tmp_path, (text[:at] + new + text[at + 1 :]).encode(errors="replace"))
+    try:
+        p = propose(file, MACHINE)
+        assert tomllib.loads(p.toml())["source"]["reader"] == p.reader
+    except MeasurementError as e:
+        assert str(tmp_path) in str(e)  # noqa: PT017
+
+
+def test_of_a_huge_file_the_beginning_is_looked_at(tmp_path: Path) -> None:
+    """Oracle: more rows than 4 MiB hold; the proposal says so, and the import has all."""
+    n = 50_000
+    file = put(tmp_path, "t s;x mm;dev um;remark\n" + "".join(f"{i};{i % 200};1;{'-' * 80}\n" for i in range(n)))
+    p = propose(file, MACHINE)
+    assert not p.whole
+    assert "there are more" in p.toml()
+    assert import_table(file, p.import_map()).rows_out == n
+
+
+# --- what columns are
+
+
+def test_actual_and_nominal_beside_a_deviation_decide_its_sign(tmp_path: Path) -> None:
+    """Oracle: ist - soll is +2 µm where the program writes -2."""
+    p = proposed(tmp_path, "Soll X [mm];Ist X [mm];Abw [um]\n0;0.002;-2\n10;10.004;-4\n20;19.994;6\n30;30;0\n")
+    assert p.content["column"]["reading_um"]["sign"] == -1
+    assert not any(q.key == "sign" for q in p.questions)
+
+
+def test_counts_have_a_size(tmp_path: Path) -> None:
+    """Oracle: 2.5 µm a count, by hand."""
+    text = "time s;mcu_pos_z;bed_t\n0;-4;20\n1;-6;20.5\n2;-9;21\n"
+    answers = {"reading": "mcu_pos_z", "unit of mcu_pos_z": "2.5 um", "instrument": "tool_tip", "machine": "m"}
+    p = propose(put(tmp_path, text), None, {}, answers)
+    assert p.content["column"]["reading_um"] == {"from": "mcu_pos_z", "unit": "um", "scale": 2.5}
+    assert p.content["column"]["T_bed_degc"]["from"] == "bed_t"
+
+
+@pytest.mark.parametrize(
+    ("header", "cells", "time"),
+    [
+        ("Datum;e", "21.11.2026 08:00:00", {"column": "Datum", "format": "%d.%m.%Y %H:%M:%S"}),
+        ("when;e", "2026-11-21T08:00:00+01:00", {"column": "when", "unit": "iso"}),
+        ("when;e", "2026/11/21-08:00:00", {"column": "when", "format": "%Y/%m/%d-%H:%M:%S"}),
+        ("Uhrzeit;e", "08:00:00,250", {"column": "Uhrzeit", "format": "%H:%M:%S,%f"}),
+        ("time;e", "11/21/2026 08:00 AM", {"column": "time", "format": "%m/%d/%Y %I:%M %p"}),
+        ("ts;e", "1771779746.5", {"column": "ts", "unit": "unix"}),
+        ("time;e", "132900081483250000", {"column": "time", "unit": "filetime"}),
+        ("t [ms];e", "12", {"column": "t [ms]"}),
+    ],
+)
+def test_forms_of_time(tmp_path: Path, header: str, cells: str, time: dict[str, str]) -> None:
+    """Oracle: the form that they were written in."""
+    p = proposed(tmp_path, f"{header}\n" + "".join(f"{cells};{e}\n" for e in (1.5, 2.5, 3.5)))
+    assert p.content["time"] == time
+
+
+def test_day_or_month_first_is_asked_where_both_can_be(tmp_path: Path) -> None:
+    """Oracle: 03/04/2026 is 3 April or 4 March; 13 is no month."""
+    text = "when;e\n03/04/2026 08:00:00;1.5\n04/04/2026 08:00:00;2.5\n"
+    p = proposed(tmp_path, text)
+    assert [q.default for q in p.questions if q.key == "date of when"] == ["%d/%m/%Y %H:%M:%S"]
+    p = p.answered({"date of when": "%m/%d/%Y %H:%M:%S"})
+    assert p.content["time"]["format"] == "%m/%d/%Y %H:%M:%S"
+    assert "date of when" not in [q.key for q in proposed(tmp_path, text.replace("04/04", "13/04")).questions]
+
+
+def test_an_ambiguous_comma_is_asked(tmp_path: Path) -> None:
+    """Oracle: 1,234 is a thousand in London and one and a bit in Berlin."""
+    text = "t s;dev um\n1;1,234\n2;2,345\n3;1,111\n"
+    p = proposed(tmp_path, text)
+    assert [q.choices for q in p.questions if q.key == "decimal"] == [(",", ".")]
+    answered = p.answered({"decimal": ".", "instrument": "tool_tip"})
+    assert import_table(p.path, answered.import_map()).columns["reading_um"].tolist() == [1234.0, 2345.0, 1111.0]
+
+
+def test_questions_and_answers(tmp_path: Path) -> None:
+    """What is open stops the import and names the way; an answer to no question is refused with the nearest one."""
+    p = proposed(tmp_path, semicolons(rows()))
+    assert {q.key for q in p.open} == {"axis", "sensor of Mutter [°C]"}
+    with pytest.raises(MeasurementError, match=r"--answer 'axis=…' \(X, Z\)"):
+        p.import_map()
+    with pytest.raises(MeasurementError, match="'axes' is no question here; did you mean 'axis'"):
+        p.answered({"axes": "X"})
+    with pytest.raises(MeasurementError, match="axis: 'Q' is not possible"):
+        p.answered({"axis": "Q"})
+    full = p.answered({"axis": "X"}).answered({"sensor of Mutter [°C]": "leave out", "sign": "-1"})
+    assert full.open == ()
+    column = full.import_map().column
+    assert column["reading_um"].sign == -1
+    assert "T_x_nut_degc" not in column
+
+
+# --- rows, sums, files
+
+
+def test_conditions() -> None:
+    """Oracle: Python's own comparisons on the same numbers."""
+    for text in ("bed_target == 105", "a < 2 and not (b >= 3 or c != 'x y')", "`Soll [mm]` > -5.5", "1 < a <= 2"):
+        assert condition(text).text == text
+    for wrong in ("bed = 1", "a", "f(a) == 1", "a.b == 1", "__import__('os')", "a == b'x'", "a[0] == 1", "1 + a == 2"):
+        with pytest.raises(ValueError, match="is no condition"):
+            condition(wrong)
+
+
+MAP = """
+[measurement]
+instrument = "tool_tip"
+machine = "turning-centre"
+[time]
+{time}
+[column.reading_um]
+from = "e"
+unit = "um"
+{more}
+"""
+
+
+def with_map(folder: Path, text: str | list[str], more: str = "", time: str = 'column = "t"\nunit = "s"') -> Imported:
+    how = load_map(put(folder, MAP.format(more=more, time=time), "map.toml"))
+    texts = [text] if isinstance(text, str) else text
+    return import_table([put(folder, x, f"{chr(97 + i)}.csv") for i, x in enumerate(texts)], how)
+
+
+def test_rows_where(tmp_path: Path) -> None:
+    """Oracle: the rows by hand; and what was left out is counted."""
+    text = "t,e,bed,mode\n0,1,0,cold\n1,2,105,heat\n2,3,105,cool\n3,4,105,heat\n"
+    i = with_map(tmp_path, text, "[rows]\nwhere = \"bed == 105 and mode != 'cool'\"")
+    assert i.columns["reading_um"].tolist() == [2.0, 4.0]
+    assert "2 rows left out where not bed == 105 and mode != 'cool'" in i.notes
+    for wrong, said in (
+        ("bed == 7", "holds in no row"),
+        ("mode == 7", "numbers with words"),
+        ("bad == 7", "did you mean"),
+    ):
+        with pytest.raises(MeasurementError, match=said):
+            with_map(tmp_path, text, f'[rows]\nwhere = "{wrong}"')
+
+
+def test_sums_and_differences(tmp_path: Path) -> None:
+    """Oracle: by hand; rows that are left out have moved the axis all the same."""
+    text = "t,e,dx,use\n0,1,0,1\n1,3,10,0\n2,6,10,1\n3,10,-5,1\n"
+    more = '[column.x_mm]\nfrom = "dx"\nunit = "mm"\ntake = "sum"\n[rows]\nwhere = "use == 1"'
+    i = with_map(tmp_path, text, more)
+    assert i.columns["x_mm"].tolist() == [0.0, 20.0, 15.0]
+    i = with_map(tmp_path, text, '[column.reading_x_um]\nfrom = "e"\nunit = "um"\ntake = "difference"')
+    assert i.columns["reading_x_um"].tolist()[1:] == [2.0, 3.0, 4.0]
+    assert np.isnan(i.columns["reading_x_um"][0])
+    with pytest.raises(MeasurementError, match="line 3: column 'dx': no step"):
+        with_map(tmp_path, text.replace("1,3,10", "1,3,"), more)
+
+
+def test_files_become_runs_with_their_dates(tmp_path: Path) -> None:
+    """Oracle: an hour between the files is an hour between the runs, whatever order they are named in."""
+    one, two = (f"t,e\n2026-11-21T0{h}:00:00,1\n2026-11-21T0{h}:00:05,2\n" for h in (9, 8))
+    i = with_map(tmp_path, [one, two], time='column = "t"\nunit = "iso"')
+    assert i.columns["time_s"].tolist() == [0.0, 5.0, 3600.0, 3605.0]
+    assert i.columns["run"].tolist() == [1, 1, 2, 2]
+    assert "run 1 is b.csv, from 2026-11-21 08:00:00" in i.notes
+    assert "run 2 is a.csv, from 2026-11-21 09:00:00" in i.notes
+    with pytest.raises(MeasurementError, match=r"before b\.csv ends"):
+        with_map(tmp_path, [one.replace("09:00:00", "08:00:01"), two], time='column = "t"\nunit = "iso"')
+
+
+def test_files_without_dates_follow_and_that_is_said(tmp_path: Path) -> None:
+    """Oracle: the made-up second between them is in the notes."""
+    i = with_map(tmp_path, ["t,e\n0,1\n5,2\n", "t,e\n7,1\n8,2\n"])
+    assert i.columns["time_s"].tolist() == [0.0, 5.0, 6.0, 7.0]
+    assert any("have no dates" in n and "made up" in n for n in i.notes)
+
+
+def test_an_event_log_with_units_and_words(tmp_path: Path) -> None:
+    """Oracle: by hand; a channel that comes twice in an instant begins another row."""
+    text = (
+        "time s;signal;value;unit\n0;x;0,5;mm\n0;laser;1,5;um\n1;x;1,5;mm\n1;laser;2,5;um\n1;laser;2,75;um\n2;x;2;mm\n"
+        "2;laser;3;um\n"
+    )
+    p = proposed(tmp_path, text)
+    assert p.content["events"] == {"channel": "signal", "value": "value", "unit": "unit"}
+    i = import_table(p.path, p.import_map())
+    assert i.columns["reading_um"].tolist() == [1.5, 2.5, 2.75, 3.0]
+    assert i.columns["x_mm"].tolist() == [0.5, 1.5, 1.5, 2.0]
+    with pytest.raises(MeasurementError, match="has the units mm, um"):
+        import_table(put(tmp_path, text.replace("1;x;1,5;mm", "1;x;1,5;um")), p.import_map())
+
+
+# --- recordings of others
+
+
+@pytest.mark.parametrize(
+    ("folder", "name", "answers", "rows_out", "reads"),
+    [
+        ("frame_thermal", "right_thermistor.csv",
+         {"reading": "mcu_pos_z", "unit of mcu_pos_z": "2.5 um", "instrument": "tool_tip", "machine": "m"}, None,
+         "mcu_pos_z"),
+        ("probe_thermal", "probe_accuracy_superpinda.json",
+         {"reading": "z", "unit of z": "mm", "instrument": "tool_tip", "machine": "m"}, 1430, "z"),
+        ("spindle_thermal", "caiviac_spindle_thermal_15s_to_60s.csv",
+         {"reading": "ch3_um", "instrument": "tool_tip", "machine": "m"}, 2779, "ch3_um"),
+        ("iso230_positioning", "b02-x_target_x.md_ISO230.dat", {"axis": "X", "machine": "m"}, 90, "deviation"),
+    ],
+)  # fmt: skip
+def test_real_files(folder: str, name: str, answers: dict[str, str], rows_out: int | None, reads: str) -> None:
+    """Oracle: the README of the data: which column is the reading, and how many rows there are."""
+    p = propose(real_file(folder, name), None, {}, answers)
+    assert p.open == ()
+    i = import_table(p.path, p.import_map())
+    assert i.rows_out == (rows_out or i.rows_in)
+    readings = [c["from"] for n, c in p.content["column"].items() if n.startswith("reading")]
+    assert readings == [reads]
+
+
+def test_the_real_ecmc_file_decides_the_sign_of_its_own_deviation() -> None:
+    """Oracle: deviation is reference minus target in it."""
+    p = propose(
+        real_file("iso230_positioning", "b02-x_target_x.md_ISO230.dat"), None, {}, {"axis": "X", "machine": "m"}
+    )
+    assert "sign" not in [q.key for q in p.questions]
+    assert p.content["column"]["reading_um"] == {"from": "deviation"}
