@@ -21,6 +21,7 @@ from rtec.quantities import DegreesCelsius, Millimetres, RevolutionsPerMinute
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
 
 PLACE: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|\*|[^:/\[\]\s]+):(?P<port>\d{1,5})")
+NO_DEVICES: Final = {"role": {"counts": "none", "actuator": "none"}, "device": {}}
 LOOPBACK: Final = re.compile(r"(127\.\d{1,3}\.\d{1,3}\.\d{1,3}|localhost):\d{1,5}")
 
 
@@ -226,21 +227,22 @@ class Setup:
         }
 
 
-def load_setup(path: Path, *, needs_model: bool = True) -> Setup:
+def load_setup(path: Path, *, needs_model: bool = True, needs_devices: bool = True) -> Setup:
     """Read a run file, its machine and its model.
 
     Args:
         path: of the run file.
         needs_model: False: its model is not read, and one that asks for nothing is in its place.
+        needs_devices: False: `[role]` and `[device]` may be missing, as for the replay of a log or a capture.
 
     Raises:
         RtecError: everything that is wrong with any of them.
     """
     data = read_toml(path)
-    file = validated(RunFile, data, str(path))
+    file = validated(RunFile, data if needs_devices else {**NO_DEVICES, **data}, str(path))
     base = path.parent
     machine = load_machine(base / file.run.machine)
-    faults = _faults(file, machine, str(path))
+    faults = [*_faults(file, machine, str(path)), *(_role_faults(file, str(path)) if needs_devices else ())]
     model = Model(machine, name="none")
     if needs_model and file.run.model is None and file.run.mode == "on":
         faults.append(
@@ -272,15 +274,18 @@ def _faults(file: RunFile, machine: Machine, source: str) -> list[str]:
         for a in machine.axes
         if a.compensate and a.name not in file.limits
     ]
+    return out + _capture_faults(file, machine, source)
+
+
+def _role_faults(file: RunFile, source: str) -> list[str]:
     roles = {"counts": (file.role.counts,), "actuator": (file.role.actuator,), "temperatures": file.role.temperatures}
     roles["spindle"] = (file.role.spindle,) if file.role.spindle else ()
-    for role, names in roles.items():
-        out += [
-            f"{source}: [role] {role}: no [device.{name}]{nearest(name, file.device)}"
-            for name in names
-            if name not in file.device
-        ]
-    return out + _capture_faults(file, machine, source)
+    return [
+        f"{source}: [role] {role}: no [device.{name}]{nearest(name, file.device)}"
+        for role, names in roles.items()
+        for name in names
+        if name not in file.device
+    ]
 
 
 def _capture_faults(file: RunFile, machine: Machine, source: str) -> list[str]:

@@ -108,7 +108,8 @@ def replay_capture(
         raw = counts_at(edges[name], at)
         inserted = counts_at(corrected, at) - raw
         sink = _sink(setup, name)
-        short = _short(output, inserted, axis_report.inserted_counts, sink)
+        ends = np.append(at[1:] - 1, len(words) - 1)
+        short = _short(output, counts_at(corrected, ends) - counts_at(edges[name], ends), sink)
         commands.flags[short] |= int(Flag.OUTPUT_SATURATED)
         held = inserted / sink.scale(setup.machine.axis(name)).units_per_um
         columns |= {
@@ -148,10 +149,10 @@ def _sink(setup: Setup, name: str) -> PulseSink:
     return sink if isinstance(sink, PulseSink) else PulseSink()
 
 
-def _short(output: Ints, inserted: Ints, at_end: int, sink: PulseSink) -> NDArray[np.bool_]:
-    """Cycles whose counts found no room until the next one; a part of a whole cycle waits for the rest of it."""
+def _short(output: Ints, inserted: Ints, sink: PulseSink) -> NDArray[np.bool_]:
+    """Cycles at whose end counts had found no room; a part of a whole cycle of lines waits for the rest of it."""
     rest = sink.quantum_counts // 2 if sink.quantum_counts > 1 else 0
-    return np.asarray(np.abs(output - np.append(inserted[1:], at_end)) > rest)
+    return np.asarray(np.abs(output - inserted) > rest)
 
 
 def _flags_seen(flags: Ints) -> dict[str, float]:

@@ -53,7 +53,7 @@ def replayed(
     Raises:
         ConfigError, LogError: the run file, the log or the capture cannot be used.
     """
-    setup = load_setup(config)
+    setup = load_setup(config, needs_devices=False)
     tell = (lambda done, total: progress(log.name, done, total)) if progress else None
     if log.suffix == ".sr":
         if check:

@@ -1,9 +1,11 @@
 """The command line: help that teaches, lazy imports, exit status. Oracle: `formats.md`'s table of exit status."""
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import typer
@@ -28,6 +30,15 @@ def test_help_teaches_with_an_example(command: tuple[str, ...], capsys: pytest.C
     text = " ".join(capsys.readouterr().out.split())
     assert "Example" in text
     assert f"rtec {' '.join(command)}" in text.split("Example", 1)[1]
+
+
+@pytest.mark.parametrize("command", list(commands(app)), ids=" ".join)
+def test_help_names_only_files_that_are_there(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the repository. What is in `configs` is shipped, not written by a command before."""
+    assert status([*command, "--help"]) == 0
+    named = re.findall(r"configs/[\w/.-]+\.toml", capsys.readouterr().out)
+    missing = [n for n in named if not (Path(__file__).parents[2] / n).is_file()]
+    assert not missing
 
 
 def test_import_and_help_load_nothing_heavy() -> None:

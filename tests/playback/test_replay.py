@@ -205,6 +205,31 @@ def test_counts_without_room_are_flagged_in_their_row(tmp_path: Path) -> None:
     )
 
 
+def test_counts_that_found_room_at_once_are_not_flagged(tmp_path: Path) -> None:
+    """Oracle: by hand. One edge each 100 µs leaves room for each count within a cycle of 1000 µs."""
+    made = with_capture(tmp_path, X={"a": "A", "b": "B", "start_mm": 100.0})
+    phase = np.arange(400_000) // 100 % 4
+    words = (np.isin(phase, (1, 2)) + 2 * np.isin(phase, (2, 3))).astype(np.uint8)
+    sigrok.write(tmp_path / "own.sr", sigrok.Capture(1_000_000, ("A", "B"), words, "own.sr"))
+    report = replay_capture(made, tmp_path / "own.sr", tmp_path / "o.sr", tmp_path / "o.csv")
+    assert abs(report.axes["X"].inserted_counts) > 3
+    assert "OUTPUT_SATURATED" not in report.flags_seen
+
+
+def test_the_shipped_run_file_of_a_capture_needs_no_device(tmp_path: Path) -> None:
+    """Oracle: the ledger; and `rtec run` still asks for devices."""
+    phase = np.arange(20_000) // 100 % 4
+    words = (np.isin(phase, (1, 2)) + 2 * np.isin(phase, (2, 3))).astype(np.uint8)
+    sigrok.write(tmp_path / "scale.sr", sigrok.Capture(100_000, ("A", "B"), words, "scale.sr"))
+    config = Path(__file__).parents[2] / "configs/capture.toml"
+    assert status(["replay", str(config), str(tmp_path / "scale.sr"), "--out", str(tmp_path / "o.sr")]) == 0
+    with (tmp_path / "o.csv").open(encoding="utf-8") as file:
+        last = list(csv.DictReader(file))[-1]
+    assert int(last["raw_X_counts"]) + int(last["inserted_X_counts"]) == int(last["corrected_X_counts"]) > 0
+    with pytest.raises(ConfigError, match="key 'role' is missing"):
+        load_setup(config)
+
+
 def test_the_command_line_on_a_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capture = real_file("quadrature", "rotary-sin.sr")
     made = with_capture(tmp_path, X={"a": "0", "b": "1", "start_mm": 100.0})
