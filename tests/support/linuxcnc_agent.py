@@ -141,9 +141,12 @@ class Agent:
     def record(self, channel: int, path: str) -> None:
         """Let halsampler record a channel of the sampler into a file, from now on."""
         self.start("halsampler", "halsampler", "-c", str(channel), "-t", path)
+        self.hal("setp", f"sampler.{channel}.enable", "1")
 
-    def stop_record(self) -> None:
-        """End it."""
+    def stop_record(self, channel: int) -> None:
+        """End it, when all rows are written."""
+        self.hal("setp", f"sampler.{channel}.enable", "0")
+        self.wait(lambda: self.hal("getp", f"sampler.{channel}.curr-depth") == "0")
         self.signal("halsampler", signal.SIGTERM)
 
     def kill(self, pid: int, number: int) -> None:

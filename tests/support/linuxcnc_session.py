@@ -120,9 +120,9 @@ class Session:
 
     def recorded(self, name: str) -> NDArray[np.float64]:
         """Rows that halsampler wrote: the sample's number, then the pins; whole rows only."""
-        rows = [line.split() for line in (self.folder / name).read_text().splitlines()]
-        full = [r for r in rows if len(r) == len(rows[0]) and r[0].isdigit()]
-        return np.array(full, dtype=np.float64)
+        lines = (line.split() for line in (self.folder / name).read_text().splitlines())
+        rows = [words for words in lines if words[:1] and words[0].isdigit()]
+        return np.array([r for r in rows if len(r) == max(map(len, rows))], dtype=np.float64)
 
     def said_at_start(self) -> str:
         """What LinuxCNC and its parts printed."""

@@ -1,0 +1,85 @@
+"""rtec's loop in a thread of the test, with the device, the model and the limits of a run file of configs/linuxcnc."""
+
+import shutil
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.loop.clock import RealClock
+from rtec.loop.devices import make_devices, open_ports
+from rtec.loop.loop import Loop, Row, bind_rows
+from rtec.loop.records import MODE_ON, Commands, Samples
+from rtec.loop.run_file import load_setup
+from rtec.loop.step import Step
+from tests.support.linuxcnc_session import CONFIGS, Session
+
+Floats = NDArray[np.float64]
+
+
+class LoopThread:
+    """`rtec run` without its processes: it corrects while the test drives LinuxCNC.
+
+    Attributes:
+        loop: what runs.
+        output: the last command, units.
+
+    Args:
+        session: the LinuxCNC.
+        edits: text to replace in the run file, as (old, new) pairs.
+    """
+
+    def __init__(self, session: Session, edits: tuple[tuple[str, str], ...] = ()) -> None:
+        for file in CONFIGS.glob(f"{session.name}*.toml"):
+            shutil.copy(file, session.folder)
+        path = session.folder / f"{session.name}.toml"
+        text = path.read_text()
+        for old, new in edits:
+            assert old in text
+            text = text.replace(old, new)
+        path.write_text(text)
+        self._path: Path = path
+        self._stack, self._ends = ExitStack(), threading.Event()
+        self.output: NDArray[np.int64] = np.zeros(0, np.int64)
+
+    def __enter__(self) -> Self:
+        setup, clock = load_setup(self._path), RealClock()
+        step = Step(setup.step_settings())
+        step.warm_up()
+        rows = bind_rows(step, [(Samples.empty(step.layout, 1), Commands.empty(step.layout, 1))])
+        ports = open_ports(setup, make_devices(setup, clock), self._stack)
+        self.loop = Loop(step, ports, clock, setup.period_ns, rows, MODE_ON)
+        self.loop.take_over(None)
+        self._thread = threading.Thread(target=self.loop.run, args=(None, self._goes_on))
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ends.set()
+        self._thread.join()
+        self._stack.close()
+
+    def _goes_on(self, row: Row) -> bool:
+        self.output = row.output.copy()
+        return not self._ends.is_set()
+
+
+def dwell_errors_um(rows: Floats, axes: int, still: int = 40) -> Floats:
+    """Error of each axis, µm, (samples, axes), where it had stood for so many servo periods, of a plant's recording.
+
+    Args:
+        rows: sample number, commanded positions, true positions, temperatures, in position.
+        axes: how many.
+        still: servo periods.
+    """
+    commanded, true = rows[:, 1 : 1 + axes], rows[:, 1 + axes : 1 + 2 * axes]
+    moved = np.any(np.diff(commanded, axis=0, prepend=np.nan) != 0.0, axis=1)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(rows)), 0))
+    stands = np.arange(len(rows)) - last >= still
+    return np.asarray(1e3 * (true - commanded)[stands])
