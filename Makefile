@@ -13,7 +13,7 @@ override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof figures lock format clean
+.PHONY: studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -61,6 +61,10 @@ proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines
 figures: $(STAMP)  ## the figures of the documentation, made by the commands of the tutorial
 	$(BIN)/python -m tests.tutorial.tutorial docs/figures
 	$(BIN)/python -m tests.tutorial.campaign docs/figures
+
+studio: $(STAMP)  ## compare, diagnose and improve in the browser; opens out/studio
+	@mkdir -p out/studio
+	$(BIN)/rtec studio out/studio
 
 box:  ## the encoder box's gateware: its simulation and the bitstreams of two boards
 	$(MAKE) -C drivers/box sim synth

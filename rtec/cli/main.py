@@ -30,6 +30,7 @@ from rtec.cli import (
     replay,
     run,
     simulate,
+    studio,
 )
 from rtec.cli import control as ctl
 from rtec.cli import control as status_command
@@ -62,6 +63,7 @@ app.command()(drivers.drivers)
 app.command()(doctor.doctor)
 app.command()(compare.compare)
 app.command()(hil.hil)
+app.command()(studio.studio)
 for _command in (diagnose.diagnose, diagnose.add, diagnose.improve, diagnose.history):
     app.command()(_command)
 app.command()(plan.plan)

@@ -73,7 +73,7 @@ def _next(d: Diagnosis) -> list[str]:
     model, *data = d.files
     better = f"{model.with_suffix('')}-more.toml"
     if d.verdict == "missing_effect" and d.findings[0].partner is None:
-        return [typed("rtec", "add", model, *_as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
+        return [typed("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
     if d.verdict == "ambiguous" and d.findings[0].confused_with:
         first = d.findings[0]
         rivals = [f"{first.effect.effect}:{first.effect.component}"]
@@ -86,7 +86,7 @@ def _next(d: Diagnosis) -> list[str]:
     return [typed("rtec", "improve", *d.files, "-o", better)]
 
 
-def _as_typed(effect: Effect) -> list[str]:
+def as_typed(effect: Effect) -> list[str]:
     """An effect as `rtec add` takes it."""
     given = effect.model_dump(mode="json", exclude={"effect", "component"}, exclude_none=True, exclude_defaults=True)
     if given.get("axis") == effect.component[2:].removeprefix("0"):

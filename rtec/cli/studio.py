@@ -1,0 +1,67 @@
+"""`rtec studio`: the pages in the browser."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rtec.errors import RtecError
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+PORT = 8371
+
+
+def studio(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of measurements and models.")] = Path(),
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")] = PORT,
+    token: Annotated[
+        str | None,
+        typer.Option(help="Key of this start, 16 characters or more.  [default: a new one]", show_default=False),
+    ] = None,
+    tls_cert: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Certificate for TLS (PEM).", show_default=False)
+    ] = None,
+    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key (PEM).", show_default=False)] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")] = True,
+) -> None:
+    """Opens the pages in the browser: compare, diagnose, add an effect, and watch the error fall.
+
+    Reads and writes files in FOLDER only, and listens on this computer only. Another address needs TLS or a key of
+    your own. Needs `pip install rtec[studio]`.
+
+    Example: `rtec studio out/tutorial`
+    """
+    _check_installed()
+    from rtec.studio.app import Address, serve
+    from rtec.studio.guard import SHORTEST_TOKEN, new_token
+
+    if (tls_cert is None) != (tls_key is None):
+        raise RtecError("--tls-cert and --tls-key belong together: give both")
+    if host not in LOOPBACK and tls_cert is None and token is None:
+        raise RtecError(
+            f"--host {host}: others on the network could read along; give --tls-cert and --tls-key, or, where nobody "
+            "listens in, a --token of your own. From another computer, ssh -L is simplest: see docs/studio.md"
+        )
+    for file in (tls_cert, tls_key):
+        if file is not None and not file.is_file():
+            raise RtecError(f"{file}: is no file")
+    if token is not None and (len(token) < SHORTEST_TOKEN or not token.isascii() or not token.isprintable()):
+        raise RtecError(f"--token: needs at least {SHORTEST_TOKEN} printable ASCII characters")
+
+    def opened(address: str) -> None:
+        typer.echo(f"rtec studio: {address}")
+        typer.echo("Ctrl-C ends it.", err=True)
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    serve(folder, Address(host, port, token or new_token(), tls_cert, tls_key), opened)
+
+
+def _check_installed() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("nicegui") is None:
+        raise RtecError("rtec studio needs NiceGUI: pip install 'rtec[studio]'; in a clone of the project: make studio")

@@ -1,0 +1,88 @@
+"""What several pages let a person do with the session: each is one piece of work and what becomes of it."""
+
+from rtec.studio import tasks
+from rtec.studio.session import ModelStep, TabSession
+from rtec.studio.tasks import Wanted
+
+
+async def read_model(session: TabSession) -> bool:
+    """Read the chosen model where that was not done yet; gives whether there is one."""
+    if session.lacks:
+        return False
+    if not session.steps:
+        model = await session.work("Reading the model", tasks.load_model, session.model_path, session.machine_path)
+        if model is None:
+            return False
+        session.steps, session.at = (ModelStep(model, f"{session.model} as it is"),), 0
+    return True
+
+
+async def compare(session: TabSession) -> None:
+    """Compare the model of this step."""
+    if not await read_model(session):
+        return
+    step = session.step
+    if step is None or step.compared is not None:
+        return
+    view = await session.work("Comparing", tasks.compare, step.model, session.files, session.model_path)
+    if view is not None and session.step is step:
+        session.keep(compared=view)
+        session.on_change()
+
+
+async def diagnose(session: TabSession) -> None:
+    """Diagnose the model of this step."""
+    if not await read_model(session):
+        return
+    step = session.step
+    if step is None:
+        return
+    view = await session.work(
+        "Diagnosis", tasks.diagnose, step.model, session.files, session.model_path, session.machine_path
+    )
+    if view is not None and session.step is step:
+        session.keep(diagnosed=view)
+        session.rank = 1 if 1 in view.curves else 0
+        session.on_change()
+
+
+async def add(session: TabSession, wanted: list[Wanted]) -> bool:
+    """Add effects to the model of this step, or refit it where none is named; gives whether that was done."""
+    if not await read_model(session):
+        return False
+    await compare(session)
+    step = session.step
+    if step is None:
+        return False
+    what = ", ".join(w.label for w in wanted)
+    title = f"Adding {what}" if wanted else "Refitting"
+    view = await session.work(title, tasks.add, step.model, wanted, session.files, session.model_path)
+    if view is None:
+        return False
+    if not view.added.better:
+        from rtec.diagnosis.extend.add import refused
+
+        session.trouble = f"Not added: {refused(view.added)}."
+        session.on_change()
+        return False
+    words = ("add", *wanted[0].words) if wanted else ("add", "--refit")
+    label = ", ".join(view.added.labels) or "numbers refitted"
+    session.push(ModelStep(view.added.model, label, words, view, view.compared))
+    session.on_change()
+    return True
+
+
+async def improve(session: TabSession) -> None:
+    """Improve step by step, asking at each."""
+    if not await read_model(session):
+        return
+    await compare(session)
+    step = session.step
+    if step is None:
+        return
+    ended = await session.work(
+        "Improving", tasks.improve, step.model, session.files, session.model_path, session.machine_path
+    )
+    if ended is not None:
+        session.improved = ended
+        session.on_change()

@@ -1,0 +1,107 @@
+// A plot whose colours follow the theme, whose points light up in all plots beside it, and which moves from one state
+// to the next. Data come as plain numbers; texts are text: Plotly's own markup is taken out of them.
+const charts = new Set();
+const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+
+function colours(value, style) {
+  if (typeof value === "string") return value[0] === "@" ? style.getPropertyValue("--" + value.slice(1)).trim() : value;
+  if (Array.isArray(value)) return typeof value[0] === "number" ? value : value.map((v) => colours(v, style));
+  if (value && typeof value === "object")
+    return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, colours(v, style)]));
+  return value;
+}
+
+export default {
+  template: `<div class="chart" role="img"></div>`,
+  props: { options: Object },
+  async mounted() {
+    const { Plotly } = await import("nicegui-plotly");
+    this.Plotly = Plotly;
+    this.selected = null;
+    await this.draw();
+    if (!this.$el.isConnected) return;
+    charts.add(this);
+    this.listen();
+    this.resized = new ResizeObserver(() => this.Plotly.Plots.resize(this.$el));
+    this.resized.observe(this.$el);
+    this.themed = new MutationObserver(() => this.draw());
+    this.themed.observe(document.body, { attributes: true, attributeFilter: ["class"] });
+    this.$el.dataset.drawn = "yes";
+  },
+  unmounted() {
+    charts.delete(this);
+    this.resized?.disconnect();
+    this.themed?.disconnect();
+    if (this.Plotly) this.Plotly.purge(this.$el);
+  },
+  watch: {
+    options() { if (this.Plotly) this.draw(); },
+  },
+  methods: {
+    styled() {
+      const { data, layout } = colours(this.options, getComputedStyle(document.body));
+      return { data, layout, config: { displaylogo: false, responsive: false, scrollZoom: false,
+        modeBarButtonsToRemove: ["toImage", "autoScale2d"] } };
+    },
+    draw() {
+      const { data, layout, config } = this.styled();
+      return this.Plotly.react(this.$el, data, layout, config);
+    },
+    listen() {
+      const ids = (event) => (event?.points ?? []).map((p) => p.data.ids ? Number(p.data.ids[p.pointIndex]) : NaN)
+        .filter((id) => !Number.isNaN(id));
+      this.$el.on("plotly_selected", (event) => {
+        if (!event) return;
+        const found = ids(event);
+        this.$emit("brush", found);
+        for (const chart of charts) chart.light(new Set(found));
+      });
+      this.$el.on("plotly_deselect", () => {
+        this.$emit("brush", []);
+        for (const chart of charts) chart.light(null);
+      });
+      this.$el.on("plotly_hover", (event) => {
+        const found = ids(event);
+        if (found.length && found[0] !== this.hovered) this.$emit("reading", (this.hovered = found[0]));
+      });
+      this.$el.on("plotly_click", (event) => { const found = ids(event); if (found.length) this.$emit("reading", found[0]); });
+      this.$el.on("plotly_relayout", (event) => {
+        if ("xaxis.range[0]" in event) this.$emit("zoom", [event["xaxis.range[0]"], event["xaxis.range[1]"]]);
+        else if (event["xaxis.autorange"]) this.$emit("zoom", null);
+      });
+    },
+    light(wanted) {
+      if (wanted === null && this.selected === null) return;
+      this.selected = wanted;
+      this.$el.data.forEach((trace, k) => {
+        if (!trace.ids) return;
+        const points = wanted === null ? null : [];
+        if (wanted !== null) trace.ids.forEach((id, i) => { if (wanted.has(Number(id))) points.push(i); });
+        this.Plotly.restyle(this.$el, { selectedpoints: [points] }, [k]);
+      });
+    },
+    // Moves every trace of the same length from where it is to where it will be, and leaves the rest as it is.
+    morph(options, ms) {
+      this.$el.dataset.moved = "no";
+      const target = colours(options, getComputedStyle(document.body));
+      const from = this.$el.data.map((t) => Array.from(t.y ?? []));
+      const moving = target.data.map((t, k) => k).filter((k) => from[k]?.length && from[k].length === target.data[k].y.length);
+      const end = () => { this.$el.dataset.moved = "yes"; };
+      if (calm() || !moving.length) return this.Plotly.react(this.$el, target.data, this.$el.layout).then(end);
+      const began = performance.now();
+      const step = (now) => {
+        if (!this.$el.isConnected) return;
+        const share = Math.min((now - began) / ms, 1), eased = share * share * (3 - 2 * share);
+        const y = moving.map((k) => from[k].map((v, i) => v + eased * (target.data[k].y[i] - v)));
+        this.Plotly.restyle(this.$el, { y }, moving);
+        if (share < 1) requestAnimationFrame(step);
+        else end();
+      };
+      requestAnimationFrame(step);
+    },
+    append(x, y, most) {
+      if (!this.Plotly || !this.$el.data) return;
+      this.Plotly.extendTraces(this.$el, { x, y }, x.map((_, k) => k), most);
+    },
+  },
+};

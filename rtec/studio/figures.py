@@ -1,0 +1,448 @@
+"""The figures of the pages, as Plotly takes them. Arrays come in; colours are names that the theme resolves.
+
+Of very many readings some are drawn: those with the largest residual, and others evenly at random. All of them count
+in the numbers, and zooming in draws those that are there.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.text import clean
+
+if TYPE_CHECKING:
+    from rtec.report.evidence import Evidence
+    from rtec.studio.tasks import SeriesView
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Figure = dict[str, Any]
+
+MOST, WORST = 12_000, 2_000
+"""Readings that are drawn at once; of these, so many with the largest residual."""
+PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
+CELLS, LEAST = 24, 3
+WAYS = 2
+DIGITS = 5
+
+
+def drawn(series: "SeriesView", over: Floats, within: tuple[float, float] | None = None) -> Ints:
+    """Which readings are drawn, rising, (k,).
+
+    Args:
+        series: the reading column.
+        over: what they are drawn over, (n,).
+        within: part of it that is seen; None for all.
+    """
+    inside = np.isfinite(over)
+    if within is not None:
+        inside &= (over >= min(within)) & (over <= max(within))
+    rows = np.flatnonzero(inside)
+    if len(rows) <= MOST:
+        return rows
+    size = np.abs(series.left[rows])
+    worst = np.argpartition(size, -WORST)[-WORST:]
+    others = np.setdiff1d(np.arange(len(rows)), worst)
+    some = np.random.default_rng(0).choice(others, MOST - WORST, replace=False)
+    return np.sort(rows[np.concatenate([worst, some])])
+
+
+def text(words: str) -> str:
+    """A text from outside as Plotly shows it: its markup is markup no longer."""
+    return clean(words).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def numbers(values: Floats) -> list[float | None]:
+    """Numbers for the page, with as many digits as an eye sees; what is not finite is a gap."""
+    return [float(f"{v:.{DIGITS}g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=np.float64)]
+
+
+def layout(**more: Any) -> Figure:
+    """Paper and axes of every figure."""
+    base: Figure = {
+        "paper_bgcolor": "@paper",
+        "plot_bgcolor": "@paper",
+        "font": {"color": "@ink", "size": 14, "family": "Roboto, DejaVu Sans, sans-serif"},
+        "margin": {"l": 70, "r": 20, "t": 44, "b": 56},
+        "dragmode": "select",
+        "hovermode": "closest",
+        "hoverlabel": {"bgcolor": "@paper", "font": {"color": "@ink", "size": 14}, "bordercolor": "@ink"},
+        "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 13}},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "@muted", "activecolor": "@ink"},
+        "uirevision": "kept",
+        "selectionrevision": "kept",
+    }
+    return base | more
+
+
+def axis(title: str, **more: Any) -> Figure:
+    """One axis with its title."""
+    base = {
+        "title": {"text": text(title), "standoff": 10},
+        "gridcolor": "@grid",
+        "zerolinecolor": "@muted",
+        "linecolor": "@muted",
+        "automargin": True,
+    }
+    return base | more
+
+
+def _points(s: "SeriesView", rows: Ints, x: Floats, y: Floats, name: str, **marker: Any) -> Figure:
+    return {
+        "type": "scattergl",
+        "mode": "markers",
+        "name": text(name),
+        "x": numbers(x[rows]),
+        "y": numbers(y[rows]),
+        "ids": [str(s.first + int(r)) for r in rows],
+        "marker": {"size": 6, "opacity": 0.75, **marker},
+        "selected": {"marker": {"opacity": 1.0, "size": 9}},
+        "unselected": {"marker": {"opacity": 0.12}},
+        "hovertemplate": f"%{{x:.5g}}, %{{y:.3f}} {s.unit}<extra></extra>",
+    }
+
+
+def _band(low: float, high: float, floor: float, yaxis: str = "y") -> Figure:
+    """The noise floor as a band."""
+    return {
+        "type": "rect",
+        "xref": "x domain",
+        "yref": yaxis,
+        "x0": 0,
+        "x1": 1,
+        "y0": low * floor,
+        "y1": high * floor,
+        "fillcolor": "@floor",
+        "line": {"width": 0},
+        "layer": "below",
+    }
+
+
+def ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str]]:
+    """Name, which readings, colour and marker of each direction that is there."""
+    both = [(", moving +", direction > 0, "@c3", "triangle-up"), (", moving −", direction < 0, "@c2", "triangle-down")]
+    there = [w for w in both if w[1].any()]
+    return there if len(there) == 2 else [("", np.ones(len(direction), dtype=bool), "@c3", "circle")]
+
+
+def residual_over(
+    s: "SeriesView", over: str, colour: str = "", wanted: Ints | None = None, what: str = "residual"
+) -> Figure:
+    """The residual, or what was measured and predicted, over a channel.
+
+    Args:
+        s: reading column.
+        over: title of the channel.
+        colour: title of the channel that colours it; empty: by direction.
+        wanted: readings that are drawn.
+        what: "residual", or "measured" for the error with the prediction.
+    """
+    x = s.channels[over]
+    rows = drawn(s, x) if wanted is None else wanted
+    y = s.left if what == "residual" else s.measured
+    traces: list[Figure] = []
+    if colour and colour in s.channels:
+        shade = {
+            "color": numbers(s.channels[colour][rows]),
+            "colorscale": "Viridis",
+            "showscale": True,
+            "colorbar": {"title": {"text": text(colour), "side": "right"}, "thickness": 14},
+        }
+        traces.append(_points(s, rows, x, y, what, **shade))
+    else:
+        for name, mask, tint, symbol in ways(s.direction):
+            some = rows[mask[rows]]
+            traces.append(_points(s, some, x, y, f"{what}{name}", color=tint, symbol=symbol))
+    if what != "residual":
+        traces += _predicted(s, x)
+    title = f"{what}, {s.unit}" if what == "residual" else f"error, {s.unit}"
+    legend = not colour or what != "residual"
+    return {
+        "data": traces,
+        "layout": layout(
+            xaxis=axis(over),
+            yaxis=axis(title),
+            shapes=[_band(-1, 1, s.floor)] if what == "residual" else [],
+            showlegend=legend,
+        ),
+    }
+
+
+def _predicted(s: "SeriesView", x: Floats) -> list[Figure]:
+    out = []
+    for name, mask, tint, _ in ways(s.direction):
+        at, mean = by_place(x[mask], s.predicted[mask])
+        line = {"color": tint if name else "@ink", "width": 3}
+        shown = f"predicted{name}"
+        out.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": shown,
+                "x": numbers(at),
+                "y": numbers(mean),
+                "line": line,
+                "hoverinfo": "skip",
+            }
+        )
+    return out
+
+
+def by_place(x: Floats, y: Floats, most: int = 120) -> tuple[Floats, Floats]:
+    """Mean at each place, or over stretches where there are many, (k,) each."""
+    good = np.isfinite(x) & np.isfinite(y)
+    x, y = x[good], y[good]
+    if not len(x):
+        return x, y
+    levels, code = np.unique(np.round(x, 2), return_inverse=True)
+    if len(levels) > most:
+        edges = np.linspace(float(x.min()), float(x.max()), most + 1)
+        code = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, most - 1)
+    count = np.bincount(code)
+    full = count > 0
+    return tuple(np.bincount(code, weights=v)[full] / count[full] for v in (x, y))  # type: ignore[return-value]
+
+
+def over_time(s: "SeriesView") -> Figure:
+    """The residual over time, with the temperatures beneath."""
+    title = next(t for t in s.channels if t.startswith("time "))
+    x = s.channels[title]
+    rows = drawn(s, x)
+    traces = [_points(s, rows, x, s.left, "residual", color="@c3")]
+    thin = rows[:: max(1, len(rows) // 1500)]
+    for k, name in enumerate(s.sensors):
+        line = {"color": PALETTE[k % 8], "width": 2, "dash": ("solid", "dash", "dot")[k // 8 % 3]}
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": text(name.removesuffix(", °C")),
+                "x": numbers(x[thin]),
+                "y": numbers(s.channels[name][thin]),
+                "line": line,
+                "yaxis": "y2",
+            }
+        )
+    both = bool(s.sensors)
+    whole = layout(
+        xaxis=axis(title, anchor="y2" if both else "y"),
+        yaxis=axis(f"residual, {s.unit}", domain=[0.52, 1.0] if both else [0.0, 1.0]),
+        shapes=[_band(-1, 1, s.floor)],
+        legend={"orientation": "v", "x": 1.01, "y": 0.42, "yanchor": "top", "font": {"size": 13}},
+    )
+    if both:
+        whole["yaxis2"] = axis("temperature, °C", domain=[0.0, 0.42])
+    return {"data": traces, "layout": whole}
+
+
+def residual_map(s: "SeriesView", across: str, up: str) -> Figure:
+    """Mean residual in each cell of two channels."""
+    x, y, left = s.channels[across], s.channels[up], s.left
+    cuts = [np.linspace(float(v.min()), float(v.max()), _cells(v) + 1) for v in (x, y)]
+    code = [np.clip(np.searchsorted(c, v, side="right") - 1, 0, len(c) - 2) for c, v in zip(cuts, (x, y), strict=True)]
+    width = len(cuts[0]) - 1
+    cell = code[1] * width + code[0]
+    size = width * (len(cuts[1]) - 1)
+    count = np.bincount(cell, minlength=size)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(count >= LEAST, np.bincount(cell, weights=left, minlength=size) / np.maximum(count, 1), np.nan)
+    most = max(float(np.nanmax(np.abs(mean), initial=0.0)), s.floor, 1e-9)
+    grid = [numbers(row) for row in mean.reshape(-1, width)]
+    middles = [0.5 * (c[1:] + c[:-1]) for c in cuts]
+    data = [
+        {
+            "type": "heatmap",
+            "x": numbers(middles[0]),
+            "y": numbers(middles[1]),
+            "z": grid,
+            "zmin": -most,
+            "zmax": most,
+            "colorscale": "RdBu",
+            "reversescale": False,
+            "colorbar": {"title": {"text": f"mean residual, {s.unit}", "side": "right"}},
+            "hovertemplate": f"%{{x:.4g}}, %{{y:.4g}}: %{{z:.2f}} {s.unit}<extra></extra>",
+        }
+    ]
+    return {"data": data, "layout": layout(xaxis=axis(across), yaxis=axis(up), dragmode="zoom")}
+
+
+def _cells(v: Floats) -> int:
+    return int(min(CELLS, max(len(np.unique(np.round(v, 2))), 1)))
+
+
+def polar(s: "SeriesView", angle_rad: Floats) -> Figure:
+    """A ball bar's readings around its circle: measured and predicted, outwards from a ring."""
+    rows = drawn(s, angle_rad)
+    order = rows[np.argsort(angle_rad[rows], kind="stable")]
+    most = max(float(np.abs(s.measured).max()), float(np.abs(s.predicted).max()), 1e-9)
+    angle = numbers(np.rad2deg(angle_rad[order]))
+    traces = [
+        {
+            "type": "scatterpolargl",
+            "mode": "markers",
+            "name": "measured",
+            "theta": angle,
+            "r": numbers(s.measured[order] + 2 * most),
+            "marker": {"size": 4, "color": "@c2"},
+            "ids": [str(s.first + int(r)) for r in order],
+        },
+        {
+            "type": "scatterpolargl",
+            "mode": "markers",
+            "name": "predicted",
+            "theta": angle,
+            "r": numbers(s.predicted[order] + 2 * most),
+            "marker": {"size": 3, "color": "@c3"},
+        },
+    ]
+    ticks = [2 * most - most, 2 * most, 3 * most]
+    radial = {
+        "tickvals": ticks,
+        "ticktext": [f"{v - 2 * most:+.1f} {s.unit}" for v in ticks],
+        "gridcolor": "@grid",
+        "range": [0, 3.2 * most],
+    }
+    turned = {"gridcolor": "@grid", "linecolor": "@muted"}
+    return {"data": traces, "layout": layout(polar={"radialaxis": radial, "angularaxis": turned, "bgcolor": "@paper"})}
+
+
+def evidence_figure(e: "Evidence", title: str = "") -> Figure:
+    """The residual against what drives a finding, and the finding's own curve through it."""
+    traces: list[Figure] = []
+    over, left = e.dots
+    rows = np.arange(len(over))
+    if len(rows) > MOST // 2:
+        rows = np.sort(np.random.default_rng(0).choice(rows, MOST // 2, replace=False))
+    traces.append(
+        {
+            "type": "scattergl",
+            "mode": "markers",
+            "name": "residual, each reading",
+            "x": numbers(over[rows]),
+            "y": numbers(left[rows]),
+            "marker": {"color": "@muted", "size": 4, "opacity": 0.4},
+            "hoverinfo": "skip",
+        }
+    )
+    for k, c in enumerate(e.curves):
+        tint = {1: "@c3", -1: "@c2", 0: "@c3"}[c.direction] if len(e.curves) <= WAYS else PALETTE[1 + k % 7]
+        held = "" if c.level is None else f", {e.second} {c.level:.4g}"
+        way = {1: ", moving +", -1: ", moving −", 0: ""}[c.direction]
+        symbol = {1: "triangle-up", -1: "triangle-down", 0: "circle"}[c.direction]
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": text(f"residual, mean{way}{held}"),
+                "x": numbers(c.place),
+                "y": numbers(c.residual),
+                "marker": {"color": tint, "size": 9, "symbol": symbol},
+            }
+        )
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": text(f"fitted effect{way}{held}"),
+                "x": numbers(c.place),
+                "y": numbers(c.part),
+                "line": {"color": tint, "width": 4},
+            }
+        )
+    heading = {"text": text(title), "x": 0, "xanchor": "left", "font": {"size": 16}} if title else None
+    return {
+        "data": traces,
+        "layout": layout(
+            xaxis=axis(e.below),
+            yaxis=axis(f"residual, {e.unit}"),
+            dragmode="zoom",
+            title=heading,
+            margin={"l": 70, "r": 20, "t": 90, "b": 56},
+        ),
+    }
+
+
+def staircase(names: Sequence[str], errors: Sequence[float], floor: float | None, unit: str, at: int) -> Figure:
+    """The residual on held-out runs after each step, on a log axis, down to the noise floor.
+
+    Args:
+        names: of the steps.
+        errors: after each.
+        floor: noise; None where it is not known.
+        unit: of both.
+        at: step that is shown now; the others are pale.
+    """
+    places = list(range(len(names)))
+    labels = [f"{e:.2f} {unit}" for e in errors]
+    traces: list[Figure] = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers+text",
+            "name": "residual on held-out runs",
+            "x": places,
+            "y": [float(e) for e in errors],
+            "text": labels,
+            "textposition": "top right",
+            "textfont": {"size": 16},
+            "cliponaxis": False,
+            "line": {"shape": "hv", "width": 4, "color": "@c3"},
+            "marker": {
+                "size": [20 if k == at else 12 for k in places],
+                "color": "@c3",
+                "line": {"width": 2, "color": "@ink"},
+            },
+            "hovertemplate": "%{text}<extra></extra>",
+        }
+    ]
+    low, high = min(errors), max(errors)
+    if floor:
+        low = min(low, floor)
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": f"noise floor, {floor:.2f} {unit}",
+                "x": [-0.4, len(names) - 0.2],
+                "y": [floor, floor],
+                "line": {"dash": "dash", "width": 3, "color": "@c2"},
+                "hoverinfo": "skip",
+            }
+        )
+    ticks = [
+        v for v in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if low / 2.1 < v < high * 2.1
+    ]
+    up = axis(
+        f"residual on held-out runs, {unit}",
+        type="log",
+        range=[float(np.log10(low / 1.5)), float(np.log10(high * 1.6))],
+        tickvals=ticks,
+        ticktext=[f"{v:g}" for v in ticks],
+    )
+    across = axis("", tickvals=places, ticktext=[_broken(n) for n in names], range=[-0.4, max(len(names) - 0.2, 1.5)])
+    return {"data": traces, "layout": layout(xaxis=across, yaxis=up, dragmode=False)}
+
+
+def _broken(name: str) -> str:
+    return text(name).replace("(", "<br>(", 1)
+
+
+def bars(rows: Mapping[str, float], unit: str, title: str) -> Figure:
+    """Bars, largest at the top, each with its number."""
+    names = list(rows)[::-1]
+    values = [float(rows[n]) for n in names]
+    trace = {
+        "type": "bar",
+        "orientation": "h",
+        "x": values,
+        "y": [text(n) for n in names],
+        "marker": {"color": "@c3"},
+        "text": [f"{v:.2f}" for v in values],
+        "textposition": "outside",
+        "cliponaxis": False,
+    }
+    return {
+        "data": [trace],
+        "layout": layout(xaxis=axis(f"{title}, {unit}"), yaxis=axis("", automargin=True), dragmode=False),
+    }

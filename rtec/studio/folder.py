@@ -1,0 +1,160 @@
+"""The one folder that is opened: its files by kind. Nothing outside it can be reached, whatever a name says."""
+
+import contextlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Literal
+
+from rtec.errors import RtecError
+from rtec.text import clean
+from rtec.tomlfile import read_toml
+
+FOREIGN: Final = (
+    ".csv",
+    ".txt",
+    ".tsv",
+    ".dat",
+    ".xlsx",
+    ".parquet",
+    ".json",
+    ".jsonl",
+    ".mcap",
+    ".tdms",
+    ".log",
+    ".xml",
+)
+TABLES: Final = (".csv", ".parquet")
+LARGEST_TOML: Final = 4_000_000
+MOST_FILES: Final = 2000
+LONGEST_NAME: Final = 120
+FORBIDDEN: Final = frozenset('/\\:*?"<>|\0')
+
+Kind = Literal["machine", "model", "measurement", "foreign"]
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Names of the folder's files by kind, in order.
+
+    Attributes:
+        machines, models: TOML files.
+        measurements: tables that have a TOML beside them.
+        foreign: tables of other programs.
+        more: how many files were not looked at, because there are too many.
+    """
+
+    machines: tuple[str, ...] = ()
+    models: tuple[str, ...] = ()
+    measurements: tuple[str, ...] = ()
+    foreign: tuple[str, ...] = ()
+    more: int = 0
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder of measurements, models and machine files.
+
+    Args:
+        root: the folder.
+    """
+
+    root: Path
+    _real: Path = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_real", self.root.resolve())
+
+    def path(self, name: str) -> Path:
+        """Give the path of a file in this folder.
+
+        Raises:
+            RtecError: the name leads out of the folder, or is not that of a file that may be here.
+        """
+        if not name.strip() or name.startswith(".") or len(name) > LONGEST_NAME or not name.isprintable():
+            raise RtecError(
+                f"{clean(name[:LONGEST_NAME])!r}: a file name has 1 to {LONGEST_NAME} printable characters "
+                "and does not begin with a dot"
+            )
+        if FORBIDDEN & set(name):
+            raise RtecError(f'{name!r}: a file name has none of / \\ : * ? " < > |')
+        path = self.root / name
+        if not path.resolve().is_relative_to(self._real):
+            raise RtecError(f"{name!r}: leads out of the opened folder")
+        return path
+
+    def existing(self, name: str) -> Path:
+        """Give the path of a file that was listed; its name may be one that nobody could give here.
+
+        Raises:
+            RtecError: it leads out of the folder.
+        """
+        path = self.root / name
+        if path.parent != self.root or not path.resolve().is_relative_to(self._real):
+            raise RtecError(f"{clean(name)!r}: leads out of the opened folder")
+        return path
+
+    def listing(self) -> Listing:
+        """Look at the folder, its own files only."""
+        try:
+            found = sorted(e.name for e in os.scandir(self.root) if not e.name.startswith(".") and self._is_inside(e))
+        except OSError as e:
+            raise RtecError(f"{self.root}: cannot be read: {e.strerror}") from e
+        names, more = found[:MOST_FILES], max(len(found) - MOST_FILES, 0)
+        kinds = {n: self._toml_kind(n) for n in names if n.lower().endswith(".toml")}
+        described = {Path(n).stem for n, kind in kinds.items() if kind == "measurement"}
+        tables = [n for n in names if Path(n).suffix in TABLES and Path(n).stem in described]
+        foreign = [n for n in names if Path(n).suffix.lower() in FOREIGN and n not in tables]
+        return Listing(
+            tuple(n for n, k in kinds.items() if k == "machine"),
+            tuple(n for n, k in kinds.items() if k == "model"),
+            tuple(tables),
+            tuple(foreign),
+            more,
+        )
+
+    def write(self, name: str, content: bytes) -> Path:
+        """Put a file into the folder: it appears whole or not at all, and takes no other file's place.
+
+        Raises:
+            RtecError: the name is not possible, another file has it, or the disk is full.
+        """
+        path = self.path(name)
+        if path.exists():
+            if path.read_bytes() == content:
+                return path
+            raise RtecError(f"{name}: another file of that name is in the folder; rename one of them")
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            with temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.link(temporary, path)
+        except FileExistsError as e:
+            raise RtecError(f"{name}: another file of that name is in the folder; rename one of them") from e
+        except OSError as e:
+            raise RtecError(f"{name}: cannot be written: {e.strerror}") from e
+        finally:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        return path
+
+    def _is_inside(self, entry: "os.DirEntry[str]") -> bool:
+        with contextlib.suppress(OSError):
+            return entry.is_file() and Path(entry.path).resolve().is_relative_to(self._real)
+        return False
+
+    def _toml_kind(self, name: str) -> Kind | None:
+        path = self.root / name
+        try:
+            data = read_toml(path) if path.stat().st_size < LARGEST_TOML else {}
+        except (OSError, RtecError):
+            return None
+        if "measurement" in data and "instrument" in (
+            data["measurement"] if isinstance(data["measurement"], dict) else {}
+        ):
+            return "measurement"
+        if isinstance(data.get("model"), dict) and "machine_hash" in data["model"]:
+            return "model"
+        return "machine" if {"machine", "axis"} <= set(data) else None

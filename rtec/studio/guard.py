@@ -1,0 +1,135 @@
+"""Who may open the pages: whoever has the key of this start, from pages of this address, over this address.
+
+Every request needs the key, as other users of this computer reach its loopback too. The key comes once in the address
+that is printed, and is then kept in a cookie that no script reads. A page may load and reach nothing but this server.
+"""
+
+import hmac
+import re
+import secrets
+from http.cookies import CookieError, SimpleCookie
+from typing import Final
+from urllib.parse import parse_qs, urlencode
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
+SHORTEST_TOKEN: Final = 16
+POLICY: Final = (
+    "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' blob:; "
+    "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
+"""Vue and WebGL plots compile their templates in the page, which needs 'unsafe-eval'; a script in a text needs the
+nonce, which is another for every page."""
+HEADERS: Final = (
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+)
+_SCRIPT: Final = re.compile(rb"<script\b")
+
+
+def new_token() -> str:
+    """A key that nobody guesses."""
+    return secrets.token_urlsafe(24)
+
+
+class Guard:
+    """Lets only those in who have the key; adds the policy to every page.
+
+    Args:
+        app: what is guarded.
+        token: the key.
+        port: of the server, as cookies are shared between ports.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, port: int) -> None:
+        self.app, self._token, self._cookie = app, token, f"rtec-studio-{port}"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request."""
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        headers = {k.decode("latin-1"): v.decode("latin-1") for k, v in scope["headers"]}
+        if scope["type"] == "http" and self._asked_with_token(scope):
+            await self._admit(scope, send)
+        elif not self._may(headers):
+            await _refuse(scope, receive, send)
+        else:
+            await self.app(scope, receive, _WithPolicy(send) if scope["type"] == "http" else send)
+
+    def _asked_with_token(self, scope: Scope) -> bool:
+        given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        return scope["method"] == "GET" and self._is_token(given)
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self._token.encode())
+
+    def _may(self, headers: dict[str, str]) -> bool:
+        origin = headers.get("origin")
+        if origin is not None and origin.partition("://")[2] != headers.get("host"):
+            return False
+        try:
+            cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
+        except CookieError:
+            return False
+        return cookie is not None and self._is_token(cookie.value)
+
+    async def _admit(self, scope: Scope, send: Send) -> None:
+        query = parse_qs(scope["query_string"].decode("latin-1"))
+        rest = urlencode({k: v[0] for k, v in query.items() if k != "token"})
+        secure = "; Secure" if scope["scheme"] == "https" else ""
+        cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/{secure}"
+        where = scope["path"].lstrip("/")
+        where = f"/{where}" + (f"?{rest}" if rest else "")
+        headers = [(b"location", where.encode()), (b"set-cookie", cookie.encode()), *HEADERS]
+        await send({"type": "http.response.start", "status": 303, "headers": headers})
+        await send({"type": "http.response.body", "body": b""})
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 4403})
+        return
+    text = b"Open the whole address that `rtec studio` printed: it holds the key of this start.\n"
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), *HEADERS]
+    await send({"type": "http.response.start", "status": 403, "headers": headers})
+    await send({"type": "http.response.body", "body": text})
+
+
+class _WithPolicy:
+    """Sends an answer with its policy; a page is kept until it is whole, so that its scripts get the nonce."""
+
+    def __init__(self, send: Send) -> None:
+        self._send, self._nonce = send, secrets.token_urlsafe(16)
+        self._start: Message | None = None
+        self._page = b""
+
+    async def __call__(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            policy = (b"content-security-policy", POLICY.format(nonce=self._nonce).encode())
+            message["headers"] = [*message["headers"], policy, *HEADERS]
+            if _header(message, b"content-type").startswith(b"text/html"):
+                self._start = message
+                return
+        elif message["type"] == "http.response.body" and self._start is not None:
+            self._page += message.get("body", b"")
+            if not message.get("more_body"):
+                await self._whole(self._start)
+            return
+        await self._send(message)
+
+    async def _whole(self, start: Message) -> None:
+        body = _SCRIPT.sub(b'<script nonce="' + self._nonce.encode() + b'"', self._page)
+        kept = [(k, v) for k, v in start["headers"] if k.lower() != b"content-length"]
+        start["headers"] = [*kept, (b"content-length", str(len(body)).encode())]
+        await self._send(start)
+        await self._send({"type": "http.response.body", "body": body})
+
+
+def _header(message: Message, name: bytes) -> bytes:
+    return next((bytes(v) for k, v in message["headers"] if k.lower() == name), b"")

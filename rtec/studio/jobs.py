@@ -1,0 +1,152 @@
+"""Work that takes longer than a moment: in a process of its own, with progress, questions, and a way to cancel.
+
+A process is forked from a server that has loaded everything already; so it begins at once, and ending it loses nothing
+of the page. Results come back through a pipe of our own child; no file and no client is ever unpickled.
+"""
+
+import asyncio
+import multiprocessing
+import sys
+import traceback
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
+from typing import Any, Final, Protocol, TypeVar, TypeVarTuple
+
+from rtec.errors import RtecError
+
+PRELOAD: Final = [
+    "rtec.diagnosis.extend.improve",
+    "rtec.diagnosis.compare.compare",
+    "rtec.characterise",
+    "rtec.metrology.files.load",
+    "rtec.report.additions",
+    "rtec.report.compare",
+    "rtec.report.diagnosis",
+    "rtec.sim.campaign.campaign",
+]
+Ts = TypeVarTuple("Ts")
+R = TypeVar("R")
+
+
+class Cancelled(Exception):
+    """The work was cancelled by the person who began it."""
+
+
+class Reporter(Protocol):
+    """How work reports from its process, and asks."""
+
+    def stage(self, what: str, done: int, total: int) -> None:
+        """Say how far it is."""
+
+    def ask(self, question: object) -> Any:
+        """Ask the page; give its answer."""
+
+
+class _Line:
+    """The work's end of the pipe."""
+
+    def __init__(self, pipe: "Connection[Any, Any]") -> None:
+        self._pipe = pipe
+
+    def stage(self, what: str, done: int, total: int) -> None:
+        self._pipe.send(("stage", (what, done, total)))
+
+    def ask(self, question: object) -> Any:
+        self._pipe.send(("ask", question))
+        return self._pipe.recv()
+
+
+def warm_up() -> None:
+    """Start the server that processes are forked from; it loads on by itself."""
+    from multiprocessing import forkserver
+
+    _context().set_forkserver_preload(PRELOAD)
+    forkserver.ensure_running()
+
+
+def _context() -> "multiprocessing.context.ForkServerContext":
+    return multiprocessing.get_context("forkserver")
+
+
+def _work(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[Any, ...]) -> None:
+    try:
+        pipe.send(("done", task(_Line(pipe), *args)))
+    except RtecError as e:
+        pipe.send(("failed", str(e)))
+    except Exception as e:  # noqa: BLE001 - whatever it is, the page shows that it ended
+        traceback.print_exc(file=sys.stderr)
+        pipe.send(("failed", f"a fault of rtec itself: {type(e).__name__}: {e}; the terminal shows where"))
+
+
+class Job:
+    """One piece of work.
+
+    Attributes:
+        title: what it is, in words.
+        what, done, total: how far it is; `total` 0 where nobody knows.
+
+    Args:
+        title: see above.
+        changed: called whenever it is further.
+        asked: answers what the work asks.
+    """
+
+    def __init__(
+        self, title: str, changed: Callable[[], None], asked: "Callable[[Any], asyncio.Future[Any]] | None" = None
+    ) -> None:
+        self.title, self.what, self.done, self.total = title, "starting", 0, 0
+        self._changed, self._asked = changed, asked
+        self._process: ForkServerProcess | None = None
+        self._ended: asyncio.Future[Any] | None = None
+
+    async def run(self, task: Callable[[Reporter, *Ts], R], *args: *Ts) -> R:
+        """Do it; give the result.
+
+        Raises:
+            RtecError: what the work says against it.
+            Cancelled: by `cancel`.
+        """
+        loop = asyncio.get_running_loop()
+        self._ended = loop.create_future()
+        here, there = _context().Pipe()
+        self._process = _context().Process(target=_work, args=(there, task, args), daemon=True)
+        await loop.run_in_executor(None, self._process.start)
+        there.close()
+        loop.add_reader(here.fileno(), self._read, here)
+        try:
+            result: R = await self._ended
+            return result
+        finally:
+            loop.remove_reader(here.fileno())
+            here.close()
+            if self._process.is_alive():
+                self._process.kill()
+
+    def cancel(self) -> None:
+        """End it."""
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_exception(Cancelled(self.title))
+
+    def _read(self, pipe: "Connection[Any, Any]") -> None:
+        try:
+            kind, content = pipe.recv()
+        except (EOFError, OSError):
+            kind, content = "failed", "the process that worked on it ended; is there enough memory?"
+        if self._ended is None or self._ended.done():
+            return
+        if kind == "stage":
+            self.what, self.done, self.total = content
+            self._changed()
+        elif kind == "ask" and self._asked is not None:
+            self.what, self.done, self.total = "waiting for your answer", 0, 0
+            self._changed()
+            self._asked(content).add_done_callback(lambda answer: self._answer(pipe, answer))
+        elif kind == "done":
+            self._ended.set_result(content)
+        else:
+            self._ended.set_exception(RtecError(content))
+
+    def _answer(self, pipe: "Connection[Any, Any]", answer: "asyncio.Future[Any]") -> None:
+        if self._ended is not None and not self._ended.done() and not answer.cancelled():
+            pipe.send(answer.result())

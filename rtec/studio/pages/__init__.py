@@ -1,0 +1,1 @@
+"""The pages: each is a file with one function `build(session)`."""

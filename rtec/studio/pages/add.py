@@ -1,0 +1,245 @@
+"""Add and watch: effects are added, the residual moves, and the error falls down its staircase to the noise floor."""
+
+from functools import partial
+from shlex import quote
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from rtec.diagnosis.words import UNITS
+from rtec.errors import RtecError
+from rtec.report.history import stairs, steps_of
+from rtec.studio import actions, figures
+from rtec.studio.chart import Chart
+from rtec.studio.pages.compare import worst
+from rtec.studio.pages.expression import own_expression
+from rtec.studio.parts import Words, button, command, draft, heading, lacking, section, trouble
+from rtec.studio.session import ModelStep, TabSession
+from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
+from rtec.wording import number, percent, probability
+
+
+def build(session: TabSession) -> None:
+    """The page."""
+    heading("Add and watch")
+    trouble(session)
+    if lacking(session):
+        return
+    step = session.step
+    if step is None or step.compared is None:
+        Words("p", "The model is being compared with the measurements.", "lead")
+        if not session.trouble:
+            ui.timer(0.05, lambda: actions.compare(session), once=True)
+        return
+    if session.question is not None:
+        _question(session, session.question[0])
+    if session.improved:
+        with ui.element("div").classes("card good").props('role="status"'):
+            Words("p", session.improved, "lead")
+    if step.added is not None:
+        Words("p", step.added.page.lead, "lead")
+    else:
+        Words("p", step.compared.page.lead, "lead")
+    _toolbar(session)
+    with ui.element("div").classes("plots"):
+        _stairs(session, step)
+        _residual(session, step.compared)
+    own_expression(session)
+    if step.added is not None:
+        for part in step.added.page.sections[:1]:
+            section(part)
+    _save(session)
+
+
+def _toolbar(session: TabSession) -> None:
+    busy = "other work is not finished" if session.job is not None else ""
+    with ui.element("div").classes("row"):
+        button("Undo", lambda: _move(session, -1), off=busy or ("" if session.at > 0 else "nothing to undo"))
+        button(
+            "Redo",
+            lambda: _move(session, +1),
+            off=busy or ("" if session.at + 1 < len(session.steps) else "nothing to redo"),
+        )
+        button("Find the next effect", lambda: session.go("diagnose"), main=True)
+        button("Improve step by step", lambda: actions.improve(session), off=busy)
+        button("Refit the numbers", lambda: _refit(session), off=busy)
+
+
+def _move(session: TabSession, by: int) -> None:
+    session.at += by
+    session.improved, session.rank = "", 1
+    session.view["moved"] = "yes"
+    session.view["came_from"] = str(session.at - by)
+    session.on_change()
+
+
+async def _refit(session: TabSession) -> None:
+    if await actions.add(session, []):
+        session.view["moved"] = "yes"
+        session.on_change()
+
+
+def _question(session: TabSession, asked: Any) -> None:
+    with ui.element("div").classes("card chosen").props('role="alertdialog" aria-label="Question"'):
+        if isinstance(asked, RefitQuestion):
+            unit = UNITS.get(asked.unit, asked.unit)
+            Words("h2", "Refit the model's own numbers?")
+            Words(
+                "p", f"The residual on held-out runs falls from {number(asked.before)} to {number(asked.after)} {unit}."
+            )
+            with ui.element("div").classes("row"):
+                button("Refit", lambda: session.answer(True), main=True)
+                button("Keep the numbers", lambda: session.answer(False))
+        elif isinstance(asked, StepQuestion):
+            _ask_step(session, asked)
+
+
+def _ask_step(session: TabSession, asked: StepQuestion) -> None:
+    d = asked.diagnosis.found
+    Words("h2", f"Step {asked.number}: add {d.findings[0].label}?")
+    Words("p", asked.diagnosis.page.lead)
+    if 1 in asked.diagnosis.curves:
+        Chart(figures.evidence_figure(asked.diagnosis.curves[1][0]), "Residual and the proposed effect")
+    with ui.element("div").classes("row"):
+        for f in d.findings[:4]:
+            fall = percent(max(f.heldout_drop, 0.0))
+            shown = f"Add {f.label} ({probability(f.confidence)}, held-out error falls by {fall})"
+            button(shown, partial(session.answer, f.rank), main=f.rank == 1)
+        button("Stop here", lambda: session.answer(0))
+
+
+def _stairs(session: TabSession, step: ModelStep) -> None:
+    names, errors, floor, unit, at = _staircase_of(session, step)
+    with ui.element("div").classes("card"):
+        Words("h2", "The error falling")
+        if not names:
+            Words("p", "Add an effect; then the error before and after is drawn here.")
+            return
+        shows = "The residual on held-out runs after each step, and the noise floor"
+        Chart(figures.staircase(names, errors, floor, unit, at), shows).classes("tall")
+
+
+def _staircase_of(session: TabSession, step: ModelStep) -> tuple[list[str], list[float], float | None, str, int]:
+    """Names, errors, floor, unit, and the number of the step that is shown."""
+    last = session.steps[-1].model
+    steps, own = steps_of(last), steps_of(step.model)
+    if not steps:
+        return [], [], None, "", 0
+    unit = steps[-1]["unit"]
+    names, errors, floor = stairs(steps)
+    at = len(names) - 1 - (len(steps) - len(own))
+    return names, [float(e) for e in errors], floor, UNITS.get(unit, unit), at
+
+
+def _residual(session: TabSession, view: CompareView) -> None:
+    """The residual of the reading column that was worst, moving from where it was before."""
+    before = _before(session)
+    source = before if before is not None else view
+    k = worst(source)
+    with ui.element("div").classes("card"):
+        s = view.series[k] if k < len(view.series) else view.series[0]
+        over = next(iter(s.channels))
+        Words("h2", f"The residual of {s.name}")
+        after = _fixed(figures.residual_over(s, over), source, k)
+        if before is None or session.view.pop("moved", "") != "yes" or len(before.series[k]) != len(s):
+            Chart(after, "The residual over position").classes("tall").props["data-moved"] = "yes"
+            return
+        began = before.series[k]
+        rows = figures.drawn(began, began.channels[over])
+        chart = Chart(
+            _fixed(figures.residual_over(began, over, "", rows), source, k), "The residual over position"
+        ).classes("tall")
+        target = _fixed(figures.residual_over(s, over, "", rows), source, k)
+        ui.timer(0.6, lambda: chart.morph(target), once=True)
+
+
+def _before(session: TabSession) -> CompareView | None:
+    came = session.view.pop("came_from", "")
+    at = int(came) if came else session.at - 1
+    return session.steps[at].compared if 0 <= at < len(session.steps) else None
+
+
+def _fixed(figure: dict[str, Any], scale: CompareView, k: int) -> dict[str, Any]:
+    """The figure on the scale of the larger residual, so that what falls is seen to fall."""
+    most = 1.08 * float(np.abs(scale.series[k].left).max())
+    figure["layout"]["yaxis"]["range"] = [-most, most]
+    return figure
+
+
+def commands(session: TabSession, out: str) -> list[str]:
+    """What does the same on the command line, up to the step that is shown.
+
+    Args:
+        session: the tab.
+        out: file that holds it.
+    """
+    lines: list[list[str]] = []
+    source = session.model
+    for k in range(1, session.at + 1):
+        kind, *rest = session.steps[k].words
+        last = k == session.at
+        target = out if last else session.saved.get(k, f"step-{k}.toml")
+        if kind == "improve":
+            if not last and session.steps[k + 1].words[0] == "improve":
+                continue  # one command makes all of its steps
+            lines.append(["rtec", "improve", source, *session.chosen, "-o", target])
+        else:
+            lines.append(["rtec", "add", source, *rest, "--data", *session.chosen, "-o", target])
+        source = target
+    return [" ".join(quote(w) for w in line) for line in lines]
+
+
+def _save(session: TabSession) -> None:
+    if session.at == 0:
+        return
+    with ui.element("div").classes("card"):
+        Words("h2", "Save the model")
+        kept = session.saved.get(session.at)
+        if kept:
+            Words("p", f"Saved as {kept}.", "lead").props('role="status"')
+        name = draft(session, f"save_{session.at}", "File for the model", kept or _free_name(session))
+        shown = ui.element("div").style("display: grid; gap: .5rem")
+
+        def show() -> None:
+            shown.clear()
+            with shown:
+                lines = commands(session, name.value or "better.toml")
+                Words("p", "The same on the command line, in this folder:", "small")
+                for line in lines:
+                    command(line)
+
+        def save() -> None:
+            try:
+                keep(session, name.value or "")
+            except RtecError as e:
+                name.error = str(e)
+
+        name.on_value_change(show)
+        show()
+        button("Save", save, main=True)
+
+
+def keep(session: TabSession, name: str) -> None:
+    """Save the model of the step that is shown, as the command line saves it.
+
+    Raises:
+        RtecError: the name is not possible, or is that of another file.
+    """
+    from rtec.model import save_model
+
+    path = session.folder.path(name)
+    if path.suffix != ".toml":
+        raise RtecError(f"{name}: a model file ends in .toml")
+    if path.exists() and name not in session.saved.values():
+        raise RtecError(f"{name}: another file of that name is in the folder; give the model a new name")
+    save_model(session.steps[session.at].model, path)
+    session.saved = {k: n for k, n in session.saved.items() if n != name} | {session.at: name}
+    session.trouble = ""
+    session.look()
+    session.on_change()
+
+
+def _free_name(session: TabSession) -> str:
+    taken = {p.name for p in session.folder.root.glob("*.toml")}
+    return next(n for n in ("better.toml", *(f"better-{k}.toml" for k in range(2, 999))) if n not in taken)

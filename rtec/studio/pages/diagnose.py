@@ -1,0 +1,195 @@
+"""Diagnose: which effect is missing, with its curve through the residual, its rivals, and what could not be seen."""
+
+import numpy as np
+from nicegui import ui
+
+from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.diagnosis.words import UNITS, labels
+from rtec.effects import Effect
+from rtec.studio import actions, figures
+from rtec.studio.chart import Chart
+from rtec.studio.parts import Words, button, heading, lacking, section, tiles, trouble
+from rtec.studio.session import TabSession
+from rtec.studio.tasks import SHOWN, DiagnosisView, Wanted
+from rtec.wording import counted, number, percent, probability
+
+FIRST = 3
+"""Candidates that are not folded away."""
+WIDE, HIGH = 220, 100
+"""Of the picture of an effect."""
+
+
+def build(session: TabSession) -> None:
+    """The page."""
+    heading("Diagnose")
+    trouble(session)
+    if lacking(session):
+        return
+    step = session.step
+    view = step.diagnosed if step is not None else None
+    if view is None:
+        Words(
+            "p",
+            "Every effect of the catalogue is tested on all measurements at once. It takes some seconds; the pages "
+            "stay usable, and you can cancel it.",
+            "lead",
+        )
+        with ui.element("div").classes("row"):
+            button(
+                "Find the missing effect",
+                lambda: actions.diagnose(session),
+                main=True,
+                off="" if session.job is None else "other work is not finished",
+            )
+        return
+    _verdict(view)
+    tiles(view.page.numbers)
+    if view.found.findings or 0 in view.curves:
+        with ui.element("div").classes("split"):
+            _curve(session, view)
+            with ui.element("div").style("display: grid; gap: 1rem"):
+                _cards(session, view)
+    _rest(view)
+    with ui.element("div").classes("row"):
+        button("Test again", lambda: actions.diagnose(session))
+
+
+def _verdict(view: DiagnosisView) -> None:
+    d = view.found
+    kinds = {
+        "missing_effect": "An effect is missing",
+        "ambiguous": "One of several effects is missing",
+        "unknown_effect": "Something is missing that the catalogue does not have",
+        "nothing_missing": "Nothing is missing",
+    }
+    kind = "good" if d.verdict == "nothing_missing" and not d.out_of_date else "bad"
+    with ui.element("div").classes(f"card {kind}").props('role="status"'):
+        Words(
+            "h2",
+            kinds[d.verdict]
+            if not (d.verdict == "nothing_missing" and d.out_of_date)
+            else "No effect is missing, but the model's numbers are out of date",
+        )
+        Words("p", view.page.lead, "lead")
+
+
+def _curve(session: TabSession, view: DiagnosisView) -> None:
+    rank = session.rank if session.rank in view.curves else next(iter(view.curves), None)
+    with ui.element("div").classes("card stick"):
+        if rank is None:
+            Words("p", "There is no curve to show.")
+            return
+        for e in view.curves[rank][:2]:
+            Words("h2", e.title)
+            Chart(figures.evidence_figure(e), f"Residual and fitted effect: {e.title}")
+
+
+def _cards(session: TabSession, view: DiagnosisView) -> None:
+    d = view.found
+    shown = d.findings[:SHOWN]
+    cards = list(zip(shown, labels(shown), strict=True))
+    for f, label in cards[:FIRST]:
+        _card(session, d, f, label)
+    if cards[FIRST:]:
+        with ui.element("details").props("open" if session.rank > FIRST else ""):
+            Words("summary", counted(len(cards) - FIRST, "more candidate"))
+            with ui.element("div").style("display: grid; gap: 1rem; margin-top: .6rem"):
+                for f, label in cards[FIRST:]:
+                    _card(session, d, f, label)
+    u = d.unknown
+    if u is not None and u.expression:
+        with ui.element("div").classes(f"card {'chosen' if session.rank == 0 else ''}"):
+            Words("h2", "The nearest simple expression")
+            Words("p", f"{u.expression}, feeds {u.feeds}")
+            Words("p", "It describes the shape of the error, not its cause.", "small")
+            wanted = Wanted("", u.feeds, (), u.expression, u.parameters)
+            with ui.element("div").classes("row"):
+                button("Show its curve", lambda: _show(session, 0))
+                button("Add", lambda: _add(session, wanted), main=not (shown and shown[0].accepted))
+
+
+def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
+    unit = UNITS[d.unit]
+    about = type(f.effect).about
+    with ui.element("div").classes(f"card {'chosen' if session.rank == f.rank else ''}"):
+        Words("h2", f"{f.rank}. {about.title}")
+        Words("p", f"{label}: {about.equation}")
+        with ui.element("div").classes("row start"):
+            _picture(type(f.effect))
+            with ui.element("div"):
+                fall = percent(f.heldout_drop) if f.heldout_drop > 0.005 else "does not fall"
+                Words("p", f"Size: {number(f.size_um)} {unit}")
+                Words("p", f"Held-out error: {'falls by ' if f.heldout_drop > 0.005 else ''}{fall}")
+                Words("p", f"Probability: {probability(f.confidence)}")
+        if f.why_not:
+            Words("p", f.why_not, "small")
+        for alike in [a for a in f.confused_with if not a.apart][:3]:
+            test = f" To separate them: {alike.separating_test}." if alike.separating_test else ""
+            Words("p", f"Cannot be distinguished from {alike.label} by these data.{test}", "small")
+        with ui.element("div").classes("row"):
+            if f.rank in session_curves(session):
+                button("Show its curve", lambda: _show(session, f.rank))
+            if f.partner is None:
+                button("Add", lambda: _add(session, Wanted.of(f)), main=f.accepted and f.rank == 1)
+            else:
+                Words(
+                    "p", f"Only together with {f.partner.label}: Improve on the page Add and watch adds both.", "small"
+                )
+
+
+def session_curves(session: TabSession) -> list[int]:
+    """Ranks that have a curve."""
+    step = session.step
+    return list(step.diagnosed.curves) if step is not None and step.diagnosed is not None else []
+
+
+def _picture(kind: type[Effect]) -> None:
+    """The shape of an effect from the catalogue, drawn with its usual size; curves after the first are dashed."""
+    from rtec.report.effects_figures import shape_of
+
+    shape = shape_of(kind)
+    if shape is None:
+        return
+    x, curves = shape.x, [np.broadcast_to(c.error, shape.x.shape) for c in shape.curves]
+    low, high = min(float(np.min(c)) for c in curves), max(float(np.max(c)) for c in curves)
+    across = WIDE * (x - x.min()) / max(float(np.ptp(x)), 1e-12)
+    with ui.element("figure").style("margin: 0"):
+        with ui.element("svg").classes("shape").props(f'viewBox="-4 -4 {WIDE + 8} {HIGH + 8}" role="img"') as svg:
+            svg.props["aria-label"] = f"Shape of the effect over {shape.over}"
+            for k, c in enumerate(curves):
+                down = HIGH * (high - c) / max(high - low, 1e-12)
+                d = "M" + " L".join(f"{a:.1f},{b:.1f}" for a, b in zip(across[::4], down[::4], strict=True))
+                path = ui.element("path").classes(f"line{k % 3}")
+                path.props["d"] = d
+        Words("figcaption", f"over {shape.over}", "small")
+
+
+def _show(session: TabSession, rank: int) -> None:
+    session.rank = rank
+    session.on_change()
+
+
+async def _add(session: TabSession, wanted: Wanted) -> None:
+    if await actions.add(session, [wanted]):
+        session.view["moved"] = "yes"
+        session.go("add")
+
+
+def _rest(view: DiagnosisView) -> None:
+    titles = {
+        "Tested and absent": "Looked for and not there",
+        "Not testable with these readings": "What could not be seen",
+    }
+    for part in view.page.sections:
+        if part.heading in titles:
+            with ui.element("div").classes("card"):
+                Words("h2", titles[part.heading])
+                Words("p", part.text[0] if part.text else "")
+                from rtec.studio.parts import table
+
+                if part.table is not None:
+                    with ui.element("details"):
+                        Words("summary", f"{len(part.table.rows)} effects")
+                        table(part.table)
+        else:
+            section(part)

@@ -1,0 +1,253 @@
+"""Measurements: drop or choose files, see what they hold, choose the machine and the model to compare with."""
+
+from collections.abc import Callable
+from shlex import quote
+
+from nicegui import events, ui
+
+from rtec.errors import RtecError
+from rtec.studio import tasks
+from rtec.studio.jobs import Job
+from rtec.studio.parts import Area, Words, button, command, draft, heading, trouble
+from rtec.studio.session import TabSession
+from rtec.studio.tasks import Summary
+from rtec.text import clean
+from rtec.wording import counted
+
+LARGEST_UPLOAD = 512 * 1024 * 1024
+
+
+def build(session: TabSession) -> None:
+    """The page."""
+    heading("Measurements")
+    trouble(session)
+    there = session.listing
+    if not (there.machines or there.measurements or there.foreign):
+        _empty(session)
+    _drop(session)
+    with ui.element("div").classes("pair"):
+        _machine(session)
+
+    def redo_model() -> None:
+        model.redo()
+
+    with ui.element("div").classes("card"):
+        Words("h2", "Measurements in the folder")
+        listed = Area(lambda: _measurements(session, redo_model))
+    with ui.element("div").classes("card"):
+        Words("h2", "Model")
+        model = Area(lambda: _model(session))
+    ui.timer(0.05, lambda: _look(session, listed), once=True)
+
+
+def _empty(session: TabSession) -> None:
+    with ui.element("div").classes("card good"):
+        Words("h2", "This folder has no measurements yet")
+        Words(
+            "p",
+            "Drop your files below. Or try it with a simulated turning centre: two laser measurements of a machine "
+            "with errors that its model does not know.",
+        )
+        with ui.element("div").classes("row"):
+            button("Try it with an example", lambda: _try_it(session), main=True)
+
+
+async def _try_it(session: TabSession) -> None:
+    from rtec.studio import example
+
+    await session.work("Making the example", tasks.try_it, session.folder.root)
+    if not session.trouble:
+        session.look()
+        session.machine, session.model = example.MACHINE, example.MODEL
+        session.chosen = tuple(f"{n}.csv" for n in example.BEAMS)
+        session.forget()
+        session.on_change()
+
+
+def _drop(session: TabSession) -> None:
+    async def take(event: events.UploadEventArguments) -> None:
+        name = event.file.name
+        try:
+            session.folder.write(name, await event.file.read())
+            session.trouble = ""
+        except RtecError as e:
+            session.trouble = str(e)
+        session.look()
+        session.on_change()
+
+    ui.upload(
+        multiple=True,
+        auto_upload=True,
+        max_file_size=LARGEST_UPLOAD,
+        on_upload=take,
+        label="Drop files here, or press + to choose them: measurements, tables, machine and model files",
+    ).props('flat aria-label="Drop files"')
+
+
+async def _look(session: TabSession, listed: Area) -> None:
+    """Read what has not been read yet."""
+    known = {s.file for s in session.summaries.values()}
+    todo = [n for n in session.listing.measurements if n not in known]
+    if not session.machine or not todo:
+        return
+    machine = session.machine
+    try:
+        # Beside other work: whoever does not look at the list does not wait for it.
+        found = await Job("Reading", lambda: None).run(tasks.summaries, session.folder.root, todo, session.machine_path)
+    except RtecError as e:
+        found = tuple(Summary(name, trouble=str(e)) for name in todo)
+    if session.machine == machine:
+        session.summaries |= {s.file: s for s in found}
+        listed.redo()
+
+
+def _measurements(session: TabSession, used: Callable[[], None]) -> None:
+    there = session.listing
+    if not there.measurements:
+        Words(
+            "p", "None yet. A measurement is a table (CSV or Parquet) with a TOML of the same name beside it.", "small"
+        )
+    elif not session.machine:
+        Words("p", "Choose the machine above; then they can be read.", "small")
+    if there.measurements:
+        _list(session, used)
+    if there.foreign:
+        Words("h2", "Tables of other programs")
+        for name in there.foreign:
+            Words("p", name)
+    if there.more:
+        Words("p", f"{counted(there.more, 'more file')} in the folder; only the first are listed.", "small")
+
+
+def _list(session: TabSession, used: Callable[[], None]) -> None:
+    with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
+        with ui.element("thead"), ui.element("tr"):
+            for name in ("Use", "File", "Instrument", "Runs", "Readings", "Span", "Temperatures"):
+                Words("th", name, "" if name in ("Runs", "Readings") else "words").props("scope=col")
+        with ui.element("tbody"):
+            for name in session.listing.measurements:
+                _row(session, name, used)
+
+
+def _row(session: TabSession, name: str, used: Callable[[], None]) -> None:
+    s = session.summaries.get(name, Summary(name))
+
+    def use(event: events.ValueChangeEventArguments[bool | None]) -> None:
+        chosen = {*session.chosen, name} if event.value else set(session.chosen) - {name}
+        session.chosen = tuple(n for n in session.listing.measurements if n in chosen)
+        session.forget()
+        session.on_names()
+        used()
+
+    with ui.element("tr").classes("picked" if name in session.chosen else ""):
+        with ui.element("td").classes("words"):
+            box = ui.checkbox(value=name in session.chosen, on_change=use)
+            box.props["aria-label"] = f"use {clean(name)}"
+            if s.trouble:
+                box.disable()
+        Words("td", name, "words")
+        if s.trouble:
+            Words("td", s.trouble, "words trouble").props("colspan=5")
+            return
+        Words("td", " ".join([s.instrument, s.axis]).strip() or "…", "words")
+        Words("td", str(s.runs) if s.rows else "")
+        Words("td", str(s.rows) if s.rows else "")
+        spans = [f"{axis} {low:.0f} to {high:.0f} mm" for axis, (low, high) in s.span.items()]
+        Words("td", "\n".join([*spans, *([f"{s.hours:.1f} h"] if s.rows else [])]), "words").style(
+            "white-space: pre-line"
+        )
+        warm = [f"{sensor} {low:.1f} to {high:.1f} °C" for sensor, (low, high) in s.sensors.items()]
+        with ui.element("td").classes("words"):
+            if warm:
+                with ui.element("details"):
+                    Words("summary", counted(len(warm), "sensor"))
+                    for line in warm:
+                        Words("div", line, "small")
+            for note in s.notes:
+                Words("div", note, "small")
+
+
+def _machine(session: TabSession) -> None:
+    def choose(event: events.ValueChangeEventArguments[str | None]) -> None:
+        session.machine, session.summaries = event.value or "", {}
+        session.forget()
+        session.on_change()
+
+    with ui.element("div").classes("card"):
+        Words("h2", "Machine")
+        if not session.listing.machines:
+            Words("p", "No machine file in the folder; drop one above.", "small")
+            return
+        names = {n: clean(n) for n in session.listing.machines}
+        ui.select(names, value=session.machine or None, label="Machine file", on_change=choose).props(
+            "outlined options-html=false"
+        )
+
+
+def _model(session: TabSession) -> None:
+    def choose(event: events.ValueChangeEventArguments[str | None]) -> None:
+        session.model = event.value or ""
+        session.forget()
+        session.on_change()
+
+    if session.listing.models:
+        names = {n: clean(n) for n in session.listing.models}
+        ui.select(names, value=session.model or None, label="Model file", on_change=choose).props("outlined")
+    else:
+        Words("p", "No model in the folder yet. Fit a first one:", "small")
+    _fit(session)
+    if not session.lacks:
+        button("Compare the model with the measurements", lambda: session.go("compare"), main=True)
+
+
+def _fit(session: TabSession) -> None:
+    ready = bool(session.machine and session.chosen)
+    with ui.element("details").props("" if session.listing.models else "open"):
+        Words("summary", "Fit a first model")
+        name = draft(session, "fit_out", "File for the model", _free_name(session))
+        effects = draft(session, "fit_effects", "Effects (empty: chosen on held-out runs)", "", "scale,backlash")
+        shown = ui.element("div")
+
+        def show() -> None:
+            shown.clear()
+            with shown:
+                more = ["--effects", effects.value] if effects.value else []
+                given = ["rtec", "fit", session.machine, *session.chosen, "-o", name.value or "model.toml", *more]
+                command(" ".join(quote(w) for w in given), "The same on the command line:")
+
+        async def fit() -> None:
+            try:
+                out = session.folder.path(name.value or "")
+                if out.suffix != ".toml":
+                    raise RtecError(f"{out.name}: a model file ends in .toml")
+                if out.exists():
+                    raise RtecError(
+                        f"{out.name}: another file of that name is in the folder; give the model a new name"
+                    )
+            except RtecError as e:
+                name.error = str(e)
+                return
+            said = await session.work(
+                "Fitting", tasks.fit, session.machine_path, session.files, out, (effects.value or "").strip()
+            )
+            if said is not None:
+                session.look()
+                session.view.pop("fit_out", None)
+                session.model = out.name
+                session.forget()
+                session.on_change()
+
+        for field in (name, effects):
+            field.on_value_change(show)
+        show()
+        button(
+            "Fit",
+            fit,
+            main=not session.listing.models,
+            off="" if ready else "choose the machine and at least one measurement first",
+        )
+
+
+def _free_name(session: TabSession) -> str:
+    taken = {*session.listing.models, *session.listing.machines}
+    return next(n for n in ("model.toml", *(f"model-{k}.toml" for k in range(2, 999))) if n not in taken)

@@ -1,0 +1,173 @@
+"""What the pages are put together from: sentences, tables, commands to copy. Every text is text, never HTML."""
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from nicegui import events, ui
+from nicegui.elements.mixins.text_element import TextElement
+
+from rtec.errors import RtecError
+from rtec.report.page import Section, Table
+from rtec.studio.session import TabSession
+from rtec.text import clean_lines
+
+POINTS_OF_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d*|[+-]?\d{1,3}(\.\d{3}){2,}")
+COMMAS_OF_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*|[+-]?\d{1,3}(,\d{3}){2,}")
+
+
+class Words(TextElement):
+    """An HTML element with a text in it; the text is shown as it is."""
+
+    def __init__(self, tag: str, text: str, kind: str = "") -> None:
+        super().__init__(tag=tag, text=clean_lines(text))
+        if kind:
+            self.classes(kind)
+
+
+def number(text: str) -> float:
+    """Read a number as it is written in German or English: 12,5 and 12.5, 1.234,5 and 1,234.5.
+
+    One mark alone is the decimal one.
+
+    Raises:
+        RtecError: it is none.
+    """
+    plain = re.sub(r"[\s\u00a0\u202f']", "", text).replace("−", "-")
+    if POINTS_OF_THOUSANDS.fullmatch(plain):
+        plain = plain.replace(".", "").replace(",", ".")
+    elif COMMAS_OF_THOUSANDS.fullmatch(plain):
+        plain = plain.replace(",", "")
+    else:
+        plain = plain.replace(",", ".")
+    if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", plain):
+        raise RtecError(f"{text!r} is no number, for example 12.5 or 12,5")
+    return float(plain)
+
+
+class Area:
+    """A part of a page that is built again by itself, so that the rest keeps its place, its texts and the focus.
+
+    Args:
+        build: puts its content there.
+    """
+
+    def __init__(self, build: Callable[[], None]) -> None:
+        self._build, self._box = build, ui.element("div").classes("area")
+        with self._box:
+            build()
+
+    def redo(self) -> None:
+        """Build it again."""
+        if not self._box.is_deleted:
+            self._box.clear()
+            with self._box:
+                self._build()
+
+
+def draft(session: TabSession, key: str, label: str, value: str = "", placeholder: str = "") -> ui.input:
+    """A text field whose text outlives the page.
+
+    Args:
+        session: that keeps it.
+        key: under which it is kept.
+        label: of the field.
+        value: at the beginning.
+        placeholder: an example.
+    """
+
+    def keep(event: events.ValueChangeEventArguments[str | None]) -> None:
+        session.view[key] = event.value or ""
+
+    made = ui.input(label, value=session.view.get(key, value), placeholder=placeholder, on_change=keep)
+    return made.props("outlined")
+
+
+def heading(text: str) -> None:
+    """The page's own heading."""
+    Words("h1", text)
+
+
+def trouble(session: TabSession) -> None:
+    """Why the last work failed."""
+    if session.trouble:
+        with ui.element("div").classes("card bad").props('role="alert"'):
+            Words("p", session.trouble, "trouble")
+
+
+def lacking(session: TabSession) -> bool:
+    """Say what is missing before anything can be shown here; gives whether something is."""
+    if not session.lacks:
+        return False
+    with ui.element("div").classes("card"):
+        Words("p", session.lacks, "lead")
+        button("Measurements", lambda: session.go("measurements"), main=True)
+    return True
+
+
+def button(text: str, action: Callable[[], Any], *, main: bool = False, off: str = "", bad: bool = False) -> ui.button:
+    """A button.
+
+    Args:
+        text: on it.
+        action: what it does.
+        main: whether it is the one to press next.
+        off: why it cannot be pressed now; empty where it can.
+        bad: whether it takes something away.
+    """
+    made = ui.button(text, on_click=action, color=None).props("no-caps unelevated")
+    made.classes("main" if main else "plain bad" if bad else "plain")
+    if off:
+        made.disable()
+        made.tooltip(clean_lines(off))
+    return made
+
+
+def tiles(numbers: Sequence[tuple[str, str]]) -> None:
+    """Big numbers, each with its meaning."""
+    if not numbers:
+        return
+    with ui.element("div").classes("tiles"):
+        for value, meaning in numbers:
+            with ui.element("div").classes("tile"):
+                Words("b", value)
+                Words("span", meaning)
+
+
+def table(content: Table) -> None:
+    """A table of texts."""
+    with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
+        if content.caption:
+            Words("caption", content.caption, "small").style("caption-side: bottom; text-align: left")
+        with ui.element("thead"), ui.element("tr"):
+            for k, name in enumerate(content.head):
+                Words("th", name, "words" if k in content.words else "").props("scope=col")
+        with ui.element("tbody"):
+            for row in content.rows:
+                with ui.element("tr"):
+                    for k, cell in enumerate(row):
+                        Words("td", cell, "words" if k in content.words else "")
+
+
+def section(content: Section, *, opened: bool = False) -> None:
+    """A section of a report, folded up."""
+    if content.table is None and not content.text:
+        return
+    with ui.element("details").classes("card").props("open" if opened else ""):
+        Words("summary", content.heading)
+        for sentence in content.text:
+            if sentence.startswith("rtec "):
+                command(sentence)
+            else:
+                Words("p", sentence)
+        if content.table is not None:
+            table(content.table)
+
+
+def command(text: str, label: str = "") -> None:
+    """A command that can be copied."""
+    if label:
+        Words("p", label, "small")
+    with ui.element("div").classes("row"):
+        Words("div", text, "command").props(f'tabindex=0 aria-label="{"command"}"')
+        button("Copy", lambda: ui.clipboard.write(text))

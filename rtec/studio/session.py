@@ -1,0 +1,192 @@
+"""What one browser tab works on: one typed object, from the opened folder to the steps of the model."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
+
+from rtec.errors import RtecError
+from rtec.studio.folder import Folder, Listing
+from rtec.studio.jobs import Cancelled, Job, Reporter
+
+if TYPE_CHECKING:
+    from rtec.model import Model
+    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, Summary
+
+Ts = TypeVarTuple("Ts")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class ModelStep:
+    """One state of the model.
+
+    Attributes:
+        model: as it is.
+        label: what was done to get here, in words.
+        words: of the command that does it, behind `rtec`, without model and files; empty for the model as it was read.
+        added: what came of it; None for the model as it was read.
+        compared, diagnosed: once they were made.
+    """
+
+    model: Model
+    label: str
+    words: tuple[str, ...] = ()
+    added: AddedView | None = None
+    compared: CompareView | None = None
+    diagnosed: DiagnosisView | None = None
+
+
+@dataclass
+class TabSession:
+    """One tab.
+
+    Attributes:
+        folder: that is opened.
+        listing: its files.
+        machine, model: names of the files that are used; empty: none yet.
+        chosen: names of the measurements that are used.
+        summaries: of all measurements.
+        steps: the model as it was read, and after each addition; `at` is where undo and redo have gone.
+        saved: name of the file that holds the step, by number of the step.
+        job: what runs now; None: nothing.
+        trouble: why the last work failed, in a sentence.
+        improved: why the last improvement ended.
+        question: what the work asks now, with the answer that it waits for.
+        rank: candidate that is shown.
+        view: what Compare draws over what, by name of the plot's setting.
+    """
+
+    folder: Folder
+    listing: Listing = field(default_factory=Listing)
+    machine: str = ""
+    model: str = ""
+    chosen: tuple[str, ...] = ()
+    summaries: dict[str, Summary] = field(default_factory=dict)
+    steps: tuple[ModelStep, ...] = ()
+    at: int = 0
+    saved: dict[int, str] = field(default_factory=dict)
+    job: Job | None = None
+    trouble: str = ""
+    improved: str = ""
+    question: tuple[Any, asyncio.Future[Any]] | None = None
+    rank: int = 1
+    view: dict[str, str] = field(default_factory=dict)
+    on_progress: Callable[[], None] = lambda: None
+    on_change: Callable[[], None] = lambda: None
+    on_names: Callable[[], None] = lambda: None
+    go: Callable[[str], None] = lambda _: None
+
+    @property
+    def step(self) -> ModelStep | None:
+        """Where undo and redo are; None before a model was read."""
+        return self.steps[self.at] if self.steps else None
+
+    @property
+    def files(self) -> list[Path]:
+        """Tables of the measurements that are used."""
+        return [self.folder.existing(name) for name in self.chosen]
+
+    @property
+    def machine_path(self) -> Path:
+        """File of the machine."""
+        return self.folder.existing(self.machine)
+
+    @property
+    def model_path(self) -> Path:
+        """File of the model as it was read."""
+        return self.folder.existing(self.model)
+
+    @property
+    def lacks(self) -> str:
+        """What is missing before a model can be compared, in a sentence; empty where nothing is."""
+        if not self.machine:
+            return "Choose a machine file on the page Measurements."
+        if not self.chosen:
+            return "Choose at least one measurement on the page Measurements."
+        return "" if self.model else "Choose or fit a model on the page Measurements."
+
+    def look(self) -> None:
+        """Read the folder's listing; what is gone is no longer chosen, and what is the only one of its kind is."""
+        try:
+            self.listing = self.folder.listing()
+        except RtecError as e:
+            self.listing, self.trouble = Listing(), str(e)
+        self.machine = _kept(self.machine, self.listing.machines)
+        model = _kept(self.model, self.listing.models)
+        if model != self.model:
+            self.model = model
+            self.forget()
+        self.chosen = tuple(n for n in self.chosen if n in self.listing.measurements)
+
+    def forget(self) -> None:
+        """Forget every step: model or measurements are others."""
+        self.steps, self.at, self.saved, self.improved, self.rank = (), 0, {}, "", 1
+
+    def push(self, step: ModelStep) -> None:
+        """Go on from here; what was undone is gone."""
+        self.steps = (*self.steps[: self.at + 1], step)
+        self.at = len(self.steps) - 1
+        self.saved = {k: name for k, name in self.saved.items() if k < self.at}
+        self.rank = 1
+
+    def keep(self, **known: Any) -> None:
+        """Keep with this step what was worked out about it."""
+        steps = list(self.steps)
+        steps[self.at] = replace(steps[self.at], **known)
+        self.steps = tuple(steps)
+
+    async def work(self, title: str, task: Callable[[Reporter, *Ts], R], *args: *Ts) -> R | None:
+        """Have work done in another process; None where it failed (`trouble` says why) or was cancelled."""
+        if self.job is not None:
+            self.trouble = f"{self.job.title} is not finished; wait for it, or cancel it."
+            self.on_change()
+            return None
+        self.trouble = ""
+        self.job = Job(title, self.on_progress_now, self._asked)
+        self.on_progress()
+        try:
+            return await self.job.run(task, *args)
+        except RtecError as e:
+            self.trouble = str(e)
+        except Cancelled:
+            self.trouble = f"{title}: cancelled; nothing was changed."
+        finally:
+            self.job, self.question = None, None
+            self.on_progress()
+        self.on_change()
+        return None
+
+    def on_progress_now(self) -> None:
+        """What the tab shows may be another function by now."""
+        self.on_progress()
+
+    def answer(self, value: Any) -> None:
+        """Answer what the work asks."""
+        if self.question is not None and not self.question[1].done():
+            question, self.question = self.question, None
+            question[1].set_result(value)
+            self.on_change()
+
+    def _asked(self, question: Any) -> asyncio.Future[Any]:
+        from rtec.studio.tasks import StepDone
+
+        answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        if isinstance(question, StepDone):
+            view = question.view
+            label = ", ".join(view.added.labels) or "numbers refitted"
+            self.push(ModelStep(view.added.model, label, ("improve",), view, view.compared))
+            answer.set_result(True)
+        else:
+            self.question = question, answer
+        self.on_change()
+        return answer
+
+
+def _kept(name: str, there: tuple[str, ...]) -> str:
+    if name in there:
+        return name
+    return there[0] if len(there) == 1 else ""

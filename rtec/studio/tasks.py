@@ -1,0 +1,503 @@
+"""What a worker process does for a page: load, compare, diagnose, add, improve, fit. Results are small and plain.
+
+Each task takes who it reports to first. The numbers are those of the command line: the same functions with the same
+arguments.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import ModelError, RtecError
+from rtec.studio.jobs import Reporter
+
+if TYPE_CHECKING:
+    from rtec.diagnosis.compare.result import Comparison
+    from rtec.diagnosis.extend.add import Added
+    from rtec.diagnosis.result import Diagnosis, Finding
+    from rtec.estimation.readings import Readings, Series
+    from rtec.model import Model
+    from rtec.report.evidence import Evidence
+    from rtec.report.page import Page
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A measurement in a list.
+
+    Attributes:
+        file: name of its table.
+        instrument, axis: what read it; `reads` are its reading columns.
+        rows, runs: how many.
+        hours: from first to last reading.
+        sensors: temperatures that were recorded, each with its lowest and highest value, °C.
+        span: by axis that moved, lowest and highest position, mm.
+        notes: what its reader says, in words.
+        trouble: why it cannot be used, in words; empty where it can.
+    """
+
+    file: str
+    instrument: str = ""
+    axis: str = ""
+    reads: tuple[str, ...] = ()
+    rows: int = 0
+    runs: int = 0
+    hours: float = 0.0
+    sensors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    span: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class SeriesView:
+    """One reading column, reading by reading, ready to be drawn.
+
+    Attributes:
+        name: of the measurement, with its column where it has several.
+        unit: "µm" or "µrad".
+        row, run: place in the file, counted from 1, and run, (n,).
+        channels: title with unit, and values (n,), of everything that it can be drawn over, most useful first.
+        sensors: titles of those that are temperatures.
+        direction: -1, 0, +1, (n,).
+        measured, predicted: (n,).
+        floor: noise, root mean square.
+        residual: its root mean square.
+        first: number of its first reading among those of all columns.
+        angle_rad: of a ball bar's readings, (n,); None for other instruments.
+    """
+
+    name: str
+    unit: str
+    row: Ints
+    run: Ints
+    channels: Mapping[str, Floats]
+    sensors: tuple[str, ...]
+    direction: Floats
+    measured: Floats
+    predicted: Floats
+    floor: float
+    residual: float
+    first: int
+    angle_rad: Floats | None = None
+
+    @property
+    def left(self) -> Floats:
+        """Residual, (n,)."""
+        return self.measured - self.predicted
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+@dataclass(frozen=True)
+class OutlierView:
+    """A reading that was excluded as wrong: where it is, how far off, and in which unit."""
+
+    measurement: str
+    column: str
+    row: int
+    run: int
+    off: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class CompareView:
+    """A comparison.
+
+    Attributes:
+        page: in sentences and tables, without figures.
+        series: every reading column.
+        outliers: readings that do not count.
+        facts: as `rtec compare --json` prints them.
+    """
+
+    page: "Page"
+    series: tuple[SeriesView, ...]
+    outliers: tuple[OutlierView, ...]
+    facts: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class DiagnosisView:
+    """A diagnosis.
+
+    Attributes:
+        found: the diagnosis, without what only its figures need.
+        page: in sentences and tables, without figures.
+        curves: by rank, what shows the candidate in the residual; 0 is the shape without a name.
+    """
+
+    found: "Diagnosis"
+    page: "Page"
+    curves: Mapping[int, "tuple[Evidence, ...]"]
+
+
+@dataclass(frozen=True)
+class AddedView:
+    """An addition: what was made of it, its page without figures, and the readings under the new model."""
+
+    added: "Added"
+    page: "Page"
+    compared: CompareView
+
+
+def summaries(line: Reporter, folder: Path, names: Sequence[str], machine: Path) -> tuple[Summary, ...]:
+    """Look at measurements, one after the other; one that cannot be read says why."""
+    from rtec.machine import load_machine
+
+    known, out = load_machine(machine), []
+    for i, name in enumerate(names):
+        line.stage("reading the measurements", i, len(names))
+        out.append(_summary(folder / name, known))
+    return tuple(out)
+
+
+def _summary(path: Path, machine: Any) -> Summary:
+    from rtec.metrology.files.load import load_measurement
+
+    try:
+        m = load_measurement(path, machine)
+    except RtecError as e:
+        return Summary(path.name, trouble=str(e))
+    sensors = {s: _range(m.channels[s]) for s in machine.sensor_names if s in m.channels}
+    span = {
+        a.name: _range(m.channels[a.channel])
+        for a in machine.axes
+        if a.channel in m.channels and float(np.ptp(m.channels[a.channel])) > 0.0
+    }
+    return Summary(
+        path.name,
+        m.instrument.name,
+        str(getattr(m.instrument, "axis", "") or ""),
+        tuple(m.instrument.columns()),
+        len(m),
+        len(np.unique(m.run)),
+        float(m.time_s[-1] - m.time_s[0]) / 3600.0,
+        sensors,
+        span,
+        m.notes,
+    )
+
+
+def _range(values: Floats) -> tuple[float, float]:
+    good = values[np.isfinite(values)]
+    return (float(good.min()), float(good.max())) if len(good) else (float("nan"), float("nan"))
+
+
+def load_model(line: Reporter, model: Path, machine: Path) -> "Model":
+    """Read a model with its machine."""
+    from rtec.machine import load_machine
+    from rtec.model import load_model as load
+
+    line.stage("reading the model", 0, 0)
+    return load(model, load_machine(machine))
+
+
+def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) -> CompareView:
+    """Compare a model with measurements.
+
+    Args:
+        line: reported to.
+        model: the model.
+        files: tables of the measurements.
+        named: how the model is called in the command to type next.
+    """
+    from rtec.diagnosis.compare.compare import compare as compare_with
+    from rtec.metrology.files.load import load_measurements
+
+    measurements = load_measurements(files, model.machine)
+    return _compared(compare_with(model, measurements, stage=line.stage), [named, *files])
+
+
+def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
+    from rtec.report.compare import compare_page
+
+    wrong = [OutlierView(w.measurement, w.column, w.row + 1, w.run, w.off, w.unit) for w in c.judged.given.wrong]
+    items = zip(c.traces.readings.series, c.items, strict=True)
+    series = tuple(_series(c, s, item.floor, item.left.rms) for s, item in items)
+    return CompareView(compare_page(c, False, files), series, tuple(wrong), c.facts())
+
+
+def _series(c: "Comparison", s: "Series", floor: float, residual: float) -> SeriesView:
+    from rtec.diagnosis.search.picture import series_name
+    from rtec.metrology.instruments.ball_bar import BallBar
+
+    readings = c.traces.readings
+    channels, sensors, direction = _channels(readings, s)
+    instrument = readings.measurements[s.source].instrument
+    angle = readings.states[s.source].channels.get("angle_deg")
+    bar = isinstance(instrument, BallBar) and angle is not None
+    return SeriesView(
+        series_name(readings, s),
+        "µrad" if s.unit == "urad" else "µm",
+        s.row + 1,
+        s.run + 1,
+        channels,
+        sensors,
+        direction,
+        c.traces.measured[s.part],
+        c.traces.predicted[s.part],
+        floor,
+        residual,
+        s.start,
+        np.deg2rad(angle[s.row]) if bar and angle is not None else None,
+    )
+
+
+def _channels(readings: "Readings", s: "Series") -> tuple[dict[str, Floats], tuple[str, ...], Floats]:
+    """What a reading column can be drawn over; which of it are temperatures; the direction along the first axis."""
+    from rtec.diagnosis.words import titled
+
+    state, machine = readings.states[s.source], readings.machine
+    out: dict[str, Floats] = {}
+    direction: Floats = np.zeros(len(s))
+    axes = sorted(machine.axes, key=lambda a: -float(np.ptp(state.value(a.channel)[s.row])))
+    for axis in axes:
+        place = state.value(axis.channel)[s.row]
+        if float(np.ptp(place)) > 0.0:
+            if not out:
+                direction = np.sign(np.asarray(state.value(axis.direction_channel), dtype=np.float64)[s.row])
+            out[titled(axis.channel)] = place
+    hours = (s.time_s - s.time_s[0]) / 3600.0
+    out["time since the first reading, h"] = hours
+    warm = [n for n in machine.sensor_names if n in state.channels]
+    out |= {titled(n, "degC"): state.channels[n][s.row] for n in warm}
+    own = {a.channel for a in machine.axes} | {a.direction_channel for a in machine.axes} | set(warm)
+    out |= {
+        titled(n): np.asarray(v)[s.row] for n, v in state.channels.items() if n not in own and float(np.ptp(v)) > 0.0
+    }
+    if direction.any():
+        out["direction of motion"] = direction
+    out["run"] = np.asarray(s.run, dtype=np.float64) + 1.0
+    return out, tuple(titled(n, "degC") for n in warm), direction
+
+
+def diagnose(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> DiagnosisView:
+    """Find what a model misses."""
+    from dataclasses import replace
+
+    from rtec.diagnosis.search.diagnose import diagnose as find
+    from rtec.metrology.files.load import load_measurements
+    from rtec.report.diagnosis import diagnosis_page
+
+    found = find(model, load_measurements(files, model.machine), explain=True, stage=line.stage)
+    line.stage("drawing the candidates", 0, 0)
+    page = diagnosis_page(found, False, [named, *files], machine)
+    return DiagnosisView(replace(found, judged=None, picture=None), page, _curves(found))
+
+
+SHOWN = 8
+"""Candidates that get a card and a curve."""
+
+
+def _curves(d: "Diagnosis") -> dict[int, "tuple[Evidence, ...]"]:
+    from rtec.diagnosis.search.picture import of_effect
+    from rtec.report.evidence import evidence
+
+    out = {}
+    if d.picture is not None and d.picture.drivers:
+        out[0] = tuple(evidence(p) for p in (d.picture, *d.picture.others) if p.drivers)
+    if d.judged is None:
+        return out
+    for f in d.findings[:SHOWN]:
+        p = of_effect(d.judged.readings, d.judged.base.columns, d.judged.noise, f.label, f.effect, f.theta)
+        if p is not None and p.drivers:
+            out[f.rank] = tuple(evidence(q) for q in (p, *p.others) if q.drivers)
+    return out
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """An effect as `rtec add` takes it.
+
+    Attributes:
+        effect: its name; empty with `expression`.
+        component: that it feeds.
+        settings: other arguments, key=value.
+        expression, parameters: of an effect of one's own.
+    """
+
+    effect: str = ""
+    component: str = ""
+    settings: tuple[str, ...] = ()
+    expression: str = ""
+    parameters: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, finding: "Finding") -> "Wanted":
+        """What adds a candidate of a diagnosis."""
+        from rtec.report.diagnosis import as_typed
+
+        name, _, component, *rest = as_typed(finding.effect)
+        return cls(name, component, tuple(rest[1::2]))
+
+    @property
+    def words(self) -> list[str]:
+        """As typed behind `rtec add MODEL`."""
+        if self.expression:
+            params = [w for p in self.parameters for w in ("--param", p)]
+            return ["--expr", self.expression, *params, "--component", self.component]
+        return [self.effect, "--component", self.component, *(w for s in self.settings for w in ("--set", s))]
+
+    @property
+    def label(self) -> str:
+        """For a progress line."""
+        return self.expression or f"{self.effect}({self.component})"
+
+
+def add(line: Reporter, model: "Model", wanted: Sequence[Wanted], files: Sequence[Path], named: Path) -> AddedView:
+    """Add effects as `rtec add` does; none refits the model's own numbers."""
+    from rtec.diagnosis.extend.add import add as add_effects
+    from rtec.metrology.files.load import load_measurements
+
+    new = [_fitted(model, w) for w in wanted]
+    measurements = load_measurements(files, model.machine)
+    return _view_of(line, add_effects(model, new, measurements, stage=line.stage), measurements, [named, *files])
+
+
+def _view_of(line: Reporter, added: "Added", measurements: Sequence[Any], files: Sequence[Path]) -> AddedView:
+    from rtec.diagnosis.compare.compare import compare as compare_with
+    from rtec.report.additions import added_page
+
+    line.stage("comparing", 0, 0)
+    compared = compare_with(added.model, measurements, stage=line.stage)
+    return AddedView(added, added_page(added, False), _compared(compared, files))
+
+
+def _fitted(model: "Model", wanted: Wanted) -> Any:
+    from rtec.diagnosis.extend.add import asked_effect, new_effect
+
+    if wanted.expression:
+        from rtec.effects.expression import expression_from_text
+
+        if not wanted.component:
+            raise ModelError("name the component error that the expression feeds, for example EXX")
+        effect = expression_from_text(wanted.expression, list(wanted.parameters), wanted.component, model.machine)
+        return new_effect(effect, model)
+    return asked_effect(wanted.effect, wanted.component or None, list(wanted.settings), model)
+
+
+@dataclass(frozen=True)
+class StepDone:
+    """Told to the page after each step of an improvement: what was added, and the readings under the new model."""
+
+    view: AddedView
+
+
+@dataclass(frozen=True)
+class RefitQuestion:
+    """Asked before the model's own numbers are refitted: the error before and after."""
+
+    before: float
+    after: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class StepQuestion:
+    """Asked before a step.
+
+    Attributes:
+        diagnosis: with its candidates.
+        number: of the step, from 1.
+    """
+
+    diagnosis: DiagnosisView
+    number: int
+
+
+def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> str:
+    """Improve step by step, asking at each; give why it ended, in a sentence."""
+    from dataclasses import replace
+
+    from rtec.diagnosis.extend.improve import ProposedStep
+    from rtec.diagnosis.extend.improve import improve as go_on
+    from rtec.metrology.files.load import load_measurements
+    from rtec.report.additions import improved_page
+    from rtec.report.diagnosis import diagnosis_page
+
+    measurements = load_measurements(files, model.machine)
+
+    def ask(step: ProposedStep) -> "Finding | None":
+        d = step.diagnosis
+        page = diagnosis_page(d, False, [named, *files], machine)
+        view = DiagnosisView(replace(d, judged=None, picture=None), page, _curves(d))
+        rank = line.ask(StepQuestion(view, step.number))
+        return next((f for f in d.findings if f.rank == rank), None)
+
+    def ask_refit(made: "Added") -> bool:
+        return bool(line.ask(RefitQuestion(made.before.held_out, made.after.held_out, made.unit)))
+
+    def keep(made: "Added") -> None:
+        line.ask(StepDone(_view_of(line, made, measurements, [named, *files])))
+
+    done = go_on(model, measurements, ask=ask, ask_refit=ask_refit, stage=line.stage, step=keep)
+    return improved_page(done, False).lead
+
+
+def fit(line: Reporter, machine: Path, files: Sequence[Path], out: Path, effects: str) -> str:
+    """Fit a first model and write it, as `rtec fit` does; give what it says of it."""
+    from rtec.characterise import characterise, read_wanted
+    from rtec.machine import load_machine
+    from rtec.metrology.files.load import load_measurements
+    from rtec.model import save_model
+    from rtec.report.fit import fit_page
+
+    known = load_machine(machine)
+    wanted = read_wanted(effects, known) if effects else None
+    line.stage("reading", 0, 0)
+    measurements = load_measurements(files, known)
+    result = characterise(measurements, wanted=wanted, name=out.stem, stage=line.stage)
+    save_model(result.model, out)
+    return fit_page(result, False, [out, *files]).lead
+
+
+def try_it(line: Reporter, folder: Path) -> None:
+    """Write the tutorial's machine, two measurements with hidden effects, and a first model into a folder."""
+    from rtec.studio.example import write
+
+    write(line, folder)
+
+
+@dataclass(frozen=True)
+class Preview:
+    """An expression over the residual: what is drawn, and how much of the residual it takes, in words."""
+
+    evidence: "Evidence"
+    words: str
+
+
+def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path]) -> Preview:
+    """Fit an expression to the residual by plain least squares, its own parameters as they are given.
+
+    Raises:
+        RtecError: it cannot be read, or no reading shows it.
+    """
+    from rtec.diagnosis.search.picture import of_effect
+    from rtec.estimation.judge import Judgement
+    from rtec.estimation.outliers import clean
+    from rtec.metrology.files.load import load_measurements
+    from rtec.report.evidence import evidence
+    from rtec.wording import percent
+
+    del line
+    fitted = _fitted(model, wanted)
+    judged = Judgement(model, clean(load_measurements(files, model.machine), model.reference_degc))
+    p = of_effect(judged.readings, judged.base.columns, judged.flexible, wanted.label, fitted.effect, fitted.theta)
+    if p is None or not p.drivers:
+        raise ModelError(f"no reading shows {wanted.expression}; nothing that it depends on was moved")
+    before, after = float(np.mean(p.residual**2)), float(np.mean((p.residual - p.part) ** 2))
+    share = 1.0 - after / max(before, 1e-30)
+    fall = f"removes {percent(share)}" if share > 0.0 else "removes nothing"
+    return Preview(
+        evidence(p), f"With these parameters it {fall} of the mean square of the residual of these readings."
+    )

@@ -1,0 +1,128 @@
+"""A studio in a process of its own, a headless Chromium, and two lasers of a machine with a hidden backlash."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rtec.cli.main import status
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+ROOT = Path(__file__).parents[2]
+MACHINE = ROOT / "configs" / "machines" / "turning-centre.toml"
+CHROMIUM = shutil.which("chromium")
+TOKEN = "a-token-for-tests-only"  # noqa: S105
+WAIT_MS = 90_000
+HIDDEN = ("scale,component=EXX,axis=X,k=12", "backlash,component=EXX,axis=X,B=4")
+
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None, reason="needs chromium: apt-get install chromium fonts-dejavu-core"
+)
+
+
+@dataclass
+class RunningStudio:
+    """A studio that answers.
+
+    Attributes:
+        folder: that it opened.
+        address: with its key; `origin` is without.
+        process: of it.
+    """
+
+    folder: Path
+    address: str
+    process: "subprocess.Popen[str]"
+
+    @property
+    def origin(self) -> str:
+        """Scheme, host and port."""
+        return self.address.partition("/?")[0]
+
+
+@contextmanager
+def running_studio(folder: Path, *more: str) -> Iterator[RunningStudio]:
+    """A studio of a folder on a free port."""
+    command = [sys.executable, "-m", "rtec.cli.main", "studio", str(folder), "--port", "0", "--no-browser", *more]
+    env = {**os.environ, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(
+        [*command, "--token", TOKEN], stdout=subprocess.PIPE, text=True, cwd=folder, env=env, start_new_session=True
+    )
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        match = re.search(r"https?://\S+", line)
+        assert match, f"no address in {line!r}"
+        yield RunningStudio(folder, match[0], process)
+    finally:
+        process.terminate()
+        process.wait(20)
+        if process.stdout is not None:
+            process.stdout.close()
+
+
+@contextmanager
+def chromium() -> Iterator["Browser"]:
+    """A headless browser."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
+        )
+        yield browser
+        browser.close()
+
+
+@dataclass
+class Watched:
+    """A tab, and what it asked for and complained of."""
+
+    page: "Page"
+    requests: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+
+
+def tab(browser: "Browser", address: str, width: int = 1440, height: int = 1000) -> Watched:
+    """Open a tab at an address and wait until the page is there."""
+    page = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce").new_page()
+    page.set_default_timeout(WAIT_MS)
+    watched = Watched(page)
+    page.on("request", lambda r: watched.requests.append(r.url))
+    page.on("websocket", lambda w: watched.requests.append(w.url))
+    page.on("pageerror", lambda e: watched.complaints.append(str(e)))
+    page.on("console", lambda m: watched.complaints.append(m.text) if m.type == "error" else None)
+    page.goto(address)
+    page.wait_for_selector("h1")
+    return watched
+
+
+def simulated(folder: Path, name: str, seed: int, *more: str) -> Path:
+    """A laser along X of the machine with the hidden backlash; small, so that it is quickly diagnosed."""
+    effects = [word for e in HIDDEN for word in ("--effect", e)]
+    size = ["--cycles", "1", "--step", "23.3", "--noise", "0.3", "--seed", str(seed)]
+    made = [
+        "simulate",
+        str(MACHINE),
+        "-i",
+        "laser_linear",
+        "--axis",
+        "X",
+        *effects,
+        *size,
+        *more,
+        "-o",
+        str(folder / name),
+    ]
+    assert status(made) == 0
+    return folder / f"{name}.csv"

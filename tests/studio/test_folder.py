@@ -1,0 +1,98 @@
+"""The opened folder. Oracle: the files on disk, and the rule that nothing outside can be named."""
+
+from pathlib import Path
+
+import pytest
+
+from rtec.cli.main import status
+from rtec.errors import RtecError
+from rtec.studio.folder import Folder
+from tests.studio.studio_rig import MACHINE
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../x.toml",
+        "a/b.toml",
+        "a\\b.toml",
+        "/etc/passwd",
+        ".hidden",
+        "",
+        " ",
+        "x" * 200,
+        "a\nb.toml",
+        "a\x1b[2J.toml",
+        "<b>",
+    ],
+)
+def test_a_name_that_leads_out_or_cannot_be_shown_is_refused(name: str, tmp_path: Path) -> None:
+    """And nothing is written."""
+    with pytest.raises(RtecError):
+        Folder(tmp_path).write(name, b"x")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_that_leads_out_is_not_listed(tmp_path: Path) -> None:
+    """Neither as a machine nor as a table, and it cannot be opened."""
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    inside.mkdir()
+    outside.mkdir()
+    (outside / "secret.csv").write_text("1,2\n")
+    (inside / "secret.csv").symlink_to(outside / "secret.csv")
+    (inside / "machine.toml").symlink_to(MACHINE)
+    folder = Folder(inside)
+    assert folder.listing().foreign == folder.listing().machines == ()
+    with pytest.raises(RtecError, match="leads out"):
+        folder.existing("secret.csv")
+    with pytest.raises(RtecError):
+        folder.write("secret.csv", b"3,4\n")
+    assert (outside / "secret.csv").read_text() == "1,2\n"
+
+
+def test_a_file_takes_no_other_files_place(tmp_path: Path) -> None:
+    """The same content again is no fault; nothing half-written stays."""
+    folder = Folder(tmp_path)
+    folder.write("a.csv", b"1")
+    folder.write("a.csv", b"1")
+    with pytest.raises(RtecError, match="another file of that name"):
+        folder.write("a.csv", b"2")
+    assert (tmp_path / "a.csv").read_bytes() == b"1"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_files_are_listed_by_kind(tmp_path: Path) -> None:
+    """Of the shipped machine file, and of tables with and without a description."""
+    (tmp_path / "m.toml").write_bytes(MACHINE.read_bytes())
+    (tmp_path / "one.csv").write_text("run,time_s\n")
+    (tmp_path / "one.toml").write_text('[measurement]\ninstrument = "laser_linear"\n')
+    (tmp_path / "two.csv").write_text("a;b\n")
+    (tmp_path / "broken.toml").write_text("[[[")
+    found = Folder(tmp_path).listing()
+    assert (found.machines, found.measurements, found.foreign) == (("m.toml",), ("one.csv",), ("two.csv",))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--host", "192.0.2.1"], "--tls-cert"),
+        (["--host", "192.0.2.1", "--token", "short"], "at least 16"),
+        (["--tls-cert", "a.pem"], "belong together"),
+        (["--tls-cert", "a.pem", "--tls-key", "b.pem"], "is no file"),
+    ],
+)
+def test_another_address_needs_a_key_or_tls(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is served, exit status 2, and the message says the way out."""
+    assert status(["studio", str(tmp_path), "--no-browser", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_without_nicegui_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the extra's name in pyproject.toml."""
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert status(["studio", str(tmp_path), "--no-browser"]) == 2
+    assert "rtec[studio]" in capsys.readouterr().err
