@@ -46,16 +46,15 @@ async def diagnose(session: TabSession) -> None:
         session.on_change()
 
 
-async def add(session: TabSession, wanted: list[Wanted]) -> bool:
-    """Add effects to the model of this step, or refit it where none is named; gives whether that was done."""
+async def add(session: TabSession, wanted: Wanted | None) -> bool:
+    """Add an effect to the model of this step, or refit it where none is named; gives whether that was done."""
     if not await read_model(session):
         return False
     await compare(session)
     step = session.step
     if step is None:
         return False
-    what = ", ".join(w.label for w in wanted)
-    title = f"Adding {what}" if wanted else "Refitting"
+    title = f"Adding {wanted.label}" if wanted else "Refitting"
     view = await session.work(title, tasks.add, step.model, wanted, session.files, session.model_path)
     if view is None:
         return False
@@ -65,7 +64,7 @@ async def add(session: TabSession, wanted: list[Wanted]) -> bool:
         session.trouble = f"Not added: {refused(view.added)}."
         session.on_change()
         return False
-    words = ("add", *wanted[0].words) if wanted else ("add", "--refit")
+    words = ("add", *wanted.words) if wanted else ("add", "--refit")
     label = ", ".join(view.added.labels) or "numbers refitted"
     session.push(ModelStep(view.added.model, label, words, view, view.compared))
     session.on_change()

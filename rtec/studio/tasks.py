@@ -5,24 +5,27 @@ arguments.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import rtec
 from rtec.errors import ModelError, RtecError
 from rtec.studio.jobs import Reporter
 
 if TYPE_CHECKING:
     from rtec.diagnosis.compare.result import Comparison
     from rtec.diagnosis.extend.add import Added
+    from rtec.diagnosis.extend.improve import ProposedStep
     from rtec.diagnosis.result import Diagnosis, Finding
     from rtec.estimation.readings import Readings, Series
     from rtec.model import Model
     from rtec.report.evidence import Evidence
     from rtec.report.page import Page
+    from rtec.result import Result
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -152,9 +155,7 @@ class AddedView:
 
 def summaries(line: Reporter, folder: Path, names: Sequence[str], machine: Path) -> tuple[Summary, ...]:
     """Look at measurements, one after the other; one that cannot be read says why."""
-    from rtec.machine import load_machine
-
-    known, out = load_machine(machine), []
+    known, out = rtec.load_machine(machine), []
     for i, name in enumerate(names):
         line.stage("reading the measurements", i, len(names))
         out.append(_summary(folder / name, known))
@@ -162,10 +163,8 @@ def summaries(line: Reporter, folder: Path, names: Sequence[str], machine: Path)
 
 
 def _summary(path: Path, machine: Any) -> Summary:
-    from rtec.metrology.files.load import load_measurement
-
     try:
-        m = load_measurement(path, machine)
+        m = rtec.load_measurement(path, machine)
     except RtecError as e:
         return Summary(path.name, trouble=str(e))
     sensors = {s: _range(m.channels[s]) for s in machine.sensor_names if s in m.channels}
@@ -195,11 +194,8 @@ def _range(values: Floats) -> tuple[float, float]:
 
 def load_model(line: Reporter, model: Path, machine: Path) -> "Model":
     """Read a model with its machine."""
-    from rtec.machine import load_machine
-    from rtec.model import load_model as load
-
     line.stage("reading the model", 0, 0)
-    return load(model, load_machine(machine))
+    return rtec.load_model(model, machine)
 
 
 def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) -> CompareView:
@@ -211,20 +207,20 @@ def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) 
         files: tables of the measurements.
         named: how the model is called in the command to type next.
     """
-    from rtec.diagnosis.compare.compare import compare as compare_with
-    from rtec.metrology.files.load import load_measurements
-
-    measurements = load_measurements(files, model.machine)
-    return _compared(compare_with(model, measurements, stage=line.stage), [named, *files])
+    return _compared(rtec.compare(model, files, progress=line.stage), [named, *files])
 
 
 def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
-    from rtec.report.compare import compare_page
-
     wrong = [OutlierView(w.measurement, w.column, w.row + 1, w.run, w.off, w.unit) for w in c.judged.given.wrong]
     items = zip(c.traces.readings.series, c.items, strict=True)
     series = tuple(_series(c, s, item.floor, item.left.rms) for s, item in items)
-    return CompareView(compare_page(c, False, files), series, tuple(wrong), c.facts())
+    return CompareView(_page(c, files), series, tuple(wrong), c.to_dict())
+
+
+def _page(result: "Result", files: Sequence[Path]) -> "Page":
+    """The page of a result without figures; the commands on it name the files as they are called in the folder."""
+    page: Page = replace(result, files=tuple(Path(f.name) for f in files)).page(figures=False)
+    return page
 
 
 def _series(c: "Comparison", s: "Series", floor: float, residual: float) -> SeriesView:
@@ -283,15 +279,13 @@ def _channels(readings: "Readings", s: "Series") -> tuple[dict[str, Floats], tup
 
 def diagnose(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> DiagnosisView:
     """Find what a model misses."""
-    from dataclasses import replace
-
-    from rtec.diagnosis.search.diagnose import diagnose as find
-    from rtec.metrology.files.load import load_measurements
-    from rtec.report.diagnosis import diagnosis_page
-
-    found = find(model, load_measurements(files, model.machine), explain=True, stage=line.stage)
+    found = rtec.diagnose(model, files, progress=line.stage)
     line.stage("drawing the candidates", 0, 0)
-    page = diagnosis_page(found, False, [named, *files], machine)
+    return _diagnosed(found, [named, *files], machine)
+
+
+def _diagnosed(found: "Diagnosis", files: Sequence[Path], machine: Path) -> DiagnosisView:
+    page = _page(replace(found, machine_file=Path(machine.name)), files)
     return DiagnosisView(replace(found, judged=None, picture=None), page, _curves(found))
 
 
@@ -354,36 +348,28 @@ class Wanted:
         return self.expression or f"{self.effect}({self.component})"
 
 
-def add(line: Reporter, model: "Model", wanted: Sequence[Wanted], files: Sequence[Path], named: Path) -> AddedView:
-    """Add effects as `rtec add` does; none refits the model's own numbers."""
-    from rtec.diagnosis.extend.add import add as add_effects
-    from rtec.metrology.files.load import load_measurements
+def add(line: Reporter, model: "Model", wanted: Wanted | None, files: Sequence[Path], named: Path) -> AddedView:
+    """Add an effect as `rtec add` does; None refits the model's own numbers."""
+    from rtec.diagnosis.extend.add import settings_of
 
-    new = [_fitted(model, w) for w in wanted]
-    measurements = load_measurements(files, model.machine)
-    return _view_of(line, add_effects(model, new, measurements, stage=line.stage), measurements, [named, *files])
+    w = wanted or Wanted()
+    added = rtec.add(
+        model,
+        files,
+        w.effect or None,
+        component=w.component or None,
+        expr=w.expression or None,
+        params=w.parameters,
+        arguments=settings_of(w.settings, f"effect {w.effect!r}"),
+        progress=line.stage,
+    )
+    return _view_of(line, added, files, named)
 
 
-def _view_of(line: Reporter, added: "Added", measurements: Sequence[Any], files: Sequence[Path]) -> AddedView:
-    from rtec.diagnosis.compare.compare import compare as compare_with
-    from rtec.report.additions import added_page
-
+def _view_of(line: Reporter, added: "Added", files: Sequence[Path], named: Path) -> AddedView:
     line.stage("comparing", 0, 0)
-    compared = compare_with(added.model, measurements, stage=line.stage)
-    return AddedView(added, added_page(added, False), _compared(compared, files))
-
-
-def _fitted(model: "Model", wanted: Wanted) -> Any:
-    from rtec.diagnosis.extend.add import asked_effect, new_effect
-
-    if wanted.expression:
-        from rtec.effects.expression import expression_from_text
-
-        if not wanted.component:
-            raise ModelError("name the component error that the expression feeds, for example EXX")
-        effect = expression_from_text(wanted.expression, list(wanted.parameters), wanted.component, model.machine)
-        return new_effect(effect, model)
-    return asked_effect(wanted.effect, wanted.component or None, list(wanted.settings), model)
+    compared = rtec.compare(added.model, files, progress=line.stage)
+    return AddedView(added, _page(added, [named, *files]), _compared(compared, [named, *files]))
 
 
 @dataclass(frozen=True)
@@ -417,48 +403,26 @@ class StepQuestion:
 
 def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, machine: Path) -> str:
     """Improve step by step, asking at each; give why it ended, in a sentence."""
-    from dataclasses import replace
 
-    from rtec.diagnosis.extend.improve import ProposedStep
-    from rtec.diagnosis.extend.improve import improve as go_on
-    from rtec.metrology.files.load import load_measurements
-    from rtec.report.additions import improved_page
-    from rtec.report.diagnosis import diagnosis_page
-
-    measurements = load_measurements(files, model.machine)
-
-    def ask(step: ProposedStep) -> "Finding | None":
+    def ask(step: "ProposedStep") -> "Finding | None":
         d = step.diagnosis
-        page = diagnosis_page(d, False, [named, *files], machine)
-        view = DiagnosisView(replace(d, judged=None, picture=None), page, _curves(d))
-        rank = line.ask(StepQuestion(view, step.number))
+        rank = line.ask(StepQuestion(_diagnosed(d, [named, *files], machine), step.number))
         return next((f for f in d.findings if f.rank == rank), None)
 
     def ask_refit(made: "Added") -> bool:
         return bool(line.ask(RefitQuestion(made.before.held_out, made.after.held_out, made.unit)))
 
     def keep(made: "Added") -> None:
-        line.ask(StepDone(_view_of(line, made, measurements, [named, *files])))
+        line.ask(StepDone(_view_of(line, made, files, named)))
 
-    done = go_on(model, measurements, ask=ask, ask_refit=ask_refit, stage=line.stage, step=keep)
-    return improved_page(done, False).lead
+    done = rtec.improve(model, files, ask=ask, ask_refit=ask_refit, step=keep, progress=line.stage)
+    return str(done.page(figures=False).lead)
 
 
 def fit(line: Reporter, machine: Path, files: Sequence[Path], out: Path, effects: str) -> str:
     """Fit a first model and write it, as `rtec fit` does; give what it says of it."""
-    from rtec.characterise import characterise, read_wanted
-    from rtec.machine import load_machine
-    from rtec.metrology.files.load import load_measurements
-    from rtec.model import save_model
-    from rtec.report.fit import fit_page
-
-    known = load_machine(machine)
-    wanted = read_wanted(effects, known) if effects else None
-    line.stage("reading", 0, 0)
-    measurements = load_measurements(files, known)
-    result = characterise(measurements, wanted=wanted, name=out.stem, stage=line.stage)
-    save_model(result.model, out)
-    return fit_page(result, False, [out, *files]).lead
+    done = rtec.fit(machine, files, effects=effects or None, out=out, progress=line.stage)
+    return str(done.page(figures=False).lead)
 
 
 def try_it(line: Reporter, folder: Path) -> None:
@@ -483,6 +447,7 @@ def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path
         RtecError: it cannot be read, or no reading shows it.
     """
     from rtec.diagnosis.search.picture import of_effect
+    from rtec.effects.expression import expression_from_text
     from rtec.estimation.judge import Judgement
     from rtec.estimation.outliers import clean
     from rtec.metrology.files.load import load_measurements
@@ -490,9 +455,13 @@ def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path
     from rtec.wording import percent
 
     del line
-    fitted = _fitted(model, wanted)
+    if not wanted.component:
+        raise ModelError("name the component error that the expression feeds, for example EXX")
+    effect = expression_from_text(wanted.expression, list(wanted.parameters), wanted.component, model.machine)
+    effect.check(model.machine, "expression")
+    theta = {p.name: p.start for p in effect.nonlinear(model.machine)}
     judged = Judgement(model, clean(load_measurements(files, model.machine), model.reference_degc))
-    p = of_effect(judged.readings, judged.base.columns, judged.flexible, wanted.label, fitted.effect, fitted.theta)
+    p = of_effect(judged.readings, judged.base.columns, judged.flexible, wanted.label, effect, theta)
     if p is None or not p.drivers:
         raise ModelError(f"no reading shows {wanted.expression}; nothing that it depends on was moved")
     before, after = float(np.mean(p.residual**2)), float(np.mean((p.residual - p.part) ** 2))

@@ -53,6 +53,7 @@ def story(browser: "Browser", studio: RunningStudio) -> Watched:
     """A first model, compared, diagnosed, added to, and saved."""
     watched = tab(browser, studio.address)
     page = watched.page
+    page.get_by_role("cell", name="162").nth(1).wait_for()
     page.get_by_label("use laser-a.csv").click()
     page.get_by_label("use laser-b.csv").click()
     page.get_by_label("Effects (empty: chosen on held-out runs)").fill("scale")

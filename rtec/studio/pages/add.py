@@ -75,7 +75,7 @@ def _move(session: TabSession, by: int) -> None:
 
 
 async def _refit(session: TabSession) -> None:
-    if await actions.add(session, []):
+    if await actions.add(session, None):
         session.view["moved"] = "yes"
         session.on_change()
 

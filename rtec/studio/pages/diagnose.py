@@ -170,7 +170,7 @@ def _show(session: TabSession, rank: int) -> None:
 
 
 async def _add(session: TabSession, wanted: Wanted) -> None:
-    if await actions.add(session, [wanted]):
+    if await actions.add(session, wanted):
         session.view["moved"] = "yes"
         session.go("add")
 

@@ -162,6 +162,6 @@ class _Form:
         if not wanted.expression:
             self._text.error = "Write an expression, for example A*sin(2*pi*x/p + phi)"
             return
-        if await actions.add(self._session, [wanted]):
+        if await actions.add(self._session, wanted):
             self._session.view |= {"own": "", "params": "", "moved": "yes"}
             self._session.on_change()

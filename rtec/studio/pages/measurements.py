@@ -1,6 +1,8 @@
 """Measurements: drop or choose files, see what they hold, choose the machine and the model to compare with."""
 
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from shlex import quote
 
 from nicegui import events, ui
@@ -28,15 +30,12 @@ def build(session: TabSession) -> None:
     with ui.element("div").classes("pair"):
         _machine(session)
 
-    def redo_model() -> None:
-        model.redo()
-
     with ui.element("div").classes("card"):
         Words("h2", "Measurements in the folder")
-        listed = Area(lambda: _measurements(session, redo_model))
+        listed = Area(lambda: _measurements(session, lambda: model.refresh()))  # noqa: PLW0108 - made below
     with ui.element("div").classes("card"):
         Words("h2", "Model")
-        model = Area(lambda: _model(session))
+        model = _ModelCard(session)
     ui.timer(0.05, lambda: _look(session, listed), once=True)
 
 
@@ -184,68 +183,83 @@ def _machine(session: TabSession) -> None:
         )
 
 
-def _model(session: TabSession) -> None:
-    def choose(event: events.ValueChangeEventArguments[str | None]) -> None:
-        session.model = event.value or ""
-        session.forget()
-        session.on_change()
+class _ModelCard:
+    """The model, and the form of a first one; its fields stay while measurements are chosen."""
 
-    if session.listing.models:
-        names = {n: clean(n) for n in session.listing.models}
-        ui.select(names, value=session.model or None, label="Model file", on_change=choose).props("outlined")
-    else:
-        Words("p", "No model in the folder yet. Fit a first one:", "small")
-    _fit(session)
-    if not session.lacks:
-        button("Compare the model with the measurements", lambda: session.go("compare"), main=True)
-
-
-def _fit(session: TabSession) -> None:
-    ready = bool(session.machine and session.chosen)
-    with ui.element("details").props("" if session.listing.models else "open"):
-        Words("summary", "Fit a first model")
-        name = draft(session, "fit_out", "File for the model", _free_name(session))
-        effects = draft(session, "fit_effects", "Effects (empty: chosen on held-out runs)", "", "scale,backlash")
-        shown = ui.element("div")
-
-        def show() -> None:
-            shown.clear()
-            with shown:
-                more = ["--effects", effects.value] if effects.value else []
-                given = ["rtec", "fit", session.machine, *session.chosen, "-o", name.value or "model.toml", *more]
-                command(" ".join(quote(w) for w in given), "The same on the command line:")
-
-        async def fit() -> None:
-            try:
-                out = session.folder.path(name.value or "")
-                if out.suffix != ".toml":
-                    raise RtecError(f"{out.name}: a model file ends in .toml")
-                if out.exists():
-                    raise RtecError(
-                        f"{out.name}: another file of that name is in the folder; give the model a new name"
-                    )
-            except RtecError as e:
-                name.error = str(e)
-                return
-            said = await session.work(
-                "Fitting", tasks.fit, session.machine_path, session.files, out, (effects.value or "").strip()
+    def __init__(self, session: TabSession) -> None:
+        self._session = session
+        there = session.listing.models
+        if there:
+            names = {n: clean(n) for n in there}
+            ui.select(names, value=session.model or None, label="Model file", on_change=self._choose).props("outlined")
+        else:
+            Words("p", "No model in the folder yet. Fit a first one:", "small")
+        with ui.element("details").props("" if there else "open"):
+            Words("summary", "Fit a first model")
+            self._name = draft(session, "fit_out", "File for the model", _free_name(session))
+            self._effects = draft(
+                session, "fit_effects", "Effects (empty: chosen on held-out runs)", "", "scale,backlash"
             )
-            if said is not None:
-                session.look()
-                session.view.pop("fit_out", None)
-                session.model = out.name
-                session.forget()
-                session.on_change()
+            self._command = Area(self._show_command)
+            button("Fit", self._fit, main=not there)
+        self._next = Area(self._show_next)
+        for field in (self._name, self._effects):
+            field.on_value_change(self._command.redo)
 
-        for field in (name, effects):
-            field.on_value_change(show)
-        show()
-        button(
-            "Fit",
-            fit,
-            main=not session.listing.models,
-            off="" if ready else "choose the machine and at least one measurement first",
-        )
+    def refresh(self) -> None:
+        """Other measurements were chosen."""
+        self._command.redo()
+        self._next.redo()
+
+    def _choose(self, event: events.ValueChangeEventArguments[str | None]) -> None:
+        self._session.model = event.value or ""
+        self._session.forget()
+        self._session.on_change()
+
+    def _show_command(self) -> None:
+        s = self._session
+        if not (s.machine and s.chosen):
+            Words("p", "Choose the machine and at least one measurement first.", "small")
+            return
+        more = ["--effects", self._effects.value] if self._effects.value else []
+        given = ["rtec", "fit", s.machine, *s.chosen, "-o", self._name.value or "model.toml", *more]
+        command(" ".join(quote(w) for w in given), "The same on the command line:")
+
+    def _show_next(self) -> None:
+        if not self._session.lacks:
+            go = partial(self._session.go, "compare")
+            button("Compare the model with the measurements", go, main=True)
+
+    async def _fit(self) -> None:
+        s = self._session
+        try:
+            out = _checked(s, self._name.value or "")
+        except RtecError as e:
+            self._name.error = str(e)
+            return
+        said = await s.work("Fitting", tasks.fit, s.machine_path, s.files, out, (self._effects.value or "").strip())
+        if said is not None:
+            s.look()
+            s.view.pop("fit_out", None)
+            s.model = out.name
+            s.forget()
+            s.on_change()
+
+
+def _checked(session: TabSession, name: str) -> Path:
+    """The path of a new model file.
+
+    Raises:
+        RtecError: why there can be none, or nothing to fit it to.
+    """
+    out = session.folder.path(name)
+    if out.suffix != ".toml":
+        raise RtecError(f"{name}: a model file ends in .toml")
+    if out.exists():
+        raise RtecError(f"{name}: another file of that name is in the folder; give the model a new name")
+    if not (session.machine and session.chosen):
+        raise RtecError("choose the machine and at least one measurement first")
+    return out
 
 
 def _free_name(session: TabSession) -> str:
