@@ -22,6 +22,8 @@ MAX_BYTES = 64 * 1024 * 1024
 DEEPEST = 32
 """Tables within tables, at most; no file of rtec has more than seven."""
 ENDLESS_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){%d}" % (DEEPEST + 1))  # noqa: UP031 (braces)
+MOST_NEAR, NEARLY = 6, 0.05
+"""Words that are proposed for a mistyped one, at most; and by how much less like it the others may be."""
 OUT_OF_RANGE = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 
 
@@ -114,11 +116,16 @@ def digest(value: object) -> str:
 
 
 def nearest(word: str, allowed: typing.Iterable[str]) -> str:
-    """' (did you mean …?)' for the closest allowed word, or the list of all when none is close."""
+    """' (did you mean …?)' for the closest allowed words, or the list of all when none is close.
+
+    Several where they are nearly as close as the closest: T_nut may be T_x_nut or T_z_nut.
+    """
     names = sorted(allowed)
-    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
-    if close:
-        return f"; did you mean {close[0]!r}?"
+    close = difflib.get_close_matches(word, names, n=MOST_NEAR, cutoff=0.6)
+    likeness = {name: difflib.SequenceMatcher(None, name, word).ratio() for name in close}
+    near = [repr(name) for name in sorted(close) if likeness[name] > likeness[close[0]] - NEARLY]
+    if near:
+        return f"; did you mean {', '.join(near[:-1])}{' or ' if near[:-1] else ''}{near[-1]}?"
     return f"; allowed: {', '.join(names)}" if names else ""
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rtec.effects import Effect, effect_class
+from rtec.effects.trial import check_effect
 from rtec.errors import ModelError
 from rtec.machine import Machine
 from rtec.tomlfile import nearest, validated
@@ -63,7 +64,7 @@ def _made(name: str, component: str, arguments: dict[str, Any], machine: Machine
     if "axis" in kind.model_fields and "axis" not in table and component[2:].removeprefix("0") in machine.axis_names:
         table["axis"] = component[2:].removeprefix("0")
     effect = validated(kind, table, where, ModelError)
-    effect.check(machine, where)
+    check_effect(effect, machine, where)
     return effect
 
 

@@ -6,7 +6,8 @@ Exit status: 0 done; 1 a check or limit failed; 2 wrong use or bad input; 130 in
 import signal
 import sys
 import threading
-from typing import Annotated
+import warnings
+from typing import Annotated, TextIO
 
 import typer
 
@@ -99,7 +100,21 @@ def _main(
 def main() -> None:
     """Run the command line and leave with its status."""
     sys.unraisablehook = unraisable
+    warnings.showwarning = _warned
     sys.exit(status(sys.argv[1:]))
+
+
+def _warned(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """A warning in one line, without the place in the code."""
+    del category, filename, lineno, file, line
+    typer.echo(f"rtec: {message}", err=True)
 
 
 def unraisable(what: "sys.UnraisableHookArgs") -> None:

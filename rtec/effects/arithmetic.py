@@ -109,6 +109,8 @@ def _check(node: ast.expr, depth: int) -> None:
             _check_call(name, node)
             for arg in node.args:
                 _check(arg, depth + 1)
+        case ast.BinOp(op=ast.BitXor()):
+            raise ValueError("^ is no power here; write ** for it: x**2")
         case _:
             raise ValueError(f"{type(node).__name__} is not allowed; use numbers, names, + - * / ** and functions")
 

@@ -50,6 +50,7 @@ from rtec.effects.thermal import (
     MountExpansion,
 )
 from rtec.effects.time_data import NOT_EFFECTS, DailyDrift, MissedCounts, WearDrift
+from rtec.effects.trial import SKIPPED
 from rtec.errors import ModelError
 from rtec.tomlfile import nearest
 
@@ -201,13 +202,15 @@ TAKEN = (*EFFECTS, *NOT_EFFECTS)
 
 
 def all_effects() -> dict[str, type[Effect]]:
-    """Every effect by name: the built-in ones, then those of plug-ins that could be loaded."""
-    return {**EFFECTS, **plug_ins(TAKEN).effects}
+    """Every effect by name: the built-in ones, then those of plug-ins that could be loaded and have not failed."""
+    added = plug_ins(TAKEN).effects
+    return {**EFFECTS, **{name: kind for name, kind in added.items() if kind not in SKIPPED}}
 
 
 def plug_in_faults() -> dict[str, str]:
-    """What is wrong with plug-ins that could not be loaded, in words, by name of the effect."""
-    return dict(plug_ins(TAKEN).faults)
+    """What is wrong with plug-ins that could not be loaded or have failed, in words, by name of the effect."""
+    found = plug_ins(TAKEN)
+    return {**found.faults, **{name: SKIPPED[kind] for name, kind in found.effects.items() if kind in SKIPPED}}
 
 
 def effect_class(name: str, where: str) -> type[Effect]:
@@ -215,7 +218,8 @@ def effect_class(name: str, where: str) -> type[Effect]:
 
     Raises:
         ModelError: there is none of that name, and the message has the nearest; it is no effect but what an
-            instrument or its readings do; or it is a plug-in's that could not be loaded, and the message says why.
+            instrument or its readings do; or it is a plug-in's that could not be loaded or has failed, and the message
+            says why.
     """
     if name in EFFECTS:  # plug-ins are not looked for where none is needed
         return EFFECTS[name]
@@ -224,10 +228,10 @@ def effect_class(name: str, where: str) -> type[Effect]:
             f"{where}: {name!r} is no error of the machine, a model cannot hold it: {NOT_EFFECTS[name].reveal}"
         )
     found = plug_ins(TAKEN)
-    if name in found.effects:
+    if name in found.effects and found.effects[name] not in SKIPPED:
         return found.effects[name]
-    if name in found.faults:
-        raise ModelError(f"{where}: effect {name!r} of a plug-in: {found.faults[name]}")
+    if fault := plug_in_faults().get(name):
+        raise ModelError(f"{where}: effect {name!r} of a plug-in: {fault}")
     near = nearest(name, all_effects())
     installed = "" if "did you mean" in near else " (if it is of a plug-in, install its package here)"
     raise ModelError(f"{where}: no effect {name!r}{installed}{near}")

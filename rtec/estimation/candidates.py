@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.base import Surroundings
 from rtec.effects.registry import all_effects
+from rtec.effects.trial import SKIPPED, instances, lacking
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import VisibleComponent, visible_components
@@ -45,7 +46,7 @@ class EffectCandidate:
 
 @dataclass(frozen=True)
 class Untried:
-    """An effect that could not be a candidate for a component, and why."""
+    """An effect that could not be a candidate for a component (empty: for any), and why."""
 
     effect: str
     component: str
@@ -67,12 +68,16 @@ def library(readings: Readings, only: Sequence[str] | None = None) -> tuple[list
         for name, kind in kinds.items():
             if only is not None and name not in only:
                 continue
-            found = [_candidate(e, readings) for e in kind.suggest(around)]
+            found = [_candidate(e, readings) for e in instances(kind, around)]
             out += [c for c in found if c is not None]
-            why = kind.missing(around)
+            why = lacking(kind, around)
             if not any(found) and why:
                 untried.append(Untried(name, seen.name, why))
-    return out, untried
+    # A plug-in that failed at one component is tried at none.
+    skipped = {name: SKIPPED[kind] for name, kind in kinds.items() if kind in SKIPPED}
+    untried = [u for u in untried if u.effect not in skipped]
+    untried += [Untried(name, "", f"the plug-in is skipped: {fault}") for name, fault in skipped.items()]
+    return [c for c in out if type(c.effect) not in SKIPPED], untried
 
 
 def visible(readings: Readings) -> list[VisibleComponent]:

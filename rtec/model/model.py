@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtec.effects import Effect, Parameter, State
 from rtec.effects.derived import FAR_MM
+from rtec.effects.trial import check_effect
 from rtec.errors import ModelError
 from rtec.machine import Axis, Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
@@ -287,8 +288,8 @@ def names_of(effect: Effect, machine: Machine) -> tuple[tuple[str, ...], tuple[s
 
 
 def check_fitted(fitted: FittedEffect, machine: Machine, where: str) -> None:
-    """Raise ModelError where an effect does not fit the machine or lacks a number."""
-    fitted.effect.check(machine, where)
+    """Raise ModelError where an effect does not fit the machine or lacks a number, or where a plug-in fails."""
+    check_effect(fitted.effect, machine, where)
     for kind, wanted, found in zip(
         ("coefficient", "non-linear parameter"),
         names_of(fitted.effect, machine),

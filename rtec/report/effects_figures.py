@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from rtec.diagnosis.words import spoken
 from rtec.effects import Effect, State, all_effects
 from rtec.effects.base import Surroundings
+from rtec.effects.trial import instances
 from rtec.errors import ConfigError, ModelError
 from rtec.machine import Axis, Link, Machine, Sensor
 from rtec.report.figures import GREY, LINES, OFF, ON, as_png, stacked
@@ -101,7 +102,7 @@ def _instances(kind: type[Effect], machine: Machine) -> Iterator[Effect]:
     for component in (*FIRST, *machine.components):
         axis = next((a for a in machine.axes if component[2:] == a.name), None)
         around = Surroundings(machine, component, axis, SENSORS, everything, 5 * 86400.0, 10.0)
-        yield from (e for e in kind.suggest(around) if _stands(e, machine))
+        yield from (e for e in instances(kind, around) if _stands(e, machine))
     given = {"effect": kind.model_fields["effect"].default, "component": "EXX", "axis": "X"}
     given |= {"other": "Z", "sensor": SENSORS[0], "front": SENSORS[0], "back": SENSORS[1]}
     try:

@@ -13,6 +13,7 @@ from rtec.effects import State
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
 from rtec.model import FittedEffect, Model
+from rtec.tomlfile import nearest
 from tests.support.machines import turning_centre, vertical_mill
 from tests.support.tip_fit import fit_model
 
@@ -161,6 +162,7 @@ MISUSE = [
     ("A*x", (), "EQX", "--expr: component: a component is E, then X Y Z A B or C"),
     ("A*x", (), "", "--expr: component: a component is E"),
     ("A*x", (), "EXY", "--expr: component 'EXY' is none of machine 'turning-centre'"),
+    ("A*x^2", (), "EXX", "^ is no power here; write ** for it: x**2"),
     ("A*lag(T_bed, x)", (), "EXX", "the time constant of lag() is a number or a parameter, not a channel"),
 ]  # fmt: skip
 
@@ -170,6 +172,14 @@ def test_misuse_is_answered_precisely(text: str, params: tuple[str, ...], compon
     with pytest.raises(ModelError) as caught:
         expression_from_text(text, params, component, MACHINE)
     assert said in str(caught.value)
+
+
+def test_a_mistyped_sensor_lists_all_that_are_near() -> None:
+    """Oracle: the names by eye; the farther one is not proposed."""
+    sensors = ["T_x_nut", "T_z_nut", "T_bed"]
+    assert nearest("T_nut", sensors) == "; did you mean 'T_x_nut' or 'T_z_nut'?"
+    assert nearest("T_x_nit", sensors) == "; did you mean 'T_x_nut'?"
+    assert nearest("spindle", sensors) == "; allowed: T_bed, T_x_nut, T_z_nut"
 
 
 def test_numbers_of_a_parameter_as_people_write_them() -> None:

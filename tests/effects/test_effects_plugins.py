@@ -15,8 +15,13 @@ import pytest
 from rtec.cli.main import status
 from rtec.effects import EFFECTS, all_effects, effect_class
 from rtec.effects.registry import plug_in_faults
+from rtec.effects.trial import PlugInWarning
 from rtec.errors import ModelError
+from rtec.estimation.candidates import library
+from rtec.estimation.readings import read
+from rtec.model import Model
 from rtec.report.effects import OTHERS, catalogue_page, families
+from tests.support.diagnosis_examples import effects, laser, small_machine
 
 GOOD = """
 from typing import Literal
@@ -113,6 +118,67 @@ def test_a_broken_one_is_told_and_the_rest_stays(
         assert f"m.toml: effect {name!r} of a plug-in: package pkg_bad" in str(caught.value)
         assert status(["effects", name]) == 2
         assert said in capsys.readouterr().err.replace("\n", " ")
+
+
+FED = 'feeds, driven_by = ("positioning",), ("position",)\n    effect: Literal'
+WORKS = GOOD.replace("effect: Literal", FED, 1)
+BASIS = "return [channels.value(self.the_axis(machine).channel) * 0.0 + 1.0]"
+FAILS = (
+    ("raises", WORKS.replace(BASIS, "raise KeyError('T_bed')"), "basis() raises KeyError: 'T_bed'"),
+    ("decides", WORKS.replace(BASIS, "return [1.0 if channels.value('x') > 0 else 0.0]"), "basis() raises ValueError"),
+    ("too few", WORKS.replace(BASIS, "return []"), "basis() gives 0 values for 1 coefficients"),
+    (
+        "too short",
+        WORKS.replace(BASIS, "return [channels.value('x')[:2]]"),
+        "basis() raises ValueError: shape",
+    ),
+    ("signature", WORKS.replace("(self, machine):", "(self):"), "coefficients() raises TypeError"),
+    ("no number", WORKS.replace("(Parameter(", "(str("), "coefficients() raises TypeError"),
+    (
+        "own argument",
+        WORKS.replace(FED, "reach_mm: float\n    " + FED),
+        "its argument 'reach_mm' has no",
+    ),
+    ("driver", WORKS.replace('("position",)', '("warmth",)'), "suggest() raises KeyError: 'warmth'"),
+    ("yields", WORKS + "\n    @classmethod\n    def suggest(cls, around):\n        yield 1\n", "suggest() gives 1"),
+)
+
+
+@pytest.mark.parametrize(("text", "said"), [f[1:] for f in FAILS], ids=[f[0] for f in FAILS])
+def test_one_that_fails_is_skipped_and_the_rest_is_as_before(text: str, said: str, install: Install) -> None:
+    """Oracle: the candidates without any plug-in; and one line that names the plug-in."""
+    readings = read([laser(["scale,component=EXX,axis=X,k=40"], 3, cycles=1)], smooth=False)
+    before, _ = library(readings)
+    assert "effect: Literal" in text
+    install("pkg_fails", {"one_step": "pkg_fails:One"}, text.format(name="One", effect="one_step"))
+    with pytest.warns(PlugInWarning, match=r"plug-in effect 'one_step' is skipped: pkg_fails\.One: ") as warned:
+        found, untried = library(readings)
+    assert said in str(warned[0].message)
+    assert len(warned) == 1
+    assert "\n" not in str(warned[0].message)
+    assert [c.effect for c in found] == [c.effect for c in before]
+    assert [u.why for u in untried if u.effect == "one_step"] == [
+        f"the plug-in is skipped: {plug_in_faults()['one_step']}"
+    ]
+    assert library(readings)[0] == found
+    assert set(all_effects()) == set(EFFECTS)
+    with pytest.raises(ModelError, match=r"effect 'one_step' of a plug-in: pkg_fails\.One: "):
+        effect_class("one_step", "m.toml")
+
+
+def test_a_working_one_is_a_candidate(install: Install) -> None:
+    """Oracle: the class that was installed; without it the test above would skip whatever was installed."""
+    readings = read([laser(["scale,component=EXX,axis=X,k=40"], 3, cycles=1)], smooth=False)
+    install("pkg_works", {"one_step": "pkg_works:One"}, WORKS.format(name="One", effect="one_step"))
+    assert "one_step" in {c.effect.effect for c in library(readings)[0]}
+
+
+def test_a_model_that_has_a_failing_one_is_refused(install: Install) -> None:
+    """Oracle: the message names the effect and what its code did."""
+    text = WORKS.replace(BASIS, "raise RuntimeError('no table')").format(name="One", effect="one_step")
+    install("pkg_fails", {"one_step": "pkg_fails:One"}, text)
+    with pytest.raises(ModelError, match=r"effect 'one_step' of a plug-in, pkg_fails: basis\(\) raises RuntimeError"):
+        Model(small_machine(), effects("one_step,component=EXX,axis=X,h=1")).check()
 
 
 def test_of_two_with_one_name_the_first_package_is_used(install: Install) -> None:

@@ -3,6 +3,7 @@
 Oracles: the page's own equations in numpy, written here once more; `Model.predict` for the kernel and the step.
 """
 
+import dataclasses
 import importlib
 import re
 import shlex
@@ -10,7 +11,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from rtec.correction.guard import Limits
 from rtec.effects import Effect, State, effect_class
+from rtec.effects.base import DRIVES, Kind, Surroundings
 from rtec.effects.derived import since_reversal_track
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
@@ -155,12 +157,18 @@ def test_the_expression_of_the_model_file(tmp_path: Path) -> None:
 
 
 def test_what_else_the_page_says() -> None:
-    """The run file's table is read; the channels of the table are those of the machine."""
+    """The run file's table is read; the channels and what `suggest` is given are those of the code."""
     assert Inputs.model_validate(tomllib.loads(INPUTS)["inputs"]).load_kg == 250.0
-    named = set(re.findall(r"^\| (.*?) \|", PAGE, re.MULTILINE))
+    table = PAGE.split("## What an effect may read")[1].split("## ")[0]
+    named = set(re.findall(r"^\| (.*?) \|", table, re.MULTILINE))
     channels = {c for cell in named for c in re.findall(r"`(\w+)`", cell)}
     assert channels == {c for c in MACHINE.channel_names if c.split("_")[-1] != "z"} - {
         "T_spindle",
         "T_column",
         "T_air",
     }
+    given = PAGE.split("### What the diagnosis tries")[1].split("Rules:")[0]
+    told = {a for cell in re.findall(r"^\| (`.*?) \|", given, re.MULTILINE) for a in re.findall(r"`(\w+)`", cell)}
+    assert told == {f.name for f in dataclasses.fields(Surroundings)}
+    words = set(re.findall(r"`([a-z_ ]+)`", given.split("Kinds for")[1]))
+    assert words == {*get_args(Kind), *DRIVES, "feeds", "driven_by"}

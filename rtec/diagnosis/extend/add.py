@@ -21,6 +21,7 @@ from rtec.diagnosis.usable import check_enough, check_finite, unsure
 from rtec.diagnosis.words import labels
 from rtec.diagnosis.wrong_scale import check_scales
 from rtec.effects import Effect, all_effects, effect_class
+from rtec.effects.trial import check_effect
 from rtec.errors import ModelError
 from rtec.estimation import floor
 from rtec.estimation.floor import Unit
@@ -181,7 +182,7 @@ def new_effect(
     Raises:
         ModelError: it does not fit the machine, or a number is none of its own.
     """
-    effect.check(model.machine, "add")
+    check_effect(effect, model.machine, "add")
     linear, free = names_of(effect, model.machine)
     given = {**(theta or {}), **(values or {})}
     wrong = [n for n in given if n not in (*linear, *free)]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rtec.effects import Effect, effect_class
+from rtec.effects.trial import instances
 from rtec.errors import ConfigError
 from rtec.estimation.candidates import surroundings, visible
 from rtec.estimation.readings import read
@@ -76,7 +77,7 @@ def usual_effects(measurements: Sequence[Measurement], names: Sequence[str] = US
         around = surroundings(readings, seen)
         for name in names:
             kind = effect_class(name, "plan")
-            first = next(iter(kind.suggest(around)), None)
+            first = next(iter(instances(kind, around)), None)
             if first is not None:
                 out.append(first)
     return out

@@ -24,7 +24,8 @@ def untestable(untried: Sequence[Untried], found: Screen) -> tuple[NotTestable, 
     kinds = all_effects()
     out: dict[tuple[str, str], NotTestable] = {}
     for u in untried:
-        test = f"measure with {', '.join(kinds[u.effect].about.seen_by)}" if kinds[u.effect].about.seen_by else ""
+        kind = kinds.get(u.effect)
+        test = f"measure with {', '.join(kind.about.seen_by)}" if kind is not None and kind.about.seen_by else ""
         out.setdefault((u.effect, u.why), NotTestable(u.effect, u.component, u.why, test))
     gone = {found.candidates[i].effect.effect for i in found.absorbed}
     there = {found.candidates[v.candidate].effect.effect for v in found.variants}
