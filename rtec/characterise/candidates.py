@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rtec.characterise.coverage import followed, several_speeds
-from rtec.characterise.source import Source, both_ways, gone_along, lags_s, reads, speed_varies, visited
+from rtec.characterise.coverage import followed, highest_degree, places_mm, several_speeds
+from rtec.characterise.source import Source, both_ways, gone_along, lags_s, reads, speed_varies
 from rtec.characterise.stream import Term
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind
@@ -20,8 +20,6 @@ from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
 """Quadratics are typically enough [G 3.6]; higher degrees where they pay on held-out runs."""
-MOST_OF_TRAVEL, STEADY = 0.7, 2
-"""A polynomial of a higher degree runs away beyond the readings: no candidate where less of the travel was visited."""
 REGIONS = (5, 9)
 """Knots of the split of an axis into regions."""
 LIFTS = (0.5, 0.75, 1.0)
@@ -59,6 +57,11 @@ class TermCandidate:
         return self.term.effect.component
 
     @property
+    def effect(self) -> str:
+        """Name of its effect."""
+        return self.term.effect.effect
+
+    @property
     def label(self) -> str:
         """Short name: effect, component, columns, feature."""
         which = "" if self.term.only is None else " " + "+".join(self.column_names)
@@ -83,15 +86,20 @@ def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[TermCand
     along: dict[str, Any] = {"axis": axis.name}
     linear = name[1] == axis.direction
     out = [_candidate("position", "scale", name, **along)] if linear else []
-    low, high = visited(axis, sources)
-    whole = high - low >= MOST_OF_TRAVEL * (axis.travel_mm[1] - axis.travel_mm[0])
-    degrees = DEGREES if whole else [k for k in DEGREES if k <= STEADY]
+    places = places_mm(sources, name, axis)
+    if not len(places):
+        return out
+    named = any(s.measurement.instrument.component == name for s in sources)
+    # A straight deviation across an axis is its squareness, unless a file names the component.
+    least = 2 if component_kind(name, sources[0].measurement.machine) == "straightness" and not named else 0
+    degrees = [k for k in DEGREES if least <= k <= highest_degree(places, axis)]
     out += [_candidate("position", "polynomial_position", name, degrees=(k,), **along) for k in degrees]
-    if both_ways(axis, sources):
+    mine = [s for s in sources if reads(s, name)]
+    if both_ways(axis, mine):
         out.append(_candidate("direction", "backlash", name, **along))
         out += [_candidate("direction", "backlash_position", name, only=(k,), degree=k, **along) for k in (1, 2)]
-    for knots in REGIONS if gone_along(axis, [s for s in sources if reads(s, name)]) else ():
-        at = tuple(float(v) for v in np.linspace(*visited(axis, sources), knots))
+    for knots in REGIONS if gone_along(axis, mine) else ():
+        at = tuple(float(v) for v in np.linspace(places[0], places[-1], knots))
         inner = tuple(range(1, knots - 1))  # with constant and slope these span the same as all of them
         out.append(_candidate("region", "piecewise_position", name, only=inner, knots_mm=at, **along))
     if linear and axis.pitch_mm is not None:

@@ -1,8 +1,11 @@
-"""Where two axes stood together: whether what one does to the other can be followed over the workspace [XT 2].
+"""Where the axes were while a component was read: what of it the readings cover.
+
+A polynomial runs away beyond its readings and in gaps between them, the faster the higher its degree; so the degree
+is limited by the places at which a component was read.
 
 The travels of an axis and of another are cut into thirds. A component of the one that changes with the other is
 looked for where every one of the nine cells was visited while the first axis moved; else the cells that are missing
-are said, because beyond them a product of polynomials is a guess.
+are reported, because beyond them a product of polynomials is a guess [XT 2].
 """
 
 import itertools
@@ -24,6 +27,38 @@ LEAST = 5
 """Readings in a cell that make it visited."""
 SPEEDS = 1.5
 """Largest over smallest speed from which on an error may be said to go with the speed."""
+
+GROWS = 10.0
+"""An error of a polynomial within the readings is no more than so many times as large at the ends of the travel."""
+SAME_MM = 0.02
+"""Readings at places nearer to each other are at one place."""
+
+
+def places_mm(sources: Sequence[Source], component: str, axis: Axis) -> NDArray[np.float64]:
+    """Places of an axis at which a component was read while the axis moved, rising, mm; none where it never was."""
+    mine = [
+        s.measurement.channels[axis.channel]
+        for s in sources
+        if reads(s, component) and moves(s.measurement, axis) and axis.channel in s.measurement.channels
+    ]
+    return np.asarray(np.unique(np.round(np.concatenate(mine) / SAME_MM)) * SAME_MM) if mine else np.zeros(0)
+
+
+def highest_degree(places: NDArray[np.float64], axis: Axis) -> int:
+    """Highest degree of a polynomial over the travel that readings at some places, mm, determine.
+
+    The least of three limits. At the ends of the travel the Chebyshev polynomial, which grows fastest of all that are
+    within -1 … 1 over the readings, is at most `GROWS`. Of n evenly spaced places, least squares of a degree above
+    2 √n oscillates between them (Boyd and Xu 2009, Rakhmanov 2007); n counts the widest gap as the spacing. A
+    polynomial has fewer degrees than there are places.
+    """
+    span = float(np.ptp(places)) if len(places) else 0.0
+    if span <= 0.0:
+        return 0
+    end = max(abs(2.0 * (q - places[0]) / span - 1.0) for q in axis.travel_mm)
+    by_ends = np.arccosh(GROWS) / np.arccosh(end) if end > 1.0 + 1e-9 else np.inf
+    by_gaps = 2.0 * np.sqrt(span / float(np.diff(places).max()) + 1.0)
+    return int(min(by_ends, by_gaps, len(places) - 1))
 
 
 def visited_cells(sources: Sequence[Source], axis: Axis, other: Axis) -> Bools:

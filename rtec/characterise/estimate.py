@@ -15,6 +15,7 @@ from rtec.characterise.projection import Polished, polish
 from rtec.characterise.source import Source, flat, thinned
 from rtec.characterise.stream import Progress, Term, gather, predict
 from rtec.errors import ModelError
+from rtec.estimation.plain import alike, neighbour_noise
 
 Floats = NDArray[np.float64]
 
@@ -23,9 +24,6 @@ ROUNDS = 6
 THREE = 0.00135
 """What is beyond three standard deviations, on one side."""
 LEAST_FREEDOM = 4.0
-EQUAL = 1.25
-"""Residuals of equal instruments, over their noise between neighbours, count as differing by no more than this factor
-either way."""
 SAME = 0.2
 """Noise of columns that changed against each other by less than this share is not worth another fit."""
 FEWER = 10_000
@@ -216,20 +214,11 @@ def _noise(sources: Sequence[Source], residuals: Sequence[Floats], normal: Norma
 
 
 def _alike(sources: Sequence[Source], residuals: Sequence[Floats], spread: Sequence[Floats]) -> list[Floats]:
-    """Residuals with those of equal instruments held together, over their noise between neighbours.
-
-    A cold day that hardly errs would else outweigh the hot one that shows the error: what is left of the hot one is
-    not its noise but what the model misses.
-    """
-    kinds = [(s.measurement.instrument.name, s.measurement.instrument.component) for s in sources]
-    out = [s.copy() for s in spread]
-    for kind in set(kinds):
-        mine = [i for i, k in enumerate(kinds) if k == kind]
-        if len(mine) < 2:
-            continue
-        rough = np.stack([noise.quick_noise(residuals[i], sources[i].measurement.run) for i in mine])
-        ratio = np.stack([spread[i] for i in mine]) / rough
-        level = np.sqrt(np.mean(ratio**2, axis=0))
-        for i, r, own in zip(mine, np.clip(ratio, level / EQUAL, level * EQUAL), rough, strict=True):
-            out[i] = r * own
-    return out
+    """Noise of each reading column that the weights take: what equal instruments' residuals have in common."""
+    made_by = [s.measurement.instrument for s in sources]
+    kinds = [(m.name, m.axis, m.component, c) for m in made_by for c in m.columns()]
+    rows = [(row, s.measurement.run) for r, s in zip(residuals, sources, strict=True) for row in r]
+    quick = np.array([neighbour_noise(row, run) for row, run in rows])
+    count = np.array([np.count_nonzero(np.isfinite(row)) for row, _ in rows])
+    out = alike(kinds, np.concatenate(spread), quick, count)
+    return np.split(out, np.cumsum([len(s) for s in spread])[:-1])

@@ -55,18 +55,6 @@ def rough_noise(source: Source) -> Floats:
     return out
 
 
-def quick_noise(residual: Floats, run: NDArray[np.int64]) -> Floats:
-    """Noise of residuals, (readings, n), from how each differs from the middle of its neighbours, (readings,)."""
-    inner = run[2:] == run[:-2]
-    bend = np.abs(residual[:, 1:-1] - 0.5 * (residual[:, :-2] + residual[:, 2:]))[:, inner]
-    out = np.sqrt(np.nanmean(residual**2, axis=1))
-    for j, row in enumerate(bend):
-        good = row[np.isfinite(row)]
-        if len(good):
-            out[j] = max(SIGMA_PER_MAD * float(np.median(good)) / np.sqrt(1.5), SMALL * float(out[j]))
-    return np.asarray(np.maximum(out, 1e-12))
-
-
 def residuals(source: Source, predicted: Floats, explicit: Sequence[tuple[Floats, float]] = ()) -> Floats:
     """Readings minus prediction minus each run's nuisances, unweighted, (readings, n); NaN where none or left out.
 

@@ -10,7 +10,9 @@ from rtec.characterise.candidates import TermCandidate, catalogue, extended, geo
 from rtec.characterise.normal import Normal
 from rtec.characterise.source import Source, reads, thinned, varying_sensors
 from rtec.characterise.stream import gather
-from rtec.estimation.visible import VisibleComponent, visible_components
+from rtec.effects import effect_class
+from rtec.effects.base import component_kind
+from rtec.estimation.visible import VisibleComponent, read_directly, visible_components
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +25,9 @@ LEAST = 24
 VISIBLE = 1e-6
 """A column of which geometry and nuisances leave less than this share is not seen."""
 BASE_DEGREE = 2
+STRAIGHT = ("scale", "squareness")
+ALONG = ("position", "direction", "region", "cyclic")
+"""Kinds of candidates that are a shape along the axis."""
 
 
 @dataclass(frozen=True)
@@ -78,16 +83,19 @@ def screen(
     seen = visible_components([s.measurement for s in few])
     sensors, unused = varying_sensors(few)
 
-    def may(candidate: TermCandidate) -> bool:
-        return allowed is None or candidate.term.effect.effect in allowed
-
-    shapes = [c for s in seen for c in (*geometry(s, few), *extended(s, few)) if may(c)]
+    shapes = [c for s in seen for c in (*geometry(s, few), *extended(s, few))]
+    # Of shapes that are the same to these readings the first is taken: a straight line has its own name first.
+    shapes.sort(key=lambda c: c.effect not in STRAIGHT)
+    warm = [c for s in seen for c in thermal(s, few, sensors)]
+    if allowed is not None:
+        where = _asked_components(allowed, [*shapes, *warm], few)
+        shapes, warm = ([c for c in part if c.component in where.get(c.effect, ())] for part in (shapes, warm))
     budget = max(LEAST, (COLUMNS - len(shapes)) // max(len(seen), 1))
     kept: list[TermCandidate] = []
     table: list[Correlation] = []
-    others = catalogue(few, allowed, {c.term.effect.effect for c in shapes})
+    others = catalogue(few, allowed, {c.effect for c in shapes})
     for component in seen:
-        hot = [c for c in thermal(component, few, sensors) if may(c)]
+        hot = [c for c in warm if c.component == component.name]
         hot += [c for c in others if c.component == component.name and c not in hot]
         if hot:
             base = [c for c in shapes if _simple(c)]
@@ -98,6 +106,29 @@ def screen(
             marked = [replace(c, kept=i in best) for i, c in enumerate(found)]
             table += sorted(marked, key=lambda c: -abs(c.r))
     return Screened(tuple(few), tuple(seen), (*shapes, *kept), tuple(table), tuple(unused))
+
+
+def _asked_components(
+    names: Sequence[str], candidates: Sequence[TermCandidate], sources: Sequence[Source]
+) -> dict[str, set[str]]:
+    """Components for which an effect that was asked for by its name alone is a candidate.
+
+    Those that a file names, and of those that the readings show directly the ones that the effect usually feeds, of
+    a shape along an axis the positioning before the straightness; where there is none, all that they show directly;
+    and where there is none either, all. So `scale,backlash` is no model of every deviation across the axes, nor of
+    every angle that reaches the reading through an arm.
+    """
+    measurements = [s.measurement for s in sources]
+    machine, shown = measurements[0].machine, read_directly(measurements)
+    out = {}
+    for name in names:
+        mine = [c for c in candidates if c.effect == name]
+        able, usual = {c.component for c in mine}, effect_class(name, "fit").feeds
+        if "positioning" in usual and any(c.kind in ALONG for c in mine):
+            usual = ("positioning",)
+        first = {c for c in able & set(shown) if shown[c] or component_kind(c, machine) in usual}
+        out[name] = first or able & set(shown) or able
+    return out
 
 
 def _simple(candidate: TermCandidate) -> bool:

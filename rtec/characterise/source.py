@@ -290,22 +290,18 @@ def both_ways(axis: Axis, sources: Sequence[Source]) -> bool:
     return False
 
 
-def visited(axis: Axis, sources: Sequence[Source]) -> tuple[float, float]:
-    """Lowest and highest position of an axis in the measurements, mm."""
-    there = [s.measurement.channels[axis.channel] for s in sources if axis.channel in s.measurement.channels]
-    return min(float(p.min()) for p in there), max(float(p.max()) for p in there)
-
-
 def gone_along(axis: Axis, sources: Sequence[Source]) -> bool:
     """Whether an axis went over half of what was visited of it in some one run.
 
     Patches that each have a zero of their own (plates on a grid, say) show slopes and bends where they lie. A curve
     made of pieces would take any height between them.
     """
-    low, high = visited(axis, sources)
-    for s in sources:
-        if axis.channel in s.measurement.channels:
-            place, edges = s.measurement.channels[axis.channel], s.blocks.run_edges
+    there = [s for s in sources if axis.channel in s.measurement.channels]
+    whole = [s.measurement.channels[axis.channel] for s in there]
+    low, high = min(float(p.min()) for p in whole), max(float(p.max()) for p in whole)
+    for s, place in zip(there, whole, strict=True):
+        if len(place):
+            edges = s.blocks.run_edges
             longest = np.maximum.reduceat(place, edges[:-1]) - np.minimum.reduceat(place, edges[:-1])
             if float(longest.max()) >= 0.5 * (high - low):
                 return True

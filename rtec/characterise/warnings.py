@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.coverage import cover_warnings
+from rtec.characterise.coverage import cover_warnings, places_mm
 from rtec.characterise.estimate import Estimate
 from rtec.characterise.identifiable import label
-from rtec.characterise.noise import Outlier, quick_noise, rough_noise
+from rtec.characterise.noise import Outlier, rough_noise
 from rtec.characterise.result import UndecidedTerm, Warn
 from rtec.characterise.source import Source, reads
-from rtec.estimation.visible import moves
+from rtec.estimation.plain import neighbour_noise
+from rtec.estimation.visible import axis_of, moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
@@ -88,6 +89,8 @@ ILL = 30.0
 """Condition number of scaled columns from which coefficients are told apart badly (Belsley, Kuh and Welsch)."""
 COLLINEAR = 0.98
 VISITED = 0.9
+GAP = 0.4
+"""A component was not read between places further apart than this share of the travel."""
 NARROW_K = 3.0
 FEW_BLOCKS = 8
 LITTLE_INFORMATION = 0.05
@@ -152,7 +155,7 @@ def _uneven(fit: Estimate) -> list[Warn]:
     ratios: dict[tuple[str, str | None], list[tuple[float, str]]] = {}
     for source, left in zip(fit.sources, fit.residuals, strict=True):
         m = source.measurement
-        size = float(np.max(np.sqrt(np.nanmean(left**2, axis=1)) / quick_noise(left, m.run)))
+        size = max(float(np.sqrt(np.nanmean(row**2))) / neighbour_noise(row, m.run) for row in left)
         ratios.setdefault((m.instrument.name, m.instrument.component), []).append((size, m.name))
     out = []
     for found in ratios.values():
@@ -259,22 +262,34 @@ def _sign_changes(fit: Estimate) -> list[Warn]:
 
 
 def _not_visited(fit: Estimate) -> list[Warn]:
-    machine = fit.sources[0].measurement.machine
+    """Components that were read over a part of the travel only, those of the same part together."""
+    machine, out = fit.sources[0].measurement.machine, []
+    parts: dict[tuple[str, float, float, str], list[str]] = {}
+    for component in dict.fromkeys(t.effect.component for t in fit.terms):
+        axis = axis_of(component, machine)
+        mine = [t for t in fit.terms if t.effect.component == component]
+        if axis is None or not any(axis.channel in t.effect.channels(machine) for t in mine):
+            continue
+        places = places_mm(fit.sources, component, axis)
+        low, high = (float(places[0]), float(places[-1])) if len(places) else (0.0, 0.0)
+        gap = int(np.argmax(np.diff(places))) if len(places) > 1 else 0
+        travel = axis.travel_mm[1] - axis.travel_mm[0]
+        wide = len(places) > 1 and places[gap + 1] - places[gap] > GAP * travel
+        between = f", and nowhere between {places[gap]:g} and {places[gap + 1]:g} mm" if wide else ""
+        if high - low < VISITED * travel or between:
+            parts.setdefault((axis.name, low, high, between), []).append(component)
+    for (name, low, high, between), components in parts.items():
+        travelled, reach = machine.axis(name).travel_mm, _range(fit.sources, machine.axis(name).channel)
+        beyond = reach[1] - reach[0] > 1.1 * (high - low)
+        said = f"{', '.join(components)}: axis {name} was measured from {low:g} to {high:g} mm only{between}"
+        then = (
+            f"other components were read from {reach[0]:g} to {reach[1]:g} mm, where these are extrapolated"
+            if beyond
+            else "the correction holds outside"
+        )
+        text = f"{said}; its travel is {travelled[0]:g} to {travelled[1]:g} mm; {then}"
+        out.append(Warn("not_visited", text, "measure them over the whole travel"))
     used = {c for t in fit.terms for c in t.effect.channels(machine)}
-    out = []
-    for axis in machine.axes:
-        if axis.channel in used:
-            low, high = _range(fit.sources, axis.channel)
-            travel = axis.travel_mm
-            if high - low < VISITED * (travel[1] - travel[0]):
-                out.append(
-                    Warn(
-                        "not_visited",
-                        f"axis {axis.name} was measured from {low:g} to {high:g} mm only; its travel is {travel[0]:g} "
-                        f"to {travel[1]:g} mm; the correction holds outside",
-                        "measure over the whole travel",
-                    )
-                )
     for sensor in (s for s in machine.sensor_names if s in used):
         low, high = _range(fit.sources, sensor)
         if high - low < NARROW_K:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.machine import Axis, Machine
+from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
 
 Floats = NDArray[np.float64]
@@ -14,6 +15,8 @@ Floats = NDArray[np.float64]
 MOVES = 0.01
 """An axis that moves by at least this share of its travel is seen."""
 NO_ARM = 1e-12
+ONE = 1e-6
+"""A lever arm of one, to rounding."""
 SAMPLE = 2000
 """Instants at which lever arms are looked at."""
 
@@ -57,7 +60,52 @@ def visible_components(measurements: Sequence[Measurement]) -> list[VisibleCompo
     for m in measurements:
         if m.instrument.component is None:
             found |= dict.fromkeys(_through_arms(m, machine))
-    return [VisibleComponent(c, axis_of(c, machine), _axis_name(c, machine) in moving) for c in found]
+    datum = _datum(measurements)
+    return [VisibleComponent(c, axis_of(c, machine), _axis_name(c, machine) in moving) for c in found if c not in datum]
+
+
+def _datum(measurements: Sequence[Measurement]) -> set[str]:
+    """Angles of lines of travel that a square takes as its reference: what is not square is the other axis' angle.
+
+    Where one square takes the one axis as its reference and another the other, neither is.
+    """
+    machine, referred, carried = measurements[0].machine, set(), set()
+    for m in measurements:
+        other = getattr(m.instrument.setup, "reference_axis", None)
+        if other is None or m.instrument.axis is None or m.instrument.component is not None:
+            continue
+        lines = {machine.axis(a).direction for a in (m.instrument.axis, other)}
+        normal = "ABC"["XYZ".index(min(set("XYZ") - lines))]
+        referred.add(f"E{normal}0{other}")
+        carried.add(f"E{normal}0{m.instrument.axis}")
+    return referred - carried
+
+
+def read_directly(measurements: Sequence[Measurement]) -> dict[str, bool]:
+    """Component errors that a reading shows as they are, not through a lever arm; and whether a file names them.
+
+    A component that its file names; and where none is named, every shift (or every angle, of readings in µrad) of an
+    axis that moved, or of a fixed link, that moves a reading one to one wherever the axes are. Of an instrument that
+    shows none so (a ball bar, whose direction turns), all that it sees.
+    """
+    machine = measurements[0].machine
+    out: dict[str, bool] = {}
+    for m in measurements:
+        if m.instrument.component is not None:
+            out[m.instrument.component] = True
+            continue
+        rows = np.unique(np.linspace(0, len(m) - 1, SAMPLE).astype(np.int64))
+        arms = np.abs(m.instrument.arms(machine, m.state().positions_mm()[rows]))
+        units = ["urad" if c.endswith("urad") else "um" for c in m.instrument.columns()]
+        one = np.abs(arms - 1.0).max(axis=1) < ONE
+        seen, shown = _through_arms(m, machine), []
+        for name in seen:
+            alike = np.array([u == component_unit(name) for u in units])
+            if (one[:, machine.components.index(name)] & alike).any():
+                shown.append(name)
+        for name in shown or seen:
+            out.setdefault(name, False)
+    return out
 
 
 def _through_arms(m: Measurement, machine: Machine) -> list[str]:

@@ -10,6 +10,7 @@ from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.choose import one_standard_error
 from rtec.characterise.grouping import tidied
 from rtec.characterise.stream import Term
+from rtec.diagnosis.extend.add import add
 from rtec.errors import MeasurementError, ModelError
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -356,18 +357,38 @@ def test_the_whole_catalogue_may_be_asked_for() -> None:
     assert found["lost_motion"].theta["s0"] == pytest.approx(20.0, rel=0.1)
 
 
-def test_a_cold_day_does_not_outweigh_a_hot_one() -> None:
-    """Oracle: ordinary least squares over both; the cold file hardly errs, the hot one rises by 75 µm/m more."""
-    cold, hot = (measurement(runs([40] * 10), seed=s, noise_um=0.3, name=n) for s, n in ((1, "cold"), (2, "hot")))
-    place = [(m.channels["x"] - 100.0) / 1e3 for m in (cold, hot)]
-    slow = 8.0 * np.sin(hot.time_s / 5e3) * (hot.channels["x"] - 100.0) / 90.0
-    made = [
-        replace(cold, readings={"reading_um": cold.readings["reading_um"] + 4.0 * place[0]}),
-        replace(hot, readings={"reading_um": hot.readings["reading_um"] + 79.0 * place[1] + slow}),
+def cold_and_hot() -> list[Measurement]:
+    """Twenty runs; the first ten hardly err, the others rise by 75 µm/m more, and by ever more."""
+    cold, hot = (measurement(runs([40] * 10), seed=s, noise_um=0.1, name=n) for s, n in ((1, "cold"), (2, "hot")))
+    rise = 79.0 * np.linspace(0.6, 1.4, len(hot)) * hot.channels["x"] / 1e3
+    return [
+        replace(cold, readings={"reading_um": cold.readings["reading_um"] + 4e-3 * cold.channels["x"]}),
+        replace(hot, readings={"reading_um": hot.readings["reading_um"] + rise}),
     ]
-    result = characterise(made, wanted=read_wanted("scale:EXX,backlash:EXX", cold.machine))
-    assert next(c for c in result.coefficients if c.name == "k").value > 20.0
+
+
+def test_a_cold_day_does_not_outweigh_a_hot_one() -> None:
+    """Oracle: numpy's least squares over both files, a zero for each run."""
+    made = cold_and_hot()
+    result = characterise(made, wanted=read_wanted("scale,backlash", MACHINE))
+    run = np.concatenate([made[0].run, made[1].run + 10])
+    x, d, y = (np.concatenate(v) for v in zip(*[(m.channels["x"], m.channels["d_x"], m.matrix()[0]) for m in made]))
+    design = np.column_stack([x / 1e3, d, run[:, None] == np.arange(1, 21)])
+    slope = np.linalg.lstsq(design, y, rcond=None)[0][0]
+    k = next(c for c in result.coefficients if c.name == "k")
+    assert k.value == pytest.approx(slope, rel=0.1)
+    assert k.se is not None
+    assert k.se > 5.0
     assert "uneven" in {w.code for w in result.warnings}
+
+
+def test_a_refit_weighs_cold_and_hot_alike() -> None:
+    """Oracle: the fit from nothing; `add --refit` of a model begun elsewhere gives the same slope."""
+    made = cold_and_hot()
+    fit = characterise(made, wanted=read_wanted("scale", MACHINE)).model
+    slope = fit.effects[0].values["k"]
+    begun = replace(fit, effects=(replace(fit.effects[0], values={"k": 0.5 * slope}),))
+    assert add(begun, [], made).model.effects[0].values["k"] == pytest.approx(slope, rel=0.1)
 
 
 def test_the_numbers_of_runs_do_not_matter_where_nothing_is_anew() -> None:
