@@ -15,7 +15,7 @@ from rtec.characterise.projection import Polished, polish
 from rtec.characterise.source import Source, flat, thinned
 from rtec.characterise.stream import Progress, Term, gather, predict
 from rtec.errors import ModelError
-from rtec.estimation.plain import alike, neighbour_noise
+from rtec.estimation.kinds import alike, neighbour_noise
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from rtec.characterise.identifiable import label
 from rtec.characterise.noise import Outlier, rough_noise
 from rtec.characterise.result import UndecidedTerm, Warn
 from rtec.characterise.source import Source, reads
-from rtec.estimation.plain import neighbour_noise
+from rtec.estimation.kinds import neighbour_noise
 from rtec.estimation.visible import axis_of, moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import Whitener, log_likelihood, refine
 from rtec.estimation.readings import Readings, Series
 
@@ -102,8 +103,8 @@ class HeldOut:
         white: sum of squares of whitened residuals, by fold, (folds,).
         square: mean square of plain residuals, nuisances of each run taken out.
         series: the same for each series, (series,).
-        folds: sum of squares of plain residuals of each fold, each series over its own mean square of readings,
-            (folds,).
+        folds: sum of squares of plain residuals of each fold, each series over the mean square of the
+            readings of equal instruments, (folds,).
     """
 
     white: Floats
@@ -157,8 +158,7 @@ def held_out(whitener: Weights, columns: Floats, scale: Floats | None = None) ->
     weight = np.ones(len(readings.series)) if scale is None else scale
     squares = [float(np.mean(cleaned[s.part] ** 2)) * w * w for s, w in zip(readings.series, weight, strict=True)]
     sizes = np.array([len(s) for s in readings.series], dtype=np.float64)
-    flat = without_nuisance(readings, readings.values)
-    whole = np.array([max(float(np.mean(flat[s.part] ** 2)), 1e-30) for s in readings.series])
+    whole = spreads(readings, without_nuisance(readings, readings.values)) ** 2
     folded = np.array([float(np.sum(cleaned[r] ** 2 / whole[readings.series_of[r]])) for r in rows])
     return HeldOut(lost, float(np.average(squares, weights=sizes)), np.array(squares), folded)
 

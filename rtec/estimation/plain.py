@@ -6,13 +6,13 @@ squares cannot: it makes the residual itself small. Its standard errors know of 
 `(X'X)⁻¹ X'ΣX (X'X)⁻¹`.
 """
 
-from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.estimation.gls import HeldOut, inverse, solve, without_nuisance
+from rtec.estimation.kinds import SIGMA_PER_MAD, alike, kinds_of, neighbour_noise
 from rtec.estimation.noise import Whitener, refine
 from rtec.estimation.readings import Readings
 
@@ -21,11 +21,8 @@ Floats = NDArray[np.float64]
 HUBER = 3.0
 """Residuals beyond so many robust standard deviations of their series count less."""
 ROUNDS = 4
-SIGMA_PER_MAD = 1.4826
 LEAST_SHARE = 0.02
 """The robust standard deviation is never below this share of the plain one: quantised residuals are mostly equal."""
-QUANTISED = 0.005
-"""The same for the noise between neighbours."""
 STEPS = 30
 WORSE = 1.04
 """A mean square on held-out runs that is larger by less than this factor is as good."""
@@ -101,43 +98,11 @@ def weights(readings: Readings, noise: Whitener, left: Floats) -> Plain:
         robust = SIGMA_PER_MAD * float(np.median(np.abs(mine)))
         sigma[i] = max(robust, LEAST_SHARE * float(np.sqrt(np.mean(mine**2))), 1e-9)
         quick[i] = neighbour_noise(mine, s.run)
-    made_by = [readings.measurements[s.source].instrument for s in readings.series]
-    kinds = [(m.name, m.axis, m.component, s.column) for m, s in zip(made_by, readings.series, strict=True)]
-    sigma = alike(kinds, sigma, quick, np.array([len(s) for s in readings.series]))
+    sigma = alike(kinds_of(readings), sigma, quick, np.array([len(s) for s in readings.series]))
     for s, size in zip(readings.series, sigma, strict=True):
         far = np.maximum(np.abs(flat[s.part]), 1e-300)
         huber[s.part] = np.sqrt(np.minimum(1.0, HUBER * size / far))
     return Plain(readings, noise, sigma, huber)
-
-
-def neighbour_noise(left: Floats, run: NDArray[np.int64]) -> float:
-    """Noise of residuals, (n,), from how each differs from the middle of its neighbours in its run, robustly."""
-    size = float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
-    bend = np.abs(left[1:-1] - 0.5 * (left[:-2] + left[2:]))[run[2:] == run[:-2]]
-    bend = bend[np.isfinite(bend)]
-    quick = max(SIGMA_PER_MAD * float(np.median(bend)) / np.sqrt(1.5), QUANTISED * size) if len(bend) else size
-    return float(max(quick, 1e-12))
-
-
-def alike(kinds: Sequence[Hashable], sigma: Floats, quick: Floats, count: NDArray[np.int64]) -> Floats:
-    """Residuals of equal instruments: the noise between neighbours of each, and beside it what all have in common.
-
-    A cold day that hardly errs would else outweigh the hot one that shows the error: what is left of the hot one is
-    not its noise but what the model misses, and no reading is worth more than the model is right.
-
-    Args:
-        kinds: which series are of equal instruments.
-        sigma: residual of each series, (series,).
-        quick: its noise between neighbours, (series,).
-        count: its readings, (series,).
-    """
-    out = sigma.copy()
-    for kind in set(kinds):
-        mine = np.array([k == kind for k in kinds])
-        own = np.minimum(quick[mine], sigma[mine]) ** 2
-        common = np.average(sigma[mine] ** 2 - own, weights=np.maximum(count[mine], 1))
-        out[mine] = np.sqrt(own + common)
-    return out
 
 
 def plain_fit(readings: Readings, noise: Whitener, columns: Floats) -> tuple[Plain, Floats]:

@@ -372,14 +372,25 @@ def test_a_cold_day_does_not_outweigh_a_hot_one() -> None:
     made = cold_and_hot()
     result = characterise(made, wanted=read_wanted("scale,backlash", MACHINE))
     run = np.concatenate([made[0].run, made[1].run + 10])
-    x, d, y = (np.concatenate(v) for v in zip(*[(m.channels["x"], m.channels["d_x"], m.matrix()[0]) for m in made]))
+    x, d = (np.concatenate([m.channels[c] for m in made]) for c in ("x", "d_x"))
+    y = np.concatenate([m.matrix()[0] for m in made])
     design = np.column_stack([x / 1e3, d, run[:, None] == np.arange(1, 21)])
     slope = np.linalg.lstsq(design, y, rcond=None)[0][0]
     k = next(c for c in result.coefficients if c.name == "k")
     assert k.value == pytest.approx(slope, rel=0.1)
     assert k.se is not None
     assert k.se > 5.0
-    assert "uneven" in {w.code for w in result.warnings}
+    assert "left_over" in codes(result)
+
+
+def test_a_day_that_is_met_far_worse_is_told() -> None:
+    """Oracle: the second file has a drift of 3 µm that no sensor sees, which a straight line cannot take up."""
+    cold, hot = (measurement(runs([40] * 10), seed=s, noise_um=0.1, name=n) for s, n in ((1, "cold"), (2, "hot")))
+    table = [4e-3 * m.channels["x"] for m in (cold, hot)]
+    table[1] = table[1] + 3.0 * np.sin(hot.time_s / 600.0)
+    made = [with_readings(m, t) for m, t in zip((cold, hot), table, strict=True)]
+    result = characterise(made, wanted=read_wanted("scale,backlash", MACHINE))
+    assert any(w.code == "uneven" and "hot is met" in w.text for w in result.warnings)
 
 
 def test_a_refit_weighs_cold_and_hot_alike() -> None:

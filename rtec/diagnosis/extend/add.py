@@ -28,6 +28,7 @@ from rtec.estimation.floor import Unit
 from rtec.estimation.gls import held_out, solve, without_nuisance
 from rtec.estimation.joint import LOOSE, Joint, joint_fit
 from rtec.estimation.judge import Judgement
+from rtec.estimation.kinds import spreads
 from rtec.estimation.noise import least_noise
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
@@ -281,8 +282,8 @@ def residual_size(effects: Sequence[FittedEffect], readings: Readings) -> float:
 
 
 def _size(readings: Readings, left: Floats) -> float:
-    """Root mean square of residuals, (m,), each series over the spread of its readings."""
-    spread = floor.rms_by_series(readings, floor.cleaned(readings, readings.values))
+    """Root mean square of residuals, (m,), each series over the spread of the readings of equal instruments."""
+    spread = spreads(readings, floor.cleaned(readings, readings.values))
     return floor.pooled(
         readings, floor.rms_by_series(readings, floor.cleaned(readings, left)), 1.0 / np.maximum(spread, 1e-12)
     )

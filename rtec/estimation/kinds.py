@@ -1,0 +1,58 @@
+"""Series of equal instruments count alike: what one of them happens to show less of is not worth more.
+
+A cold day that hardly errs would else outweigh the hot one that shows the error: what is left of the hot one is not
+its noise but what the model misses, and no reading is worth more than the model is right.
+"""
+
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.estimation.readings import Readings
+
+Floats = NDArray[np.float64]
+
+SIGMA_PER_MAD = 1.4826
+QUANTISED = 0.005
+"""The noise between neighbours is never below this share of the residual: quantised readings are mostly equal."""
+
+
+def kinds_of(readings: Readings) -> list[Hashable]:
+    """Which series are of equal instruments, on the same axis or component."""
+    made_by = [readings.measurements[s.source].instrument for s in readings.series]
+    return [(m.name, m.axis, m.component, s.column) for m, s in zip(made_by, readings.series, strict=True)]
+
+
+def spreads(readings: Readings, values: Floats) -> Floats:
+    """Root mean square of values, (m,), over all series of equal instruments, (series,)."""
+    count = np.array([len(s) for s in readings.series])
+    rms = np.array([max(float(np.sqrt(np.mean(values[s.part] ** 2))), 1e-15) for s in readings.series])
+    return alike(kinds_of(readings), rms, np.zeros(len(rms)), count)
+
+
+def neighbour_noise(left: Floats, run: NDArray[np.int64]) -> float:
+    """Noise of residuals, (n,), from how each differs from the middle of its neighbours in its run, robustly."""
+    size = float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
+    bend = np.abs(left[1:-1] - 0.5 * (left[:-2] + left[2:]))[run[2:] == run[:-2]]
+    bend = bend[np.isfinite(bend)]
+    quick = max(SIGMA_PER_MAD * float(np.median(bend)) / np.sqrt(1.5), QUANTISED * size) if len(bend) else size
+    return float(max(quick, 1e-12))
+
+
+def alike(kinds: Sequence[Hashable], sigma: Floats, quick: Floats, count: NDArray[np.int64]) -> Floats:
+    """Residuals of equal instruments: the noise between neighbours of each, and beside it what all have in common.
+
+    Args:
+        kinds: which series are of equal instruments.
+        sigma: residual of each series, (series,).
+        quick: its noise between neighbours, (series,).
+        count: its readings, (series,).
+    """
+    out = sigma.copy()
+    for kind in set(kinds):
+        mine = np.array([k == kind for k in kinds])
+        own = np.minimum(quick[mine], sigma[mine]) ** 2
+        common = np.average(sigma[mine] ** 2 - own, weights=np.maximum(count[mine], 1))
+        out[mine] = np.sqrt(own + common)
+    return out
