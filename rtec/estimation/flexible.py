@@ -10,13 +10,13 @@ Floats = NDArray[np.float64]
 
 NEAR_DEGC = 0.3
 """Temperatures that differ by less than this from those of the first of a group count as the same."""
-KNOTS, WARM_KNOTS = 9, 4
+KNOTS, WARM_KNOTS = (9, 5, 3, 2), 4
 FEW_VALUES = 9
 REAL_DEGC = 0.5
 """A sensor that varies by less has nothing to say."""
 MOST_WARM, SMALL_PART = 40, 1e-10
 """Columns of temperatures; the strongest directions of all that were made."""
-READINGS_PER_COLUMN, STATES_PER_COLUMN = 8, 3
+READINGS_PER_PLACE, READINGS_PER_COLUMN, STATES_PER_COLUMN = 4, 8, 3
 """Temperatures that differ by less are one state of the machine."""
 
 
@@ -34,23 +34,26 @@ def flexible_columns(readings: Readings, base: Floats) -> Floats:
 def smooth_columns(readings: Readings, series: Series) -> Floats:
     """Hat functions of positions by direction, of speeds and load; of temperatures, also times positions, (n, p)."""
     state, rows = readings.states[series.source], series.row
-    room = max(len(series) // READINGS_PER_COLUMN, 1)
-    parts: list[Floats] = []
-    moving: list[Floats] = []
+    moving = []
     for axis in readings.machine.axes:
         place = state.value(axis.channel)[rows]
-        if np.ptp(place) <= 0.01 * (axis.travel_mm[1] - axis.travel_mm[0]):
-            continue
-        moving.append((place - place.mean()) / np.ptp(place))
-        direction = np.sign(state.value(axis.direction_channel)[rows])
-        hats = _hats(place, KNOTS)
-        parts += [hats * (direction == d)[:, None] for d in np.unique(direction)]
-    for name in ("spindle_rpm", "load_kg", "feed_mm_min", *(a.velocity_channel for a in readings.machine.axes)):
-        if name in state.channels and np.isfinite(state.channels[name][rows]).all():
-            parts.append(_hats(state.channels[name][rows], WARM_KNOTS))
-    plain = np.concatenate(parts, axis=1) if parts else np.zeros((len(series), 0))
-    warm = _warm(readings, series, moving)
-    return np.concatenate([plain, warm[:, : max(room - plain.shape[1], 0)]], axis=1)[:, :room]
+        if np.ptp(place) > 0.01 * (axis.travel_mm[1] - axis.travel_mm[0]):
+            moving.append((place, np.sign(state.value(axis.direction_channel)[rows])))
+    names = ("spindle_rpm", "load_kg", "feed_mm_min", *(a.velocity_channel for a in readings.machine.axes))
+    speeds = [state.channels[n][rows] for n in names if n in state.channels]
+    most = max(len(series) // READINGS_PER_PLACE, 1)
+    # Fewer knots where there are few readings, the same in both directions.
+    plain = np.zeros((len(series), 0))
+    for knots in KNOTS:
+        few = FEW_VALUES if knots == KNOTS[0] else knots
+        parts = [_hats(p, knots, few) * (d == way)[:, None] for p, d in moving for way in np.unique(d)]
+        parts += [_hats(v, min(knots, WARM_KNOTS), few) for v in speeds if np.isfinite(v).all()]
+        plain = np.concatenate([plain[:, :0], *parts], axis=1)
+        if plain.shape[1] <= most:
+            break
+    warm = _warm(readings, series, [(p - p.mean()) / np.ptp(p) for p, _ in moving])
+    room = max(len(series) // READINGS_PER_COLUMN - plain.shape[1], 0)
+    return np.concatenate([plain[:, :most], warm[:, :room]], axis=1)
 
 
 def _warm(readings: Readings, series: Series, moving: list[Floats]) -> Floats:
@@ -87,12 +90,12 @@ def _states(degc: Floats) -> int:
     return count
 
 
-def _hats(value: Floats, knots: int) -> Floats:
-    """Hat functions on evenly spaced knots, or one column for each of a few values, (n, k)."""
+def _hats(value: Floats, knots: int, few: int = FEW_VALUES) -> Floats:
+    """Hat functions on evenly spaced knots, or one column for each of a few values at the most, (n, k)."""
     levels = np.unique(value)
     if len(levels) == 1:
         return np.zeros((len(value), 0))
-    if len(levels) <= FEW_VALUES:
+    if len(levels) <= few:
         return np.asarray(value[:, None] == levels[None, :], dtype=np.float64)
     place = (value - levels[0]) / (levels[-1] - levels[0]) * (knots - 1)
     return np.asarray(np.clip(1.0 - np.abs(place[:, None] - np.arange(knots)[None, :]), 0.0, None))

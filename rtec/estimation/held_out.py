@@ -1,7 +1,8 @@
 """Cuts a measurement into blocks that are left out together, and that count as one in a standard error.
 
 Neighbouring readings share the drift of the hour, so leaving out single readings proves nothing. Where there are
-enough runs, a block is one or more whole runs; else it is a stretch of hours.
+enough runs, a block is one or more whole runs; else it is a stretch of hours. Where a run has nothing of its own, its
+number is but a way of numbering: runs that are less than a way there and back, or all one, are cut by such ways.
 """
 
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ FOLDS = 10
 STRETCH_H = 4.0
 """A thermal cycle's part: long against the machine's quick drift, short against a day."""
 STILL_MM = 1e-3
+QUARTER = 0.25
+NEAR = 0.01
+"""Places nearer to each other than this share of what was visited are one."""
 FEWEST = 8
 """A measurement too short for five such stretches is cut into so many equal ones."""
 
@@ -72,22 +76,63 @@ def cut(measurement: Measurement, leave_out_h: float | None = None) -> Blocks:
 
     Args:
         measurement: its rows are in order of time; a run number that comes back later is another run.
-        leave_out_h: length of what is left out, hours; None: whole runs where there are at least 6 and an axis moves or
-            each has a zero of its own, else 4 h, or an eighth where the whole is shorter than 20 h.
+        leave_out_h: length of what is left out, hours; None: whole runs where there are at least 6 that have a zero of
+            their own or an axis that comes back, else 4 h, or an eighth where the whole is shorter than 20 h.
     """
     run_edges = edges_of(measurement.run)
-    if leave_out_h is None and len(run_edges) > ENOUGH_RUNS and _runs_matter(measurement):
-        return _by_runs(run_edges)
+    whole = _whole(measurement, run_edges)
+    if leave_out_h is None and len(whole) > ENOUGH_RUNS:
+        return _by_runs(whole, run_edges)
     return _by_time(measurement, run_edges, leave_out_h)
 
 
-def _runs_matter(measurement: Measurement) -> bool:
-    """Whether an axis moves, or each run has something of its own; else runs are but a way of numbering."""
-    machine, channels = measurement.machine, measurement.channels
-    if any(np.ptp(channels[a.channel]) > STILL_MM for a in machine.axes if a.channel in channels):
-        return True
+def _whole(measurement: Measurement, run_edges: Ints) -> Ints:
+    """First row of each run that counts as one, and the number of rows."""
     nuisances = measurement.instrument.nuisance(measurement.state(), measurement.run)
-    return any(n.per == "run" for n in nuisances)
+    if any(n.per == "run" for n in nuisances):
+        return run_edges
+    machine, channels = measurement.machine, measurement.channels
+    if not any(np.ptp(channels[a.channel]) > STILL_MM for a in machine.axes if a.channel in channels):
+        return run_edges[[0, -1]]
+    ways = cycles(measurement)
+    finer = len(ways) > 2 and len(ways) <= len(run_edges)
+    return ways if finer or len(run_edges) <= ENOUGH_RUNS else run_edges
+
+
+def cycles(measurement: Measurement) -> Ints:
+    """First row of each way there and back, and the number of rows.
+
+    Of the axis that the instrument follows, or of which it reads a component; else of the one that goes the fewest. A
+    way begins at the lowest place between two visits to the upper quarter of what was visited, so that neither
+    the jitter of a place nor the numbering of runs counts. Where no axis comes back, the measurement is one.
+    """
+    machine, channels, n = measurement.machine, measurement.channels, len(measurement)
+    instrument, found = measurement.instrument, []
+    own = instrument.axis or (instrument.component or "")[2:]
+    for axis in [a for a in machine.axes if a.name == own] or machine.axes:
+        place = channels.get(axis.channel)
+        if place is not None and np.ptp(place) > STILL_MM:
+            starts = _returns(place)
+            if len(starts):
+                found.append(np.concatenate([[0], starts, [n]]))
+    return min(found, key=len) if found else np.array([0, n])
+
+
+def _returns(place: NDArray[np.float64]) -> Ints:
+    """Rows at which ways begin but the first: the last at the lowest place between two visits of the upper quarter."""
+    low, high = float(place.min()), float(place.max())
+    side = np.where(place > high - QUARTER * (high - low), 1, np.where(place < low + QUARTER * (high - low), -1, 0))
+    far = np.flatnonzero(side)
+    turns = np.flatnonzero(np.diff(side[far]) != 0)
+    # Stretches of rows on one side, one after the other: upper, lower, upper …
+    first, last = far[np.concatenate([[0], turns + 1])], far[np.concatenate([turns, [len(far) - 1]])]
+    out = []
+    for k in range(1, len(first) - 1):
+        if side[first[k]] < 0:
+            part = place[first[k] : last[k] + 1]
+            near = np.flatnonzero(part <= part.min() + NEAR * (high - low))
+            out.append(int(first[k] + near[len(near) // 2]))
+    return np.array(out, dtype=np.int64)
 
 
 def edges_of(label: Ints) -> Ints:
@@ -96,12 +141,12 @@ def edges_of(label: Ints) -> Ints:
     return np.concatenate([[0], change, [len(label)]]).astype(np.int64)
 
 
-def _by_runs(run_edges: Ints) -> Blocks:
-    runs = len(run_edges) - 1
+def _by_runs(whole: Ints, run_edges: Ints) -> Blocks:
+    runs = len(whole) - 1
     blocks = min(runs, MOST_BLOCKS)
     first = np.unique(np.arange(blocks + 1) * runs // blocks)
     fold = np.arange(blocks) * min(FOLDS, blocks) // blocks
-    return Blocks(run_edges[first], fold, run_edges, by_time=False)
+    return Blocks(whole[first], fold, run_edges, by_time=False)
 
 
 def _by_time(measurement: Measurement, run_edges: Ints, leave_out_h: float | None) -> Blocks:

@@ -208,12 +208,23 @@ def _without_runs(s: Series, columns: Floats, weight: Floats) -> Floats:
 
 
 def _of_visits(rough: Floats, place: Ints) -> Floats:
-    """Median of all visits to the place of each reading, (n,); zero where there are few."""
-    ordered = rough[np.lexsort((rough, place))]
+    """Median of all other visits to the place of each reading, (n,); zero where there are few.
+
+    Without the reading itself: the median of three would be one of them, and its noise none.
+    """
+    order = np.lexsort((rough, place))
     count = np.bincount(place)
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
-    middle = 0.5 * (ordered[first + (count - 1) // 2] + ordered[first + count // 2])
-    return np.asarray(np.where(count >= VISITS, middle, 0.0)[place])
+    ordered, group = rough[order], place[order]
+    rank, others = np.arange(len(rough)) - first[group], count[group] - 1
+    low, high = (others - 1) // 2, others // 2
+    # Of the others, in order: those behind the reading itself are one further on.
+    at = [first[group] + k + (k >= rank) for k in (low, high)]
+    last = len(rough) - 1
+    middle = 0.5 * (ordered[np.minimum(at[0], last)] + ordered[np.minimum(at[1], last)])
+    out = np.empty(len(rough))
+    out[order] = np.where(count[group] >= VISITS, middle, 0.0)
+    return out
 
 
 def _bursts(off: Floats, least: Floats, sigma: float, linked: Ints, place: Ints, still: bool) -> Bools:

@@ -402,6 +402,22 @@ def test_a_refit_weighs_cold_and_hot_alike() -> None:
     assert add(begun, [], made).model.effects[0].values["k"] == pytest.approx(slope, rel=0.1)
 
 
+@pytest.mark.parametrize("per_run", [5, 10, 50])
+def test_cycles_are_cut_alike_however_they_are_numbered(per_run: int) -> None:
+    """Oracle: five cycles of an ISO 230-2 test, each a run, each pass a run, or all of them one: the same numbers."""
+    m = measurement(runs([10] * 5), instrument=Probe(ProbeSetup(zero="setup"), component="EXX"), noise_um=0.5)
+    place = np.tile(np.concatenate([np.linspace(10.0, 190.0, 5), np.linspace(190.0, 10.0, 5)]), 5)
+    way = np.tile(np.repeat([1.0, -1.0], 5), 5)
+    u = (place - 100.0) / 100.0
+    values = {"reading_um": m.readings["reading_um"] + 3.0 * way + 8.0 * u - 6.0 * u**2}
+    m = replace(m, channels={"x": place, "d_x": way}, readings=values)
+    by_cycle, other = (characterise([replace(m, run=runs([k] * (50 // k)))]) for k in (10, per_run))
+    assert {"backlash", "scale", "polynomial_position"} == {f.effect.effect for f in other.model.effects}
+    for one, two in zip(by_cycle.coefficients, other.coefficients, strict=True):
+        assert (one.effect, one.name) == (two.effect, two.name)
+        assert (two.value, two.se) == pytest.approx((one.value, one.se), rel=1e-9)
+
+
 def test_the_numbers_of_runs_do_not_matter_where_nothing_is_anew() -> None:
     """A drift test, all of it one run, or each ten minutes another: one choice, one held-out error."""
     probe = Probe(ProbeSetup(zero="setup"), component="EX0spindle")

@@ -43,6 +43,20 @@ def test_clean_readings_are_kept() -> None:
         assert not found(measurement(runs([40] * 20), noise_um=0.3, seed=seed))
 
 
+@pytest.mark.parametrize("cycles", [1, 2, 3, 4])
+def test_few_runs_are_kept_too(cycles: int) -> None:
+    """Oracle: normal noise about a slope, there and back over twenty targets; a wrong reading in it is found."""
+    place = np.tile(np.concatenate([np.linspace(10.0, 190.0, 20), np.linspace(190.0, 10.0, 20)]), cycles)
+    way = np.tile(np.repeat([1.0, -1.0], 20), cycles)
+    probe = Probe(ProbeSetup(zero="setup"), component="EXX")
+    for seed in range(12):
+        m = measurement(runs([40] * cycles), noise_um=0.5, seed=seed, instrument=probe)
+        values = {"reading_um": m.readings["reading_um"] + 0.1 * place}
+        m = replace(m, channels={"x": place, "d_x": way}, readings=values)
+        assert not found(m), seed
+        assert found(spoilt(m, [17], [30.0])) == [17]
+
+
 def test_a_burst_where_other_visits_show_nothing_is_wrong() -> None:
     """Two and three in a row at targets that seventeen other runs pass; in all runs it would be the machine."""
     m = laser([SCALE], 8, noise={"white_um": 0.1})
