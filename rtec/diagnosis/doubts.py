@@ -6,7 +6,7 @@ contradiction.
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,16 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.wrong_scale import odd_scales
+from rtec.effects import State
 from rtec.errors import ModelError
 from rtec.estimation import floor
+from rtec.estimation.candidates import real
+from rtec.estimation.columns import ordered
 from rtec.estimation.judge import Judgement
-from rtec.estimation.readings import Readings, Series
-from rtec.model import Model
+from rtec.estimation.readings import Readings, Series, looked_at
+from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-Kind = Literal["wrong_scale", "wrong_channel", "contradiction", "corrected", "one_pass", "few_runs"]
+Kind = Literal[
+    "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
+    "one_pass", "few_runs",
+]  # fmt: skip
+BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
+    {"wrong_channel", "swapped_sensors", "moved_origin", "contradiction", "corrected"}
+)
+"""Doubts beside which no effect of the machine is named."""
 
 TOGETHER = 0.98
 """Correlation of position and time from which on they are one."""
@@ -31,10 +41,17 @@ MOVES = 0.05
 """Share of the travel from which on an axis moves."""
 COMMON, OPPOSITE = 5, -0.8
 """Places that two files share at the least, and the correlation of their means from which on they contradict."""
+DISAGREE, MUCH_OF, UNLIKE = 4.0, 0.5, 3.0
+"""Or so many times what the noise lets them differ by, and this share of what they read; where channels that were
+recorded differ by less than so many times what counts as a change."""
 BETTER = 0.5
-"""A factor in a channel is proposed where it leaves less than this share of the residual,"""
-NEAR_FLOOR, ABOVE = 1.25, 3.0
+"""An edit of the record is proposed where it leaves less than this share of the residual,"""
+NEAR_FLOOR, ABOVE = 1.25, 1.5
 """and no more than so many times the noise; it is asked only where the model leaves more than so many times that."""
+NEAR_REFIT = 1.05
+"""Or, of a factor, no more than so many times what the model leaves with its own numbers refitted."""
+SHIFT, SHIFTS = 0.25, 101
+"""How far an origin may have moved, as a share of the travel, and how many places are tried."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
 FLAT, MUCH = 1.5, 5.0
 """Readings of less than so many times the noise are flat; a model that says more than so many times has much to say."""
@@ -67,11 +84,14 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     """All doubts about the readings of a model, those that stand before every answer first."""
     readings = judged.readings
     measured, predicted = (floor.cleaned(readings, v) for v in (readings.values, judged.base.predicted))
+    edited = _edited_records(judged)
     found = [Doubt("wrong_scale", said, "", fatal=True) for said in odd_scales(readings, measured, predicted)]
-    found = found or _contradictions(readings, measured)
+    if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
+        found = []  # a channel is wrong, and what is predicted with it
+    found = found or _contradictions(judged, floor.cleaned(readings, readings.values - judged.base.predicted))
     found += _corrected(judged, measured, predicted)
-    if not found:
-        found += _wrong_channels(judged)
+    if not found and edited is not None:
+        found.append(edited.doubt(judged.residual))
     found += [*_one_pass(readings), *_few_runs(readings)]
     return tuple(found)
 
@@ -80,48 +100,85 @@ def _name(readings: Readings, s: Series) -> str:
     return f"{readings.measurements[s.source].name} {s.column}"
 
 
-def _contradictions(readings: Readings, measured: Floats) -> list[Doubt]:
-    """Files that read the same places with opposite signs."""
-    out = []
-    for one, two in itertools.combinations(readings.series, 2):
+def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
+    """Files that read the same places otherwise: with opposite signs, or by far more than their noise."""
+    readings = judged.readings
+    turned: list[tuple[Series, Series]] = []
+    apart: list[tuple[Series, Series]] = []
+    worst = 0.0
+    for (i, one), (j, two) in itertools.combinations(enumerate(readings.series), 2):
         same = one.column == two.column and readings.measurements[one.source].instrument.component == (
             readings.measurements[two.source].instrument.component
         )
-        if one.source == two.source or not same:
+        common = _common(readings, one, two, measured) if same and one.source != two.source else None
+        if common is None:
             continue
-        r = _agreement(readings, one, two, measured)
-        if r is not None and r < OPPOSITE:
-            out.append((one, two, r))
-    if not out:
-        return []
-    # The file that contradicts most of the others is the odd one.
+        a, b, counts = common
+        size = math.sqrt(float(a @ a) * float(b @ b))
+        if size > 0.0 and float(a @ b) / size < OPPOSITE:
+            turned.append((one, two))
+            continue
+        expected = judged.floors[i].value ** 2 / counts[0] + judged.floors[j].value ** 2 / counts[1]
+        off = float(np.sqrt(np.mean((a - b) ** 2)))
+        larger = max(float(np.std(a)), float(np.std(b)))
+        if off > max(DISAGREE * math.sqrt(expected), MUCH_OF * larger) and _alike(readings, one, two):
+            apart.append((one, two))
+            worst = max(worst, off)
+    if turned:
+        return [_contradiction(readings, turned, "its readings go the other way")]
+    if apart:
+        unit = "µrad" if apart[0][0].unit == "urad" else "µm"
+        what = f"its readings differ by {worst:.2g} {unit}, and no recorded channel does"
+        return [_contradiction(readings, apart, what)]
+    return []
+
+
+def _contradiction(readings: Readings, pairs: Sequence[tuple[Series, Series]], how: str) -> Doubt:
+    """The file that contradicts most of the others is the odd one."""
     count: dict[int, int] = {}
-    for one, two, _ in out:
-        for s in (one, two):
+    for pair in pairs:
+        for s in pair:
             count[s.source] = count.get(s.source, 0) + 1
     odd = max(count, key=lambda k: (count[k], k))
-    others = sorted({s.source for one, two, _ in out for s in (one, two)} - {odd})
+    others = sorted({s.source for pair in pairs for s in pair if any(t.source == odd for t in pair)} - {odd})
     names = ", ".join(readings.measurements[i].name for i in others)
-    message = (
-        f"{readings.measurements[odd].name} contradicts {names}: at the same places its readings go the other way "
-        f"(correlation {min(r for _, _, r in out):.2f})."
-    )
+    message = f"{readings.measurements[odd].name} contradicts {names}: at the same places {how}."
     step = (
         "Look at its sign, its set-up and whether it is of the same machine; without it or with it turned, try again."
     )
-    return [Doubt("contradiction", message, step, fatal=True)]
+    return Doubt("contradiction", message, step, fatal=True)
 
 
-def _agreement(readings: Readings, one: Series, two: Series, measured: Floats) -> float | None:
-    """Correlation of what two series read at the places that they share; None where these are few."""
+def _alike(readings: Readings, one: Series, two: Series) -> bool:
+    """Whether all that was recorded beside overlaps in two series: nothing known makes the one differ from the other.
+
+    What a channel does that changes within a file shows there already.
+    """
+    machine = readings.machine
+    states = [readings.states[s.source] for s in (one, two)]
+    names = [*machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"]
+    names += [n for a in machine.axes for n in (a.channel, a.velocity_channel)]
+    for name in names:
+        if not all(name in s.channels for s in states):
+            continue
+        a, b = (np.abs(st.channels[name][s.row]) for st, s in zip(states, (one, two), strict=True))
+        if max(float(np.nanmin(a)), float(np.nanmin(b))) > UNLIKE * real(machine, name) + min(
+            float(np.nanmax(a)), float(np.nanmax(b))
+        ):
+            return False
+    return True
+
+
+def _common(
+    readings: Readings, one: Series, two: Series, measured: Floats
+) -> tuple[Floats, Floats, tuple[float, float]] | None:
+    """What two series read at the places that they share, each about its mean; and readings at a place of each."""
     means = [_means(readings, s, measured[s.part]) for s in (one, two)]
     common = sorted(set(means[0]) & set(means[1]))
     if len(common) < COMMON:
         return None
     a, b = (np.array([m[k] for k in common]) for m in means)
-    a, b = a - a.mean(), b - b.mean()
-    size = math.sqrt(float(a @ a) * float(b @ b))
-    return float(a @ b) / size if size > 0.0 else None
+    return a - a.mean(), b - b.mean(), (len(one) / len(means[0]), len(two) / len(means[1]))
 
 
 def _means(readings: Readings, s: Series, values: Floats) -> Mapping[tuple[float, ...], float]:
@@ -149,52 +206,136 @@ def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[D
     return out
 
 
-def _wrong_channels(judged: Judgement) -> list[Doubt]:
-    """Channels that fit the model far better when they are multiplied with a factor that only a file can have."""
-    model, readings = judged.model, judged.readings
+def _edited_records(judged: Judgement) -> "_Edit | None":
+    """What could be wrong with the recorded channels: the edit of the record with which the model fits far better."""
     if judged.residual < ABOVE * judged.noise_floor:
-        return []
-    channels = {c for f in model.effects for c in f.effect.channels(model.machine)}
-    best: tuple[float, str, float] | None = None
-    for channel in sorted(channels - {"time_s"}):
-        if channel.startswith("d_"):
-            continue
-        for factor in CHANNEL_FACTORS:
-            left = _with_factor(model, readings, channel, factor)
-            if left is not None:
-                rms = judged.pooled(floor.cleaned(readings, left))
-                if best is None or rms < best[0]:
-                    best = rms, channel, factor
-    if best is None or best[0] > min(BETTER * judged.residual, NEAR_FLOOR * judged.noise_floor):
-        return []
-    rms, channel, factor = best
-    by = f"{factor:g}" if abs(factor) >= 1.0 else f"1/{1.0 / factor:g}"
-    message = (
-        f"with {channel} times {by} the model leaves {rms:.2g} instead of {judged.residual:.2g}: its unit or its scale "
-        "in the file may be wrong."
-    )
-    return [Doubt("wrong_channel", message, "Check that column before a new effect is blamed.", fatal=True)]
-
-
-def _with_factor(model: Model, readings: Readings, channel: str, factor: float) -> Floats | None:
-    """Residual with one channel times a factor, (m,); None where no state holds it."""
-    states = []
-    for state in readings.states:
-        channels = dict(state.channels)
-        if channel not in channels:
-            return None
-        channels[channel] = factor * channels[channel]
-        states.append(type(state)(state.machine, state.time_s, channels, state.reference_degc))
-    changed = replace(readings, states=tuple(states), _arms={})
-    out = readings.values.copy()
-    try:
-        with np.errstate(all="ignore"):
-            for f in model.effects:
-                columns = changed.columns(f.effect, f.theta)
-                out -= columns @ np.array([f.values[p.name] for p in f.effect.coefficients(readings.machine)])
-    except ModelError:
         return None
-    return out if np.isfinite(out).all() else None
+    few = judged.readings.without(~looked_at(judged.readings))
+    edits = _Edits(judged.model, few, judged.scale)
+    found = min(edits.tried(), key=lambda e: e.residual, default=None)
+    if found is None:
+        return None
+    near = NEAR_FLOOR * _whole_noise(judged)
+    if found.kind == "wrong_channel":
+        near = max(near, NEAR_REFIT * judged.refitted)  # a refit of the numbers makes up for a factor
+    return found if found.residual <= min(BETTER * judged.residual, near) else None
+
+
+def _left_by_scale(judged: Judgement, measured: Floats, predicted: Floats) -> float:
+    """What the model would leave at best if the readings were in another unit, in the unit that they have."""
+    by_series = []
+    for s in judged.readings.series:
+        mine, said = measured[s.part], predicted[s.part]
+        factor = float(mine @ said) / max(float(said @ said), 1e-300)
+        by_series.append(float(np.sqrt(np.mean((mine - factor * said) ** 2))))
+    return floor.pooled(judged.readings, np.array(by_series), judged.scale)
+
+
+def _whole_noise(judged: Judgement) -> float:
+    """Root mean square of the noise with the slow drift that no channel explains."""
+    whole = np.array([math.hypot(f.value, f.drift) for f in judged.floors])
+    return floor.pooled(judged.readings, whole, judged.scale)
+
+
+@dataclass(frozen=True)
+class _Edit:
+    """An edit of the recorded channels, and what the model leaves with it."""
+
+    residual: float
+    kind: Kind
+    edit: str
+    suspect: str
+    check: str
+
+    def doubt(self, before: float) -> Doubt:
+        """The doubt in words, where the model leaves so much as it stands."""
+        message = f"with {self.edit} the model leaves {self.residual:.2g} instead of {before:.2g}: {self.suspect}."
+        return Doubt(self.kind, message, f"Check {self.check} before a new effect is blamed.", fatal=True)
+
+
+class _Edits:
+    """Edits that only a file can need: a channel in another unit, two labels exchanged, an axis homed elsewhere."""
+
+    def __init__(self, model: Model, readings: Readings, scale: Floats) -> None:
+        self.model, self.readings, self.scale = model, readings, scale
+        machine = model.machine
+        self.read = {c for f in model.effects for c in f.effect.channels(machine)}
+        self.parts = [self._part(f, readings) for f in model.effects]
+
+    def tried(self) -> list[_Edit]:
+        """Every edit that can be made here."""
+        return [*self._factors(), *self._exchanged(), *self._moved()]
+
+    def residual(self, channels: Mapping[str, Callable[[State], Floats]]) -> float:
+        """Root mean square of the residual with some channels replaced; infinite where that cannot be.
+
+        Args:
+            channels: what takes the place of each, from the state of a measurement.
+        """
+        states = []
+        for state in self.readings.states:
+            if any(c not in state.channels for c in channels):
+                return math.inf
+            changed = {**state.channels, **{c: make(state) for c, make in channels.items()}}
+            states.append(type(state)(state.machine, state.time_s, changed, state.reference_degc))
+        changed_readings = replace(self.readings, states=tuple(states), _arms={})
+        left = self.readings.values.copy()
+        try:
+            for fitted, part in zip(self.model.effects, self.parts, strict=True):
+                touched = set(fitted.effect.channels(self.model.machine)) & set(channels)
+                left -= self._part(fitted, changed_readings) if touched else part
+        except ModelError:
+            return math.inf
+        if not np.isfinite(left).all():
+            return math.inf
+        by_series = floor.rms_by_series(self.readings, floor.cleaned(self.readings, left))
+        return floor.pooled(self.readings, by_series, self.scale)
+
+    def _part(self, fitted: FittedEffect, readings: Readings) -> Floats:
+        with np.errstate(all="ignore"):
+            columns = readings.columns(fitted.effect, fitted.theta)
+        return np.asarray(columns @ ordered(fitted, readings))
+
+    def _factors(self) -> Iterator[_Edit]:
+        for channel in sorted(self.read - {"time_s"}):
+            if channel.startswith("d_"):
+                continue
+            suspect, check = "its unit or its scale in the file may be wrong", "that column"
+            for factor in CHANNEL_FACTORS:
+                by = f"{factor:g}" if abs(factor) >= 1.0 else f"1/{1.0 / factor:g}"
+                residual = self.residual({channel: lambda s, c=channel, f=factor: f * s.channels[c]})  # type: ignore[misc]
+                yield _Edit(residual, "wrong_channel", f"{channel} times {by}", suspect, check)
+            if channel in self.model.machine.sensor_names:
+                residual = self.residual({channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8})  # type: ignore[misc]
+                yield _Edit(residual, "wrong_channel", f"{channel} read as °F", suspect, check)
+
+    def _exchanged(self) -> Iterator[_Edit]:
+        sensors = [n for n in self.model.machine.sensor_names if all(n in s.channels for s in self.readings.states)]
+        suspect = "the two sensors, or their columns, may be exchanged"
+        for one, two in itertools.combinations(sensors, 2):
+            if {one, two} & self.read:
+                swap = {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}
+                residual = self.residual(swap)
+                yield _Edit(residual, "swapped_sensors", f"{one} and {two} exchanged", suspect, "their labels")
+
+    def _moved(self) -> Iterator[_Edit]:
+        from scipy.optimize import minimize_scalar
+
+        for axis in self.model.machine.axes:
+            if axis.channel not in self.read:
+                continue
+
+            def left(by_mm: float, channel: str = axis.channel) -> float:
+                return self.residual({channel: lambda s: s.channels[channel] + by_mm})
+
+            reach = SHIFT * (axis.travel_mm[1] - axis.travel_mm[0])
+            grid = np.linspace(-reach, reach, SHIFTS)
+            best = float(min(grid, key=left))
+            step = float(grid[1] - grid[0])
+            by = float(minimize_scalar(left, bounds=(best - step, best + step), method="bounded").x)
+            edit = f"{axis.channel} moved by {by:+.3g} mm"
+            suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
+            yield _Edit(left(by), "moved_origin", edit, suspect, f"the origin of {axis.name}")
 
 
 def _one_pass(readings: Readings) -> list[Doubt]:
@@ -209,7 +350,7 @@ def _one_pass(readings: Readings) -> list[Doubt]:
                 f"{axis.name} went through once, in one direction: position and time are one in this record, so an "
                 f"error along {axis.name}, a drift and a reversal cannot be distinguished."
             )
-            out.append(Doubt("one_pass", message, "Measure there and back, at least twice."))
+            out.append(Doubt("one_pass", message, "Measure there and back, at least twice.", fatal=True))
     return out
 
 

@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 REFIT = 0.8
 """A model whose numbers, fitted anew, leave less than this share of what is left is out of date."""
 
-Verdict = Literal["nothing_missing", "missing_effect", "ambiguous", "unknown_effect"]
+Verdict = Literal["nothing_missing", "undecided", "missing_effect", "ambiguous", "unknown_effect"]
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,21 @@ class Unknown:
 
 
 @dataclass(frozen=True)
+class RunsDiffer:
+    """Runs that differ by more than the noise of their readings, where too few of them decide what does it.
+
+    Attributes:
+        size: standard deviation of the runs' means beyond the noise, in the unit of the diagnosis.
+        count: how many runs.
+        test: what would decide.
+    """
+
+    size: float
+    count: int
+    test: str
+
+
+@dataclass(frozen=True)
 class Member:
     """One of several effects that are named together.
 
@@ -240,6 +255,7 @@ class Diagnosis(Result):
         judged: the model as it stands, as every command judges it.
         doubts: about the record itself.
         picture: of rank 1 or of the unknown, where there is one.
+        runs: of an undecided answer, what the runs differ by; None otherwise.
     """
 
     page_maker: ClassVar[str] = "rtec.report.diagnosis:diagnosis_page"
@@ -262,6 +278,7 @@ class Diagnosis(Result):
     together: tuple[Member, ...] = ()
     judged: Judgement | None = field(default=None, repr=False, compare=False)
     doubts: tuple[Doubt, ...] = ()
+    runs: RunsDiffer | None = None
 
     @property
     def out_of_date(self) -> bool:
@@ -295,6 +312,7 @@ class Diagnosis(Result):
             "absent": [vars(a) for a in self.absent],
             "judged": self.judged.facts() if self.judged is not None else None,
             "doubts": [vars(d) for d in self.doubts],
+            "runs_differ": vars(self.runs) if self.runs is not None else None,
             "noise": list(self.noise),
             "notes": list(self.notes),
             "seed": self.seed,

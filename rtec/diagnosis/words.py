@@ -78,6 +78,8 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = ()) -> Dia
         smallest: size from which on half of the effects that were looked for would have been seen.
         odd: readings of the wrong sign or unit, in words.
     """
+    if odd and d.verdict == "undecided":
+        return replace(d, sentence=" ".join(odd))
     verdict = _sentence(d, smallest)
     return replace(d, sentence=f"{odd[0]} Correct that first; as they are: {verdict}" if odd else verdict)
 
@@ -99,6 +101,13 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         )
     if d.verdict == "ambiguous":
         return _one_of(d)
+    if d.runs is not None:
+        return (
+            f"the runs differ by {number(d.runs.size)} {unit}, more than their readings scatter; "
+            f"{d.findings[0].label} may explain it (adding it removes {percent(d.findings[0].heldout_drop)} of the "
+            f"held-out mean square error), but {d.runs.count} runs are too few to name it. "
+            f"This test decides: {d.runs.test}"
+        )
     if d.verdict == "unknown_effect" and d.unknown is not None:
         where = " and ".join(map(named, d.unknown.channels))
         period = d.unknown.period

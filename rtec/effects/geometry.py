@@ -32,6 +32,17 @@ def legendre(u: Value, degrees: Sequence[int]) -> list[Value]:
     return [p[i] for i in degrees]
 
 
+def distinct(degrees: tuple[int, ...]) -> tuple[int, ...]:
+    """Give degrees back.
+
+    Raises:
+        ValueError: one is given twice.
+    """
+    if len(set(degrees)) < len(degrees):
+        raise ValueError("a degree is given twice")
+    return degrees
+
+
 class Scale(AxisEffect):
     """Scale or mean pitch error: `e = k q`."""
 
@@ -106,9 +117,7 @@ class PolynomialPosition(AxisEffect):
     @field_validator("degrees")
     @classmethod
     def _distinct(cls, value: tuple[int, ...]) -> tuple[int, ...]:
-        if len(set(value)) < len(value):
-            raise ValueError("a degree is given twice")
-        return value
+        return distinct(value)
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`c0` … by degree, in the component's unit."""
@@ -257,7 +266,7 @@ class Parallelism(Squareness):
 
 
 class Straightness(AxisEffect):
-    """Straightness of a line of travel, its slope taken out: `e = c2 P2(u) + c3 P3(u)`."""
+    """Straightness of a line of travel, its slope taken out: `e = Σ c_i P_i(u)`, degrees 2 and 3 if none are given."""
 
     about: ClassVar[About] = About(
         title="Straightness of a line of travel",
@@ -275,25 +284,40 @@ class Straightness(AxisEffect):
     )
     feeds: ClassVar[tuple[Kind, ...]] = ("straightness",)
     driven_by: ClassVar[tuple[str, ...]] = ("position",)
+    forms: ClassVar[tuple[tuple[int, ...], ...]] = ((2, 3), (2,))
+    """Degrees that a search tries."""
+    typical_size: ClassVar[float] = 3.0
     effect: Literal["straightness"] = "straightness"
+    degrees: Annotated[tuple[Annotated[int, Field(ge=1, le=12)], ...], Field(min_length=1)] = (2, 3)
+
+    @field_validator("degrees")
+    @classmethod
+    def _distinct(cls, value: tuple[int, ...]) -> tuple[int, ...]:
+        return distinct(value)
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """The usual degrees, and lean forms of them."""
+        for degrees in cls.forms:
+            yield {"axis": around.moved.name, "degrees": degrees}
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`c2`, `c3`."""
+        """`c2`, `c3`, by degree."""
         del machine
-        return tuple(Parameter(f"c{i}", self.unit, typical=3.0) for i in (2, 3))
+        return tuple(Parameter(f"c{i}", self.unit, typical=self.typical_size) for i in self.degrees)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """Legendre polynomials of degree 2 and 3."""
+        """Legendre polynomials."""
         del theta
-        return legendre(scaled(self.the_axis(machine), channels), (2, 3))
+        return legendre(scaled(self.the_axis(machine), channels), self.degrees)
 
 
 class AngularMotion(Straightness):
-    """Angular error motion beyond a straight line: `E = c2 P2(u) + c3 P3(u)`; the arm to the tip comes by the chain."""
+    """Angular error motion: `E = Σ c_i P_i(u)`, degrees 2 and 3 if none are given; the arm to the tip by the chain."""
 
     about: ClassVar[About] = About(
         title="Angular error motion (Abbe error with its arm)",
-        equation="e = c2·P2(u) + c3·P3(u), an angle; times the arm at the tip",
+        equation="e = Σ c_i·P_i(u), an angle; degrees 2 and 3, or 1, 2, 1 and 2; times the arm at the tip",
         typical="2-50 µrad, arms 0.1-1 m",
         seen_by=("laser_angular", "level", "grid_encoder", "tool_tip"),
         source="ISO 230-1, [XT Table 4]",
@@ -305,12 +329,9 @@ class AngularMotion(Straightness):
         reveal="angular laser or level along the axis",
     )
     feeds: ClassVar[tuple[Kind, ...]] = ("tilt", "roll")
+    forms: ClassVar[tuple[tuple[int, ...], ...]] = ((2, 3), (1,), (2,), (1, 2))
+    typical_size: ClassVar[float] = 10.0
     effect: Literal["angular_motion"] = "angular_motion"  # type: ignore[assignment]
-
-    def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`c2`, `c3`."""
-        del machine
-        return tuple(Parameter(f"c{i}", self.unit, typical=10.0) for i in (2, 3))
 
 
 class GuideCurvature(Scale):

@@ -5,9 +5,21 @@ reaches out, 0 … 1 of its travel.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from rtec.effects.base import About, AxisEffect, Confusion, Effect, Kind, Parameter, Surroundings, other_axes
+from pydantic import Field, field_validator
+
+from rtec.effects.base import (
+    About,
+    AxisEffect,
+    Confusion,
+    Effect,
+    Kind,
+    Parameter,
+    Surroundings,
+    component_kind,
+    other_axes,
+)
 from rtec.effects.geometry import legendre, scaled
 from rtec.effects.state import Channels, Value
 from rtec.errors import ModelError
@@ -81,12 +93,21 @@ class CrossTalk(AxisEffect):
     driven_by: ClassVar[tuple[str, ...]] = ("position", "other axis")
     effect: Literal["cross_talk"] = "cross_talk"
     other: str
+    terms: tuple[tuple[int, int], ...] = ()
+    """Degrees along the axis and in the other; none: all that the equation has."""
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every other axis that was moved."""
+        """Every other axis that was moved; all terms, and each by itself but the one that is straight in both axes.
+
+        That one alone is an angle of the other axis times its arm.
+        """
+        angle = component_kind(around.component, around.machine) in ("tilt", "roll")
         for axis in other_axes(around):
-            yield {"axis": around.moved.name, "other": axis.name}
+            along = {"axis": around.moved.name, "other": axis.name}
+            yield along
+            for term in CROSS_ANGLE[1:] if angle else CROSS:
+                yield {**along, "terms": (term,)}
 
     def check(self, machine: Machine, where: str) -> None:
         """Check component and both axes."""
@@ -104,7 +125,14 @@ class CrossTalk(AxisEffect):
 
     @property
     def _degrees(self) -> tuple[tuple[int, int], ...]:
-        return CROSS_ANGLE if self.unit == "urad" else CROSS
+        return self.terms or (CROSS_ANGLE if self.unit == "urad" else CROSS)
+
+    @field_validator("terms")
+    @classmethod
+    def _known(cls, value: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
+        if len(set(value)) < len(value) or not set(value) <= set(CROSS_ANGLE):
+            raise ValueError(f"terms are some of {', '.join(f'[{i}, {j}]' for i, j in CROSS_ANGLE)}, each once")
+        return value
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read both positions."""
@@ -136,21 +164,36 @@ class LoadDeformation(AxisEffect):
     feeds: ClassVar[tuple[Kind, ...]] = ("positioning", "straightness", "tilt", "roll")
     driven_by: ClassVar[tuple[str, ...]] = ("position", "load_kg")
     effect: Literal["load_deformation"] = "load_deformation"
+    terms: Annotated[tuple[Literal["a", "b", "c"], ...], Field(min_length=1)] = ("a", "b", "c")
+
+    @field_validator("terms")
+    @classmethod
+    def _once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(value)) < len(value):
+            raise ValueError("a term is given twice")
+        return value
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """All terms; a shift, a slope or a bow alone; a shift with a bow."""
+        for terms in (("a", "b", "c"), ("a",), ("b",), ("c",), ("a", "c")):
+            yield {"axis": around.moved.name, "terms": terms}
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
-        """`a`, `b`, `c`, per 100 kg."""
+        """`a`, `b`, `c`, per 100 kg; those of `terms`."""
         del machine
-        return tuple(Parameter(n, f"{self.unit}_per_100kg", typical=1.0) for n in "abc")
+        return tuple(Parameter(n, f"{self.unit}_per_100kg", typical=1.0) for n in self.terms)
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read position and load."""
         return (self.the_axis(machine).channel, "load_kg")
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """`W`, `W u`, `W u²`."""
+        """`W`, `W u`, `W u²`; those of `terms`."""
         del theta
         load, u = channels.value("load_kg") * 0.01, scaled(self.the_axis(machine), channels)
-        return [load, load * u, load * u * u]
+        made = {"a": load, "b": load * u, "c": load * u * u}
+        return [made[n] for n in self.terms]
 
 
 class ForceDeflection(Effect):

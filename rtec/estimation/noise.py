@@ -285,7 +285,8 @@ def noise_bounds(series: Series) -> Floats:
     return np.array(
         [
             [math.log(DRIFT_BOUNDS[0]), math.log(DRIFT_BOUNDS[1]), USUAL_DRIFT, SPREAD],
-            [math.log(min(3.0 * shortest, 0.02 * span)), math.log(3.0 * span), 0.0, 0.0],
+            # A record shows no memory that is longer than itself.
+            [math.log(min(3.0 * shortest, 0.02 * span)), math.log(span), 0.0, 0.0],
             [-9.0, 9.0, USUAL_OFFSET, SPREAD],
         ]
     )

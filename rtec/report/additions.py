@@ -11,6 +11,7 @@ from rtec.wording import counted, number, percent, two_numbers
 
 WHY_ENDED = {
     "nothing_missing": "no effect is missing that these readings could show",
+    "undecided": "these readings do not decide what is missing, see the last diagnosis",
     "unknown_effect": "the effect that is missing is not in the catalogue",
     "ambiguous": "the next effect cannot be determined from these data",
     "stopped": "you stopped it",

@@ -81,7 +81,7 @@ def _next(d: Diagnosis) -> list[str]:
         return [typed("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", ",".join(rivals))]
     if d.verdict == "unknown_effect":
         return [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
-    if d.verdict == "nothing_missing" and not d.out_of_date:
+    if d.verdict == "undecided" or (d.verdict == "nothing_missing" and not d.out_of_date):
         return []
     return [typed("rtec", "improve", *d.files, "-o", better)]
 

@@ -30,6 +30,7 @@ ARGUMENTS: dict[str, str] = {
     "harmonics": "number of harmonics",
     "lambda_mm": "signal period of the scale, mm, from its data sheet",
     "expression": "arithmetic on channels and parameters",
+    "terms": "terms of the equation that it has; the others are zero",
     "linear": "its coefficients and their units",
     "free": "its other parameters: start, low, high, unit",
 }

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.bench.sets import measurements_of, model_of
+from rtec.bench.trials import build
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.doubts import Doubt
 from rtec.diagnosis.search.diagnose import diagnose
@@ -84,3 +86,40 @@ def test_compare_names_the_shape() -> None:
     assert item.shape.words == "rises straight along X, 155 µm/m"
     assert item.shape.share > 0.99
     assert compare(model(*BENT), [laser(BENT, 16)]).items[0].shape is None
+
+
+@pytest.mark.parametrize(
+    ("what", "kind", "said"),
+    [
+        ("wrong_factor", "wrong_channel", "with v_x times "),
+        ("swapped_sensors", "swapped_sensors", " exchanged the model leaves "),
+        ("moved_origin", "moved_origin", "with x moved by "),
+    ],
+)
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_wrong_file_is_asked_about_and_no_effect_is_named(what: str, kind: str, said: str, seed: int) -> None:
+    """Oracle: what the benchmark did to the file."""
+    trial = build("wrong_file", what, seed)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert kinds(d.doubts) == [kind]
+    assert d.verdict == "undecided"
+    assert said in d.sentence
+    assert not d.findings[0].accepted
+
+
+def test_a_wave_that_no_pitch_gives_asks_about_the_pitch() -> None:
+    """A screw of 10 mm in a machine file that says another pitch."""
+    trial = build("wrong_file", "wrong_pitch", 1)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert d.verdict == "ambiguous"
+    assert kinds(d.doubts) == ["wrong_pitch"]
+    assert "fit better with 10.0" in d.doubts[0].message
+    assert any(a.effect == "cyclic_screw" and "pitch_mm" in a.separating_test for a in d.findings[0].confused_with)
+
+
+def test_a_file_of_another_machine_is_named() -> None:
+    """Oracle: the first of three files follows another curve."""
+    trial = build("contradicting", "other_machine", 1)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert d.verdict == "undecided"
+    assert "record-1 contradicts record-2, record-3: at the same places its readings differ by" in d.sentence

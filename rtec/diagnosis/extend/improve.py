@@ -15,7 +15,9 @@ from rtec.model import Model
 from rtec.result import Result
 
 Stage = Callable[[str, int, int], None]
-Reason = Literal["nothing_missing", "unknown_effect", "ambiguous", "stopped", "at_floor", "no_gain", "steps"]
+Reason = Literal[
+    "nothing_missing", "undecided", "unknown_effect", "ambiguous", "stopped", "at_floor", "no_gain", "steps"
+]
 
 AT_FLOOR = 1.05
 """Held-out error over the noise floor up to which a model is said to be at it."""
@@ -212,7 +214,7 @@ def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:
 
     The floor alone is no reason to stop looking: a noise fitted while something is missing holds part of that.
     """
-    if last.verdict == "unknown_effect":
-        return "unknown_effect"
+    if last.verdict in ("unknown_effect", "undecided"):
+        return last.verdict
     at_floor = bool(steps) and steps[-1].after.held_out <= AT_FLOOR * steps[-1].floor
     return "at_floor" if at_floor else "nothing_missing"

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, Doubt
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
-from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, Unknown, label_of
+from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown, label_of
 from rtec.diagnosis.search import picture
-from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, fold
+from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, fold, pitch_in_doubt
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
 from rtec.diagnosis.search.refit import Prepared, Refitted
@@ -62,6 +62,7 @@ class SearchResult:
         doubts: about the record itself.
         chain: effects that are named together though they leave something without a name; the first is that of
             `tried`.
+        undecided: what the runs differ by where the first may explain it and is not named.
         seed: of the draws.
         explain: whether to work out what only people want to know: which test tells confusions apart.
         beside: what all candidates say beside the one that was named; None where none was, or not asked for.
@@ -88,6 +89,7 @@ class SearchResult:
     judged: Judgement
     doubts: tuple[Doubt, ...]
     chain: tuple[Refitted, ...] = ()
+    undecided: RunsDiffer | None = None
 
 
 def answer(searched: SearchResult) -> Diagnosis:
@@ -194,8 +196,20 @@ class _Answer:
         rivals = [r for r in out.values() if not r[0].apart]
         said = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
         said += [a for a, _ in out.values() if a.apart]
-        folded = fold(self.readings, mine, winner.theta)
-        return [*said, *([folded] if folded is not None else [])]
+        said += [a for a in (fold(self.readings, mine, winner.theta), self._pitch(winner)) if a is not None]
+        return said
+
+    def _pitch(self, winner: Refitted) -> Alike | None:
+        """The screw of another pitch that the winner may be, where the machine file's does not give the wave."""
+        return pitch_in_doubt(self.s.candidates[winner.number].effect, winner.theta, self.s.model.machine)
+
+    def _doubts(self, accepted: bool) -> tuple[Doubt, ...]:
+        """Those about the record, and about the machine file where the finding raises them."""
+        asked = self._pitch(self.s.tried[0]) if accepted else None
+        if asked is None:
+            return self.s.doubts
+        message = f"Is pitch_mm right? The wave that is missing is that of a screw: {asked.why}."
+        return (*self.s.doubts, Doubt("wrong_pitch", message, words.sentence(asked.separating_test)))
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same with the test that this machine can take and that tells them apart soonest."""
@@ -258,6 +272,8 @@ class _Answer:
             verdict = "ambiguous" if len(group) > 1 or findings[0].confused_with else "missing_effect"
         elif unknown is not None:
             verdict = "unknown_effect"
+        elif self.s.undecided is not None or any(d.kind in BLAMES_NO_EFFECT for d in self.s.doubts):
+            verdict = "undecided"
         else:
             verdict = "nothing_missing"
         beside = self.s.beside or found
@@ -277,7 +293,7 @@ class _Answer:
             not_testable=(*untestable(self.s.untried, found), *unseen),
             absent=absent,
             notes=(
-                *(d.words for d in self.s.doubts),
+                *(d.words for d in self._doubts(accepted)),
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
                 *outlier_words(prepared.wrong),
@@ -292,7 +308,8 @@ class _Answer:
             together=tuple(Member.of(self.s.candidates[t.number].effect, t.drop) for t in self.s.chain),
             refit=judged.refitted,
             judged=judged,
-            doubts=self.s.doubts,
+            doubts=self._doubts(accepted),
+            runs=self.s.undecided,
         )
         return words.with_sentence(draft, smallest, [d.words for d in self.s.doubts if d.fatal])
 

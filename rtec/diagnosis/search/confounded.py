@@ -130,6 +130,30 @@ def diverse(order: Sequence[int], kinds: Sequence[str], most: int, of_a_kind: in
     return out
 
 
+AT_PITCH = 0.03
+"""A period that is off by less than this share is that of the screw, or of its coupling."""
+FIRST_OF_SCREW = (1.0, 2.0)
+"""Times that a screw's error and its coupling's come round in one turn."""
+
+
+def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine) -> Alike | None:
+    """A wave of a period that the machine file's pitch does not give: the file may be wrong; None for anything else."""
+    period = period_mm(effect, theta)
+    if effect.effect != "cyclic_pole" or period is None:
+        return None
+    axis = machine.axis(str(getattr(effect, "axis", "")))
+    if axis.pitch_mm is None or any(abs(period * k / axis.pitch_mm - 1.0) < AT_PITCH for k in FIRST_OF_SCREW):
+        return None
+    why = (
+        f"a screw of pitch {significant(period, 3)} mm makes the same wave, and the machine file says pitch_mm = "
+        f"{axis.pitch_mm:g}: these readings fit better with {significant(period, 3)}"
+    )
+    test = f"read the pitch of {axis.name} from the screw or its data sheet, and correct pitch_mm if it is wrong"
+    return Alike(
+        "cyclic_screw", effect.component, why, test, label=f"cyclic_screw({effect.component}) of another pitch_mm"
+    )
+
+
 PERIODS = ("pitch", "period")
 EVEN = 1e-3
 """Steps that differ by less than this share of themselves are equal."""

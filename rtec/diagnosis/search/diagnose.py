@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import doubts
-from rtec.diagnosis.result import Diagnosis, Number, Unknown
+from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, doubts
+from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import PERIODS, WITHIN
 from rtec.diagnosis.search.not_found import SURE
 from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, prepare
+from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
 from rtec.diagnosis.usable import check_enough
@@ -45,6 +46,9 @@ LITTLE = 0.25
 """A fall of the mean square on runs left out below this is little."""
 PLAIN = 2
 """Numbers of a plain effect at the most."""
+MAY = 0.3
+"""A candidate that removes this share of the held-out mean square may be why the runs differ, though too few of them
+decide it."""
 MOSTLY = 0.5
 """Two effects that only help together must take away at least this share of the mean square on runs left out."""
 ALPHA, DRAWS = 0.05, 400
@@ -145,7 +149,9 @@ class _Search:
         named, share, unknown = self._adequate(best if accepted else None)
         # One that brings next to nothing alone, and is named for what it does beside another, is half of a pair.
         half = best is not None and named and best.drop < LITTLE and share is not None and share < LEAST
-        pair = None if accepted and named and not half else self._pair(tried)
+        if self._doubted:
+            named, unknown = False, None
+        pair = None if self._doubted or (accepted and named and not half) else self._pair(tried)
         chain = self._chain(tried, p) if unknown is not None and pair is None else []
         if chain:
             tried = [chain[0], *(t for t in tried if t.number != chain[0].number)]
@@ -160,8 +166,20 @@ class _Search:
                 self.refits.without, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
                 unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
                 self.judged, self.doubts, tuple(chain),
+                self._undecided(best, p) if not (accepted and named) and unknown is None else None,
             )
         )  # fmt: skip
+
+    def _undecided(self, best: Refitted | None, p: float) -> RunsDiffer | None:
+        """What the runs differ by where the best candidate may explain it and too few runs decide."""
+        if self._doubted or best is None or not best.holds or best.drop < MAY or best.log_evidence < SURE:
+            return None
+        if p >= self.alpha and best.log_evidence < self._prior_odds:
+            return None
+        found = runs_differ(self.readings, self.refits.without.left, self.judged.scale)
+        if found is None:
+            return None
+        return RunsDiffer(*found, type(self.candidates[best.number].effect).about.reveal)
 
     def _next(self, tried: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
         """All candidates beside what was named; of very many readings only some are looked at, which tells no sizes."""
@@ -177,9 +195,14 @@ class _Search:
         make chance look better than it is.
         """
         beyond = best.log_evidence - self._prior_odds
-        if any(d.kind == "contradiction" for d in self.doubts):
-            return False  # files that contradict each other prove no effect of the machine
+        if self._doubted:
+            return False
         return best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
+
+    @property
+    def _doubted(self) -> bool:
+        """Whether the record is in such doubt that it proves no effect of the machine."""
+        return any(d.kind in BLAMES_NO_EFFECT for d in self.doubts)
 
     @cached_property
     def _projected(self) -> Projected:

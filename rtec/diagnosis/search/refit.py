@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse, plausibility
-from rtec.diagnosis.search.screen import UNMOVED, Memory, Projected, Screen, screen
+from rtec.diagnosis.search.screen import UNMOVED, Memory, Projected, Screen, orthonormal, screen
 from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
 from rtec.estimation.candidates import EffectCandidate
 from rtec.estimation.columns import base_of
-from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out, solve
+from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out, solve, without_nuisance
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
 from rtec.estimation.outliers import Clean, WrongReading
 from rtec.estimation.readings import Readings, looked_at
@@ -90,6 +90,22 @@ def live_columns(effect: Effect, theta: Theta, readings: Readings) -> Floats:
     columns = readings.columns(effect, theta)
     usual = np.array([p.typical for p in effect.coefficients(readings.machine)])
     return np.asarray(columns * (np.sqrt(np.mean(columns**2, axis=0)) * usual > UNMOVED))
+
+
+def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
+    """How many independent readings would decide each column as well as these do, (k,): two at least, all at most.
+
+    Args:
+        whitener: the noise without the columns.
+        base: columns of the current model, (m, p).
+        columns: of a candidate, (m, k).
+    """
+    readings = whitener.readings
+    q, plain = (orthonormal(without_nuisance(readings, base)), without_nuisance(readings, columns))
+    plain = (plain - q @ (q.T @ plain)) / whitener.floor[readings.series_of][:, None]
+    each_one = np.mean((plain - plain.mean(axis=0)) ** 2, axis=0)
+    told = np.sum(Projected.of(whitener, base, readings.values).take_out(whitener(columns)) ** 2, axis=0)
+    return np.asarray(np.clip(told / np.maximum(each_one, 1e-300), 2.0, float(len(readings))))
 
 
 class _Search:
@@ -221,7 +237,6 @@ class Refits:
         looks = [(found, i) for i in self._top(found)]
         seen = {i for _, i in looks}
         looks += [(calm, i) for i in self._top(calm) if i not in seen and i in found.best]
-        n = math.log(len(self.readings))
         counted = itertools.count()
 
         def tried(which: tuple[Screen, int]) -> Refitted:
@@ -231,7 +246,7 @@ class Refits:
             theta = self._polished(number, variant.theta, look.projected.whitener, base)
             columns = self._columns(number, theta)
             fit = self.fit(np.concatenate([base, columns], axis=1))
-            evidence = fit.log_likelihood - without.log_likelihood - 0.5 * variant.count * n
+            evidence = fit.log_likelihood - without.log_likelihood - self._cost(columns, variant.count)
             evidence -= look.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
             return Refitted(number, theta, columns, fit, evidence, *self.left_out(fit.whitener, columns))
@@ -273,7 +288,7 @@ class Refits:
             theta = self._polished(number, variant.theta, found.projected.whitener, base)
             columns = self._columns(number, theta)
             fit = self.fit(np.concatenate([base, columns], axis=1))
-            gain = fit.log_likelihood - first.fit.log_likelihood - 0.5 * variant.count * math.log(len(self.readings))
+            gain = fit.log_likelihood - first.fit.log_likelihood - self._cost(columns, variant.count)
             evidence = first.log_evidence + gain - found.search_cost(number) - self._choice_cost(number)
             drop, left_out = self.left_out(fit.whitener, fit.columns[:, width:])
             return Refitted(number, theta, columns, fit, evidence, drop, left_out, base.shape[1])
@@ -302,7 +317,7 @@ class Refits:
                 theta = self._polished(number, variant.theta, found.projected.whitener, last.fit.columns)
                 columns = self._columns(number, theta)
                 fit = self.fit(np.concatenate([last.fit.columns, columns], axis=1))
-                gain = fit.log_likelihood - last.fit.log_likelihood - 0.5 * variant.count * math.log(len(self.readings))
+                gain = fit.log_likelihood - last.fit.log_likelihood - self._cost(columns, variant.count)
                 gain -= found.search_cost(number) + self._choice_cost(number)
                 drop, left_out = self.left_out(fit.whitener, fit.columns[:, width:])
                 if gain > bar and 1.0 - drop < (1.0 - MORE) * (1.0 - last.drop):
@@ -314,6 +329,13 @@ class Refits:
                 break
             out.append(max(more, key=lambda t: t.log_evidence))
         return out
+
+    def _cost(self, columns: Floats, count: int) -> float:
+        """What the numbers of a candidate cost: half the logarithm of the readings that decide each.
+
+        Of an effect that changes only from run to run the runs decide, however many readings each has.
+        """
+        return 0.5 * count * float(np.mean(np.log(effective(self.without.whitener, self.prepared.base, columns))))
 
     def _polished(self, number: int, theta: int, now: Whitener, base: Floats) -> Mapping[str, float]:
         """Non-linear parameters of a candidate at their best beside a base, from those that were tried."""

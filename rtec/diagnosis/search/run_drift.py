@@ -56,3 +56,36 @@ def _trend(series: Series, left: Floats) -> tuple[float, float] | None:
     slope = change / float(time[-1] - time[0])
     chance = 2.0 * float(student.sf(abs(slope) * math.sqrt(spread) / error, free))
     return change, chance
+
+
+MEANS, PER_RUN = 0.01, 2
+"""Probability of such differences between runs by noise alone below which they differ; readings that a run needs."""
+
+
+def runs_differ(readings: Readings, left: Floats, scale: Floats) -> tuple[float, int] | None:
+    """By how much the means of the runs differ beyond what their readings scatter by, and how many runs there are.
+
+    Args:
+        readings: the readings.
+        left: what a fit leaves of them, (m,).
+        scale: one over the unit of each series, (series,).
+
+    Returns:
+        The largest of all series; None where no series' runs differ, or the zero of each run is unknown.
+    """
+    from scipy.stats import f as fisher
+
+    found: list[tuple[float, int]] = []
+    for s, unit in zip(readings.series, scale, strict=True):
+        runs, n = int(s.run[-1]) + 1, len(s)
+        unknown = bool((np.ptp(s.nuisance, axis=0) == 0.0).any()) if s.nuisance.size else False
+        if runs < FEWEST or n < PER_RUN * runs or unknown:
+            continue
+        mine = left[s.part] * unit
+        size = np.bincount(s.run, minlength=runs)
+        mean = np.bincount(s.run, mine, minlength=runs) / size
+        within = float(np.sum((mine - mean[s.run]) ** 2)) / (n - runs)
+        between = float(np.sum(size * (mean - mine.mean()) ** 2)) / (runs - 1)
+        if fisher.sf(between / max(within, 1e-24), runs - 1, n - runs) < MEANS:
+            found.append((math.sqrt(max(between - within, 0.0) * runs / n), runs))
+    return max(found, default=None)

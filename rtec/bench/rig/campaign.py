@@ -1,0 +1,276 @@
+"""What is measured on the rig: lines there and back, plates, drift probes; and the readings that come of it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.bench.rig import noise
+from rtec.bench.rig.heat import Day, sensors
+from rtec.bench.rig.machine import SENSORS, TRAVEL_MM, displaced, turned
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Rng = np.random.Generator
+Errors = Mapping[str, Floats]
+
+LOADS_KG = (0.0, 150.0, 300.0, 450.0)
+FEEDS_MM_MIN = (400.0, 1000.0, 2500.0, 6000.0)
+BEAM_MM = (20.0, -15.0, 30.0)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One reading column.
+
+    Attributes:
+        name: of the column.
+        letter: direction X Y Z of a displacement, or turn A B C.
+        offset_mm: from the tool tip to the measured point.
+    """
+
+    name: str
+    letter: str
+    offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A measurement without its numbers.
+
+    Attributes:
+        instrument, setup, axis: as measurement files name them.
+        probes: what is read.
+        run, time_s: (n,).
+        pose_mm, direction, velocity_mm_s: by axis, (n,).
+        since_mm: distance of the line's axis since it turned round, (n,).
+        load_kg: (n,).
+        speed: whether feeds were recorded.
+    """
+
+    instrument: str
+    setup: Mapping[str, Any]
+    axis: str | None
+    probes: tuple[Probe, ...]
+    run: Ints
+    time_s: Floats
+    pose_mm: Mapping[str, Floats]
+    direction: Mapping[str, Floats]
+    velocity_mm_s: Mapping[str, Floats]
+    since_mm: Floats
+    load_kg: Floats
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    @property
+    def q(self) -> Floats:
+        """Position of the line's axis, mm."""
+        return self.pose_mm[self.axis or "X"]
+
+    def scaled(self, axis: str) -> Floats:
+        """Position of an axis, -1 to 1 over its travel."""
+        low, high = TRAVEL_MM[axis]
+        return (2.0 * self.pose_mm[axis] - low - high) / (high - low)
+
+
+@dataclass(frozen=True)
+class Record:
+    """A measurement as a file holds it.
+
+    Attributes:
+        name: of the file.
+        plan: how it was taken.
+        channels: what was recorded beside, (n,) each.
+        readings: by column, (n,).
+    """
+
+    name: str
+    plan: Plan
+    channels: Mapping[str, Floats]
+    readings: Mapping[str, Floats]
+
+
+def line(
+    rng: Rng,
+    kind: str = "laser",
+    axis: str = "X",
+    *,
+    runs: int = 16,
+    per_way: int = 26,
+    hours: float = 8.0,
+    step_mm: float | None = None,
+    across: str = "Z",
+    lengths: Sequence[int] | None = None,
+    alike: bool = False,
+) -> Plan:
+    """Plan a line, there and back in each run; load, feed and the places of other axes change from run to run.
+
+    Args:
+        rng: source of all that is left to chance.
+        kind: laser, straightness or angular.
+        axis: of the line.
+        runs, per_way, hours: how many, how many targets each way, how long.
+        step_mm: targets at equal steps; None for places by chance, others in each run.
+        across: what a straightness probe or an angular laser reads.
+        lengths: targets each way of each run, where they are not alike.
+        alike: other axes, load and feed are the same in all runs.
+    """
+    low, high = TRAVEL_MM[axis]
+    counts = list(lengths or [per_way] * runs)
+    q, way, run = [], [], []
+    for k, count in enumerate(counts, 1):
+        if step_mm is None:
+            edges = np.linspace(low + 3.0, high - 3.0, count + 1)
+            there = edges[:-1] + rng.uniform(0.02, 0.98, count) * np.diff(edges)
+            back = (edges[:-1] + rng.uniform(0.02, 0.98, count) * np.diff(edges))[::-1]
+        else:
+            there = np.arange(low + 5.0, high, step_mm)
+            back = there[::-1]
+        q += [there, back]
+        way += [np.ones(len(there)), -np.ones(len(back))]
+        run += [np.full(len(there) + len(back), k)]
+    position, ways, runs_of = np.concatenate(q), np.concatenate(way), np.concatenate(run)
+    others = [a for a in "XYZ" if a != axis]
+    at_run = np.zeros_like(runs_of) if alike else runs_of - 1
+    pose = {axis: position} | {a: _levels(rng, a, len(counts), alike)[at_run] for a in others}
+    feed = (np.full(1, 1000.0) if alike else rng.choice(FEEDS_MM_MIN, len(counts)))[at_run] / 60.0
+    still = np.zeros(len(position))
+    made: dict[str, tuple[str, dict[str, Any], Probe]] = {
+        "laser": ("laser_linear", {"beam_offset_mm": list(BEAM_MM)}, Probe("reading_um", axis, BEAM_MM)),
+        "straightness": ("straightness", {"direction": across}, Probe("reading_um", across)),
+        "angular": ("laser_angular", {"about": across}, Probe("reading_urad", across)),
+    }
+    instrument, setup, probe = made[kind]
+    return Plan(
+        instrument,
+        setup,
+        axis,
+        (probe,),
+        runs_of,
+        _times(rng, runs_of, hours),
+        pose,
+        {axis: ways} | {a: _last_way(pose[a]) for a in others},
+        {axis: ways * feed, **dict.fromkeys(others, still)},
+        _since(position, ways),
+        (np.zeros(1) if alike else rng.choice(LOADS_KG, len(counts)))[at_run],
+    )
+
+
+def plate(rng: Rng, *, runs: int = 6, grid: int = 11, hours: float = 4.0) -> Plan:
+    """Plan an artefact plate over X and Y, probed in another order in each run, at two heights of Z."""
+    xs = np.linspace(TRAVEL_MM["X"][0] + 30.0, TRAVEL_MM["X"][1] - 30.0, grid)
+    ys = np.linspace(TRAVEL_MM["Y"][0] + 20.0, TRAVEL_MM["Y"][1] - 20.0, grid)
+    places = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+    order = np.concatenate([rng.permutation(len(places)) for _ in range(runs)])
+    run = np.repeat(np.arange(1, runs + 1), len(places))
+    z = np.where(run % 2 == 0, 60.0, 240.0)
+    pose = {"X": places[order, 0], "Y": places[order, 1], "Z": z}
+    still = np.zeros(len(run))
+    probes = tuple(Probe(f"reading_{d.lower()}_um", d) for d in "XYZ")
+    return Plan(
+        "tool_tip", {}, None, probes, run, _times(rng, run, hours), pose, {a: _last_way(pose[a]) for a in "XYZ"},
+        dict.fromkeys("XYZ", still), still, still + 100.0,
+    )  # fmt: skip
+
+
+def drift(rng: Rng, *, runs: int = 20, points: int = 17, hours: float = 9.0) -> Plan:
+    """Plan three probes at the spindle of a machine at rest."""
+    run = np.repeat(np.arange(1, runs + 1), points)
+    pose = {a: np.full(len(run), 0.4 * TRAVEL_MM[a][1]) for a in "XYZ"}
+    probes = (
+        Probe("reading_axial_um", "Z"),
+        Probe("reading_near_um", "X"),
+        Probe("reading_far_um", "X", (0.0, 0.0, 90.0)),
+    )
+    setup = {"probe": {p.name.split("_")[1]: {"direction": p.letter, "offset_mm": list(p.offset_mm)} for p in probes}}
+    still = np.zeros(len(run))
+    return Plan(
+        "spindle_drift", setup, None, probes, run, _times(rng, run, hours), pose,
+        dict.fromkeys("XYZ", still + 1.0), dict.fromkeys("XYZ", still), still,
+        rng.choice(LOADS_KG, runs)[run - 1],
+    )  # fmt: skip
+
+
+def recorded(plan: Plan, of: Day, rng: Rng, names: tuple[str, ...] = SENSORS) -> dict[str, Floats]:
+    """Channels of a file: positions, directions, speeds, load, spindle speed, sensors."""
+    out = {a.lower(): plan.pose_mm[a] for a in "XYZ"}
+    if plan.instrument != "spindle_drift":
+        out |= {f"d_{a.lower()}": plan.direction[a] for a in "XYZ"}
+    if plan.axis is not None:
+        out |= {f"v_{a.lower()}": plan.velocity_mm_s[a] for a in "XYZ"}
+    out["load_kg"] = plan.load_kg
+    index = np.searchsorted(of.time_s, plan.time_s, side="right") - 1
+    out["spindle_rpm"] = of.rpm[index]
+    return out | sensors(of, rng, plan.time_s, names)
+
+
+def read(
+    plan: Plan, errors: Errors, rng: Rng, form: str, channels: Mapping[str, Floats], name: str = "record"
+) -> Record:
+    """Readings of an instrument: exact kinematics, noise of a form, a display of 0.1, an unknown zero."""
+    readings = {}
+    for probe in plan.probes:
+        if probe.letter in "XYZ":
+            true = displaced(errors, plan.pose_mm, probe.offset_mm)[:, "XYZ".index(probe.letter)]
+        else:
+            true = turned(errors, probe.letter, len(plan))
+        values = true + noise.draw(rng, form, plan.time_s, plan.run) + rng.uniform(-15.0, 15.0)
+        readings[probe.name] = np.round(values / 0.1) * 0.1
+    return Record(name, plan, dict(channels), readings)
+
+
+def one_way(plan: Plan) -> Plan:
+    """The first way of the first run alone."""
+    keep = np.flatnonzero((plan.run == 1) & (plan.direction[plan.axis or "X"] > 0))
+    return at(plan, keep)
+
+
+def at(plan: Plan, keep: Ints) -> Plan:
+    """Some rows of a plan."""
+    return replace(
+        plan,
+        run=plan.run[keep],
+        time_s=plan.time_s[keep],
+        pose_mm={k: v[keep] for k, v in plan.pose_mm.items()},
+        direction={k: v[keep] for k, v in plan.direction.items()},
+        velocity_mm_s={k: v[keep] for k, v in plan.velocity_mm_s.items()},
+        since_mm=plan.since_mm[keep],
+        load_kg=plan.load_kg[keep],
+    )
+
+
+def _levels(rng: Rng, axis: str, runs: int, alike: bool) -> Floats:
+    low, high = TRAVEL_MM[axis]
+    if alike:
+        return np.full(1, low + 0.4 * (high - low))
+    return rng.permutation(np.resize(np.linspace(low + 0.1 * (high - low), high - 0.1 * (high - low), 4), runs))
+
+
+def _times(rng: Rng, run: Ints, hours: float) -> Floats:
+    """Runs one after the other with pauses; nearly even within each."""
+    runs = int(run[-1])
+    each, out = hours * 3600.0 / runs, np.empty(len(run))
+    for k in range(1, runs + 1):
+        here = np.flatnonzero(run == k)
+        gap = 0.85 * each / len(here)
+        out[here] = (k - 1) * each + 20.0 + gap * (np.arange(len(here)) + rng.uniform(-0.3, 0.3, len(here)))
+    return np.round(out, 1)
+
+
+def _last_way(position: Floats) -> Floats:
+    step = np.sign(np.diff(position, prepend=position[0] - 1.0))
+    last = np.maximum.accumulate(np.where(step != 0, np.arange(len(step)), 0))
+    return np.asarray(step[last])
+
+
+def _since(position: Floats, way: Floats) -> Floats:
+    """Distance since the reversal, which was 1 mm beyond the last target."""
+    out, turn = np.empty_like(position), position[0] - 900.0 * way[0]
+    for i in range(len(position)):
+        if i and way[i] != way[i - 1]:
+            turn = position[i] - 1.0 * way[i]
+        out[i] = abs(position[i] - turn)
+    return out

@@ -1,0 +1,53 @@
+"""Noise of the rig's instruments: forms that resemble effects, and forms that break a method's assumptions."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Rng = np.random.Generator
+
+FORMS = ("white", "memory", "wander", "warm_up", "zeros", "bursts", "quantised")
+"""White; a first-order memory; a random walk; heat-up and cool-down of the instrument itself; each run's own zero;
+outliers in runs of up to five; a coarse display."""
+
+
+def draw(rng: Rng, form: str, time_s: Floats, run: Ints) -> Floats:
+    """Noise of one column, µm or µrad, (n,); white part 0.3 to 0.8."""
+    n, sigma = len(time_s), rng.uniform(0.3, 0.8)
+    out = sigma * rng.standard_normal(n)
+    first = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
+    if form == "memory":
+        out += rng.uniform(0.3, 0.9) * _memory(rng, time_s, 60.0 * rng.uniform(8.0, 70.0))
+    elif form == "wander":
+        walk = np.cumsum(rng.standard_normal(n) * np.sqrt(np.diff(time_s, prepend=time_s[0])))
+        out += rng.uniform(0.3, 0.9) * (walk - walk.mean()) / max(float(walk.std()), 1e-12)
+    elif form == "warm_up":
+        out += rng.choice([-1.0, 1.0]) * rng.uniform(0.8, 2.5) * _heat(rng, time_s)
+    elif form == "zeros":
+        out += np.repeat(rng.uniform(0.2, 0.5) * rng.standard_normal(len(first)), np.diff([*first, n]))
+    elif form == "bursts":
+        for at in rng.integers(0, n, max(n // 120, 2)):
+            out[at : at + int(rng.integers(1, 6))] += rng.choice([-1.0, 1.0]) * rng.uniform(8.0, 60.0)
+    elif form == "quantised":
+        step = rng.uniform(0.4, 1.0)
+        out = np.round(out / step) * step
+    return out
+
+
+def _memory(rng: Rng, time_s: Floats, tau_s: float) -> Floats:
+    keep = np.exp(-np.diff(time_s) / tau_s)
+    out = np.empty(len(time_s))
+    out[0] = rng.standard_normal()
+    for i, k in enumerate(keep.tolist(), 1):
+        out[i] = k * out[i - 1] + np.sqrt(1.0 - k * k) * rng.standard_normal()
+    return out
+
+
+def _heat(rng: Rng, time_s: Floats) -> Floats:
+    """The instrument warms up, and cools down again once its lamp is off."""
+    whole = float(time_s[-1] - time_s[0])
+    tau, off = whole * rng.uniform(0.06, 0.25), whole * rng.uniform(0.5, 0.75)
+    t = time_s - time_s[0]
+    rise = 1.0 - np.exp(-np.minimum(t, off) / tau)
+    return np.asarray(np.where(t < off, rise, rise * np.exp(-(t - off) / (tau * rng.uniform(0.8, 2.0)))))
