@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rtec.bench.rig import campaign as c
 from rtec.bench.rig import noise
-from rtec.bench.rig.campaign import Errors, Plan, Record
+from rtec.bench.rig.campaign import CampaignPlan, Errors, Record
 from rtec.bench.rig.heat import Day, day
 from rtec.bench.rig.machine import PITCH_MM, SENSORS, description, displaced
 
@@ -81,7 +81,9 @@ class Maker:
         spread = float(np.std(values))
         return np.asarray(values * (self.rng.choice([-1.0, 1.0]) * self.size_um / max(spread, 1e-12)))
 
-    def record(self, plan: Plan, errors: Errors, name: str = "record", sensors: tuple[str, ...] = SENSORS) -> Record:
+    def record(
+        self, plan: CampaignPlan, errors: Errors, name: str = "record", sensors: tuple[str, ...] = SENSORS
+    ) -> Record:
         """Measure."""
         return c.read(plan, errors, self.rng, self.form, c.recorded(plan, self.of, self.rng, sensors), name)
 
@@ -90,7 +92,7 @@ Parts = dict[str, Any]
 Builder = Callable[[Maker], Parts]
 
 
-def _known_scale(m: Maker, plan: Plan) -> tuple[Errors, tuple[tuple[Table, Mapping[str, float]], ...]]:
+def _known_scale(m: Maker, plan: CampaignPlan) -> tuple[Errors, tuple[tuple[Table, Mapping[str, float]], ...]]:
     """A scale error and a backlash that the model has."""
     a = plan.axis or "X"
     k, b = m.rng.uniform(5.0, 25.0), m.rng.uniform(1.0, 4.0)

@@ -22,7 +22,7 @@ BEAM_MM = (20.0, -15.0, 30.0)
 
 
 @dataclass(frozen=True)
-class Probe:
+class ReadingColumn:
     """One reading column.
 
     Attributes:
@@ -37,7 +37,7 @@ class Probe:
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """A measurement without its numbers.
 
     Attributes:
@@ -53,7 +53,7 @@ class Plan:
     instrument: str
     setup: Mapping[str, Any]
     axis: str | None
-    probes: tuple[Probe, ...]
+    probes: tuple[ReadingColumn, ...]
     run: Ints
     time_s: Floats
     pose_mm: Mapping[str, Floats]
@@ -88,7 +88,7 @@ class Record:
     """
 
     name: str
-    plan: Plan
+    plan: CampaignPlan
     channels: Mapping[str, Floats]
     readings: Mapping[str, Floats]
 
@@ -105,8 +105,8 @@ def line(
     across: str = "Z",
     lengths: Sequence[int] | None = None,
     alike: bool = False,
-) -> Plan:
-    """Plan a line, there and back in each run; load, feed and the places of other axes change from run to run.
+) -> CampaignPlan:
+    """CampaignPlan a line, there and back in each run; load, feed and the places of other axes change from run to run.
 
     Args:
         rng: source of all that is left to chance.
@@ -138,13 +138,13 @@ def line(
     pose = {axis: position} | {a: _levels(rng, a, len(counts), alike)[at_run] for a in others}
     feed = (np.full(1, 1000.0) if alike else rng.choice(FEEDS_MM_MIN, len(counts)))[at_run] / 60.0
     still = np.zeros(len(position))
-    made: dict[str, tuple[str, dict[str, Any], Probe]] = {
-        "laser": ("laser_linear", {"beam_offset_mm": list(BEAM_MM)}, Probe("reading_um", axis, BEAM_MM)),
-        "straightness": ("straightness", {"direction": across}, Probe("reading_um", across)),
-        "angular": ("laser_angular", {"about": across}, Probe("reading_urad", across)),
+    made: dict[str, tuple[str, dict[str, Any], ReadingColumn]] = {
+        "laser": ("laser_linear", {"beam_offset_mm": list(BEAM_MM)}, ReadingColumn("reading_um", axis, BEAM_MM)),
+        "straightness": ("straightness", {"direction": across}, ReadingColumn("reading_um", across)),
+        "angular": ("laser_angular", {"about": across}, ReadingColumn("reading_urad", across)),
     }
     instrument, setup, probe = made[kind]
-    return Plan(
+    return CampaignPlan(
         instrument,
         setup,
         axis,
@@ -159,8 +159,8 @@ def line(
     )
 
 
-def plate(rng: Rng, *, runs: int = 6, grid: int = 11, hours: float = 4.0) -> Plan:
-    """Plan an artefact plate over X and Y, probed in another order in each run, at two heights of Z."""
+def plate(rng: Rng, *, runs: int = 6, grid: int = 11, hours: float = 4.0) -> CampaignPlan:
+    """CampaignPlan an artefact plate over X and Y, probed in another order in each run, at two heights of Z."""
     xs = np.linspace(TRAVEL_MM["X"][0] + 30.0, TRAVEL_MM["X"][1] - 30.0, grid)
     ys = np.linspace(TRAVEL_MM["Y"][0] + 20.0, TRAVEL_MM["Y"][1] - 20.0, grid)
     places = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
@@ -169,32 +169,32 @@ def plate(rng: Rng, *, runs: int = 6, grid: int = 11, hours: float = 4.0) -> Pla
     z = np.where(run % 2 == 0, 60.0, 240.0)
     pose = {"X": places[order, 0], "Y": places[order, 1], "Z": z}
     still = np.zeros(len(run))
-    probes = tuple(Probe(f"reading_{d.lower()}_um", d) for d in "XYZ")
-    return Plan(
+    probes = tuple(ReadingColumn(f"reading_{d.lower()}_um", d) for d in "XYZ")
+    return CampaignPlan(
         "tool_tip", {}, None, probes, run, _times(rng, run, hours), pose, {a: _last_way(pose[a]) for a in "XYZ"},
         dict.fromkeys("XYZ", still), still, still + 100.0,
     )  # fmt: skip
 
 
-def drift(rng: Rng, *, runs: int = 20, points: int = 17, hours: float = 9.0) -> Plan:
-    """Plan three probes at the spindle of a machine at rest."""
+def drift(rng: Rng, *, runs: int = 20, points: int = 17, hours: float = 9.0) -> CampaignPlan:
+    """CampaignPlan three probes at the spindle of a machine at rest."""
     run = np.repeat(np.arange(1, runs + 1), points)
     pose = {a: np.full(len(run), 0.4 * TRAVEL_MM[a][1]) for a in "XYZ"}
     probes = (
-        Probe("reading_axial_um", "Z"),
-        Probe("reading_near_um", "X"),
-        Probe("reading_far_um", "X", (0.0, 0.0, 90.0)),
+        ReadingColumn("reading_axial_um", "Z"),
+        ReadingColumn("reading_near_um", "X"),
+        ReadingColumn("reading_far_um", "X", (0.0, 0.0, 90.0)),
     )
     setup = {"probe": {p.name.split("_")[1]: {"direction": p.letter, "offset_mm": list(p.offset_mm)} for p in probes}}
     still = np.zeros(len(run))
-    return Plan(
+    return CampaignPlan(
         "spindle_drift", setup, None, probes, run, _times(rng, run, hours), pose,
         dict.fromkeys("XYZ", still + 1.0), dict.fromkeys("XYZ", still), still,
         rng.choice(LOADS_KG, runs)[run - 1],
     )  # fmt: skip
 
 
-def recorded(plan: Plan, of: Day, rng: Rng, names: tuple[str, ...] = SENSORS) -> dict[str, Floats]:
+def recorded(plan: CampaignPlan, of: Day, rng: Rng, names: tuple[str, ...] = SENSORS) -> dict[str, Floats]:
     """Channels of a file: positions, directions, speeds, load, spindle speed, sensors."""
     out = {a.lower(): plan.pose_mm[a] for a in "XYZ"}
     if plan.instrument != "spindle_drift":
@@ -208,7 +208,7 @@ def recorded(plan: Plan, of: Day, rng: Rng, names: tuple[str, ...] = SENSORS) ->
 
 
 def read(
-    plan: Plan, errors: Errors, rng: Rng, form: str, channels: Mapping[str, Floats], name: str = "record"
+    plan: CampaignPlan, errors: Errors, rng: Rng, form: str, channels: Mapping[str, Floats], name: str = "record"
 ) -> Record:
     """Readings of an instrument: exact kinematics, noise of a form, a display of 0.1, an unknown zero."""
     readings = {}
@@ -222,13 +222,13 @@ def read(
     return Record(name, plan, dict(channels), readings)
 
 
-def one_way(plan: Plan) -> Plan:
+def one_way(plan: CampaignPlan) -> CampaignPlan:
     """The first way of the first run alone."""
     keep = np.flatnonzero((plan.run == 1) & (plan.direction[plan.axis or "X"] > 0))
     return at(plan, keep)
 
 
-def at(plan: Plan, keep: Ints) -> Plan:
+def at(plan: CampaignPlan, keep: Ints) -> CampaignPlan:
     """Some rows of a plan."""
     return replace(
         plan,

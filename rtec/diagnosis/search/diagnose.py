@@ -21,7 +21,7 @@ from rtec.diagnosis.search.not_found import SURE
 from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen, screen
-from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes
+from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, without_idle
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
 from rtec.estimation.candidates import EffectCandidate, library
@@ -134,6 +134,7 @@ class _Search:
         self.refits = Refits(self.prepared, self.candidates, stage)
         self.rng = np.random.default_rng([seed, 400])
         self._top_shape: Shaped | None = None
+        self._tops: list[Shaped] = []
 
     def diagnosis(self) -> Diagnosis:
         """Go through the steps."""
@@ -225,10 +226,15 @@ class _Search:
         tops = self._shapes(best)
         top = max(tops, key=lambda t: t.log_evidence, default=None)
         self._top_shape = top
+        self._tops = tops
         if best is None:
             sure = top is not None and top.log_evidence > OVERWHELMING and self._many
             return False, None, self._unknown(top) if sure and top is not None else None
         share = adequacy(best.columns, tops, self.prepared.base, self.readings)
+        local = self._simpler(best, tops)
+        if local is not None:
+            self._top_shape = local
+            return False, share, self._unknown(local)
         if top is None or top.log_evidence < best.log_evidence + WITHIN:
             bar = best.log_evidence + WITHIN if top is None else top.log_evidence + WITHIN
             return share >= LEAST or self._with_another(best) > bar, share, None
@@ -236,6 +242,13 @@ class _Search:
         # likelier than it, the name is the better answer still.
         named = share >= ADEQUATE or self._with_another(best) > top.log_evidence
         return named, share, None if named else self._unknown(top)
+
+    def _simpler(self, best: Refitted, tops: Sequence[Shaped]) -> Shaped | None:
+        """A hump or a step that is likelier than an effect of more numbers; None where there is none."""
+        width = best.columns.shape[1]
+        places = [t for t in tops if t.shape.place is not None and 1 + t.shape.searched < width]
+        local = max(places, key=lambda t: t.log_evidence, default=None)
+        return local if local is not None and local.log_evidence > best.log_evidence + WITHIN else None
 
     def _with_another(self, best: Refitted) -> float:
         """Log evidence of the best effect together with the best one beside it."""
@@ -269,7 +282,8 @@ class _Search:
         A shape that is allowed everything holds a squareness too. So where a plain effect of one or two numbers is
         sure, and a good part of the error on held-out runs goes with it, it is named, and what stays is told apart.
         """
-        if not self._many or p >= self.alpha:
+        local = self._top_shape is not None and self._top_shape.shape.place is not None
+        if not self._many or p >= self.alpha or local:
             return []
         bar = self._prior_odds + SURE
 
@@ -293,7 +307,8 @@ class _Search:
         )
 
     def _unknown(self, top: Shaped) -> Unknown:
-        shape = top.shape
+        top = without_idle(top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.left_out)
+        self._top_shape, shape = top, top.shape
         period = None
         if shape.period is not None:
             period = Number(shape.period, None, words.unit_of_channel(shape.variables[0]))

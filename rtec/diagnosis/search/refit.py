@@ -32,7 +32,7 @@ from rtec.estimation.outliers import Clean, WrongReading
 from rtec.estimation.readings import Readings, looked_at
 from rtec.model import Model
 from rtec.model.fit import SearchScale
-from rtec.parallel import MANY, each
+from rtec.parallel import each
 
 Floats = NDArray[np.float64]
 Theta = Mapping[str, float]
@@ -266,11 +266,10 @@ class Refits:
 
     def fit(self, columns: Floats) -> Fit:
         """Fit from the noise that was found, and from hardly any drift; the likelier of the two."""
-        many = len(self.readings) > MANY
         noises = (self.prepared.whitener, without_drift(self.prepared.whitener))
-        best = max((fit_columns(w, columns, 1 if many else ROUNDS) for w in noises), key=lambda f: f.log_likelihood)
-        # So many readings tell after one round which is the likelier; the rest is for that alone.
-        return fit_columns(best.whitener, columns, ROUNDS - 1) if many else best
+        # One round tells which is the likelier; the rest is for that alone.
+        best = max((fit_columns(w, columns, 1) for w in noises), key=lambda f: f.log_likelihood)
+        return fit_columns(best.whitener, columns, ROUNDS - 1)
 
     def beside(self, first: Refitted) -> list[Refitted]:
         """The best beside an effect, each fitted together with it; the evidence is that of both."""

@@ -29,6 +29,25 @@ MOVED = 0.1
 
 
 @dataclass(frozen=True)
+class LocalPlace:
+    """Where a hump or a step is.
+
+    Attributes:
+        form: which of the two.
+        centre, width: in the unit of the variable.
+    """
+
+    form: Literal["hump", "step"]
+    centre: float
+    width: float
+
+    def curve(self, value: Floats) -> Floats:
+        """The hump or step over a variable, (m,)."""
+        u = (value - self.centre) / self.width
+        return np.asarray(np.exp(-np.minimum(u * u, 50.0)) if self.form == "hump" else np.tanh(u))
+
+
+@dataclass(frozen=True)
 class Shape:
     """A smooth or periodic dependence.
 
@@ -37,12 +56,19 @@ class Shape:
         over: its variables, as `Ground.known` names them.
         fine: basis functions along each; of a periodic one, powers of the variable that its height changes with.
         period: of a periodic one, in the unit of its first variable; None for a smooth one.
+        place: of a hump or a step, where it is; None for anything else.
     """
 
     group: str
     over: tuple[str, ...]
     fine: tuple[int, ...]
     period: float | None = None
+    place: LocalPlace | None = None
+
+    @property
+    def searched(self) -> int:
+        """Non-linear parameters that were searched for."""
+        return 2 if self.place is not None else int(self.period is not None)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -86,6 +112,8 @@ class Ground:
         mask = self.groups[shape.group][:, None]
         if shape.period is not None:
             return self._wave(shape) * mask
+        if shape.place is not None:
+            return shape.place.curve(self.known[shape.over[0]])[:, None] * mask
         if len(shape.over) == 1:
             return self._curve(shape.over[0], shape.fine[0]) * mask
         one, two = (self._curve(name, fine) for name, fine in zip(shape.over, shape.fine, strict=True))
@@ -225,6 +253,9 @@ def all_shapes(ground: Ground, projected: Projected) -> list[Weighed]:
             *_pairs(group, _along(ground, moving, leaders), DETAIL, BEND),
         ]
         out += [*lines, *plain, *weigh_all(ground, projected, rich), *_waves(ground, projected, group, moving)]
+        for name in moving:
+            if len(np.unique(np.round(ground.known[name][mask], 3))) >= CENTRES:
+                out += _local(ground, projected, group, name)
     return sorted(out, key=lambda w: -w.log_evidence)
 
 
@@ -259,7 +290,7 @@ def weigh_all(ground: Ground, projected: Projected, shapes: Iterable[Shape]) -> 
 
 
 def _weighed(projected: Projected, shape: Shape, found: tuple[int, float, float]) -> Weighed:
-    searched = 0.5 * np.log(len(projected.left)) if shape.period is not None else 0.0
+    searched = 0.5 * shape.searched * np.log(len(projected.left))
     return Weighed(shape, found[0], found[1], found[2] - float(searched))
 
 
@@ -335,6 +366,35 @@ def _waves(ground: Ground, projected: Projected, group: str, moving: Sequence[st
             for other in ground.known
         ]
         out += [*found[:3], *weigh_all(ground, projected, grown)]
+    return out
+
+
+CENTRES, WIDTHS, NARROWEST, WIDEST = 24, 6, 0.01, 0.3
+"""Places and widths of humps and steps that are tried, and the widths' ends as shares of the span."""
+HALVINGS = 3
+
+
+def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[Weighed]:
+    """The best hump and the best step along a position."""
+    mine = ground.known[name][ground.groups[group]]
+    span = float(np.ptp(mine))
+    apart, ratio = span / CENTRES, (WIDEST / NARROWEST) ** (1.0 / (WIDTHS - 1))
+    centres = float(mine.min()) + apart * (np.arange(CENTRES) + 0.5)
+    forms: tuple[Literal["hump", "step"], ...] = ("hump", "step")
+    out: list[Weighed] = []
+    for form in forms:
+        places = [LocalPlace(form, float(c), NARROWEST * span * ratio**k) for c in centres for k in range(WIDTHS)]
+        best = weigh_all(ground, projected, (Shape(group, (name,), (0,), place=p) for p in places))[:1]
+        step, factor = apart, ratio
+        for _ in range(HALVINGS if best else 0):
+            step, factor = 0.5 * step, factor**0.5
+            at = best[0].shape.place
+            assert at is not None
+            near = [
+                LocalPlace(form, at.centre + i * step, at.width * factor**k) for i in (-1, 0, 1) for k in (-1, 0, 1)
+            ]
+            best = weigh_all(ground, projected, (Shape(group, (name,), (0,), place=p) for p in near))[:1] or best
+        out += best
     return out
 
 

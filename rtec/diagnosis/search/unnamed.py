@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.search.screen import Projected
-from rtec.diagnosis.search.shapes import Ground, Shape, Weighed, all_shapes, weigh
+from rtec.diagnosis.search.shapes import FINE, Ground, Shape, Weighed, all_shapes, weigh
 from rtec.estimation.gls import Fit
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings, looked_at
@@ -75,7 +75,8 @@ def best_shapes(
         columns = whole.columns(w.shape)
         found = fit(np.concatenate([base, columns], axis=1))
         evidence = found.log_likelihood - without.log_likelihood
-        evidence -= 0.5 * w.count * math.log(len(readings)) + searched
+        local = w.shape.searched if w.shape.place is not None else 0
+        evidence -= 0.5 * (w.count + local) * math.log(len(readings)) + searched
         return Shaped(w.shape, columns, found, evidence, *left_out(found.whitener, columns))
 
     return [s for s in each(shaped, _picked(looks), len(readings)) if s.holds]
@@ -92,7 +93,8 @@ def _picked(looks: Sequence[Sequence[Weighed]]) -> list[Weighed]:
         for most, few in ((RICH, SHAPES), (LEAN, SHAPES // 2), (PLAIN, SHAPES // 2)):
             fresh = 0
             for w in (w for w in weighed if w.count <= most):
-                key = (w.shape.group, w.shape.variables, w.shape.kind, _richness(w))
+                form = w.shape.place.form if w.shape.place is not None else w.shape.kind
+                key = (w.shape.group, w.shape.variables, form, _richness(w))
                 if fresh == few:
                     break
                 if key not in picked:
@@ -103,6 +105,41 @@ def _picked(looks: Sequence[Sequence[Weighed]]) -> list[Weighed]:
 
 def _richness(w: Weighed) -> int:
     return PLAIN if w.count <= PLAIN else LEAN if w.count <= LEAN else RICH
+
+
+LOSES = 0.05
+"""A variable is named only where the mean square on held-out runs without it is larger by more than this share."""
+
+
+def without_idle(
+    top: Shaped,
+    others: Sequence[Shaped],
+    readings: Readings,
+    base: Floats,
+    fit: Callable[[Floats], Fit],
+    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+) -> Shaped:
+    """The best shape, or one of a single variable of its where the other costs nothing to drop.
+
+    Args:
+        top: the best shape.
+        others: shapes that were fitted too.
+        readings: the readings.
+        base: columns of the current model, (m, p).
+        fit, left_out: as for `best_shapes`.
+    """
+    if len(top.shape.variables) < 2:
+        return top
+    ground = Ground(readings)
+    alone = [t for t in others if t.shape.group == top.shape.group and len(t.shape.variables) == 1]
+    found = [t for t in alone if t.shape.variables[0] in top.shape.variables]
+    for name in top.shape.over:
+        shape = Shape(top.shape.group, (name,), (FINE,))
+        columns = ground.columns(shape)
+        made = fit(np.concatenate([base, columns], axis=1))
+        found.append(Shaped(shape, columns, made, top.log_evidence, *left_out(made.whitener, columns)))
+    best = max(found, key=lambda t: t.drop)
+    return best if 1.0 - best.drop <= (1.0 + LOSES) * (1.0 - top.drop) else top
 
 
 def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Readings) -> float:
@@ -119,7 +156,7 @@ def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Re
         if t.log_evidence <= 0.0:
             continue
         known = Projected.of(t.fit.whitener, base, readings.values)
-        mine, its = weigh(known, columns), weigh(known, t.columns, int(t.shape.period is not None))
+        mine, its = weigh(known, columns), weigh(known, t.columns, t.shape.searched)
         if its is not None:
             out = min(out, (mine[1] if mine else 0.0) / max(its[1], 1e-9))
     return out

@@ -29,9 +29,7 @@ def curve(w: World, rng: Rng) -> Floats:
 
 
 def bumpy(w: World, rng: Rng) -> Floats:
-    """A screw in segments: random heights joined by smooth steps; or one worn place."""
-    if rng.random() < 0.3:
-        return np.exp(-0.5 * ((w.u - rng.uniform(-0.5, 0.5)) / rng.uniform(0.12, 0.2)) ** 2)
+    """A screw in segments: random heights joined by smooth steps."""
     at = np.linspace(-1.0, 1.0, 8)
     heights = rng.standard_normal(8)
     heights[1::2] = -np.sign(heights[:-1:2]) * np.abs(heights[1::2])
