@@ -381,19 +381,23 @@ def _local(ground: Ground, projected: Projected, group: str, name: str) -> list[
     apart, ratio = span / CENTRES, (WIDEST / NARROWEST) ** (1.0 / (WIDTHS - 1))
     centres = float(mine.min()) + apart * (np.arange(CENTRES) + 0.5)
     forms: tuple[Literal["hump", "step"], ...] = ("hump", "step")
+
+    def weighed(places: Iterable[LocalPlace]) -> list[Weighed]:
+        return weigh_all(ground, projected, (Shape(group, (name,), (0,), place=p) for p in places))[:1]
+
     out: list[Weighed] = []
     for form in forms:
-        places = [LocalPlace(form, float(c), NARROWEST * span * ratio**k) for c in centres for k in range(WIDTHS)]
-        best = weigh_all(ground, projected, (Shape(group, (name,), (0,), place=p) for p in places))[:1]
+        best = weighed(LocalPlace(form, float(c), NARROWEST * span * ratio**k) for c in centres for k in range(WIDTHS))
         step, factor = apart, ratio
-        for _ in range(HALVINGS if best else 0):
+        for _ in range(HALVINGS):
             step, factor = 0.5 * step, factor**0.5
-            at = best[0].shape.place
-            assert at is not None
-            near = [
-                LocalPlace(form, at.centre + i * step, at.width * factor**k) for i in (-1, 0, 1) for k in (-1, 0, 1)
-            ]
-            best = weigh_all(ground, projected, (Shape(group, (name,), (0,), place=p) for p in near))[:1] or best
+            places = [w.shape.place for w in best if w.shape.place is not None]
+            best = weighed(
+                LocalPlace(form, at.centre + i * step, at.width * factor**k)
+                for at in places
+                for i in (-1, 0, 1)
+                for k in (-1, 0, 1)
+            )
         out += best
     return out
 
