@@ -143,6 +143,8 @@ def test_correlation_time() -> None:
     assert correlation_time(ar1(rng, 20_000, 0.8, 1.0)) == pytest.approx(9.0, rel=0.25)
     assert correlation_time(rng.normal(size=20_000)) == pytest.approx(1.0, abs=0.1)
     assert correlation_time(np.zeros(5)) == 1.0
+    white = [correlation_time(rng.normal(size=320)) for _ in range(100)]
+    assert np.mean(white) < 1.05, "white readings are not widened"
 
 
 def turn(delay_s: float, reversal_deg: float, seed: int = 0, noise: float = 0.005) -> tuple[Floats, Floats, Floats]:

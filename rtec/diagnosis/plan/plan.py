@@ -47,13 +47,28 @@ def information(
     """
     place = ball_place(measurement, stays)
     if any(_reads_itself(p, measurement) for p in parameters):
-        columns = _on_circle(parameters, circle_of(measurement), place)
+        whole = _on_circle(parameters, circle_of(measurement), place)
     else:
         asked = any(p.ball is not None and p.ball.place == place for p in parameters)
         readings = read([_with_known_centre(measurement) if asked else measurement])
-        columns = clean(np.stack([_column(p, readings, place) for p in parameters], axis=1), readings)
-    scaled = columns / noise
+        columns = [*(_column(p, readings, place) for p in parameters), _height_of(readings)]
+        whole = clean(np.stack(columns, axis=1), readings)
+    scaled = beside_prior(whole[:, -1] / noise, whole[:, :-1] / noise)
     return np.asarray(scaled.T @ scaled)
+
+
+def beside_prior(own: Floats, columns: Floats) -> Floats:
+    """White columns beside one more unknown that is known to one unit before: most of their part along it goes.
+
+    Args:
+        own: what one standard uncertainty of the unknown makes, white, (n,).
+        columns: (n, p).
+    """
+    power = float(own @ own)
+    if power == 0.0:
+        return columns
+    keep = 1.0 / math.sqrt(1.0 + power)
+    return np.asarray(columns - np.outer(own, (1.0 - keep) / power * (own @ columns)))
 
 
 def effect_columns(effect: Effect, readings: Readings, theta: dict[str, float] | None = None) -> Floats:
@@ -91,17 +106,15 @@ def _reads_itself(parameter: Planned, measurement: Measurement) -> bool:
 
 
 def _on_circle(parameters: Sequence[Planned], circle: CircleTest, place: Place | None) -> Floats:
-    """Columns of a ball-bar test over its measured arc, as `rtec ballbar` has them, (n, parameters)."""
+    """Columns of a ball-bar test over its measured arc, as `rtec ballbar` has them, then that of its ball's height."""
     strange = next((p.name for p in parameters if p.bar is None and p.ball is None), None)
     if strange is not None:
         raise ModelError(f"plan: {strange} cannot be asked for together with a ball bar's own parameters")
-    own = [(p.bar.cause, p.bar.origin) for p in parameters if p.bar is not None]
-    made = iter(stacked_design([cause for cause, _ in own], [own[0][1], circle])[len(own[0][1]) :].T)
+    of = [(p.bar.cause, p.bar.origin) for p in parameters if p.bar is not None]
+    made = iter(stacked_design([cause for cause, _ in of], [of[0][1], circle])[len(of[0][1]) :].T)
     bar = circle.instrument.bar_mm(circle.machine, circle.pose_mm)
-    columns = np.stack(
-        [_ball_column(p.ball, circle.setup, bar, place) if p.ball is not None else next(made) for p in parameters],
-        axis=1,
-    )
+    own = [_ball_column(p.ball, circle.setup, bar, place) if p.ball is not None else next(made) for p in parameters]
+    columns = np.stack([*own, _height(circle.setup, bar)], axis=1)
     zeros = _zeros(circle)
     return without(zeros, columns) if zeros.shape[1] else columns
 
@@ -127,6 +140,19 @@ def _column(parameter: Planned, readings: Readings, place: Place | None) -> Floa
     for part in parameter.parts:
         out += part.factor * effect_columns(part.effect, readings)[:, part.coefficient]
     return out
+
+
+def _height_of(readings: Readings) -> Floats:
+    """What the height of a table-side ball makes of readings, for one standard uncertainty of it, µm, (m,)."""
+    instrument, row = readings.measurements[0].instrument, readings.series[0].row
+    if not isinstance(instrument, BallBar):
+        return np.zeros(len(readings))
+    return _height(instrument.setup, instrument.bar_mm(readings.machine, readings.poses_mm[0])[row])
+
+
+def _height(setup: BallBarSetup, bar_mm: Floats) -> Floats:
+    along = bar_mm[:, setup.rows[2]] / np.linalg.norm(bar_mm, axis=1)
+    return np.asarray(-1e3 * setup.height_uncertainty_mm * along)
 
 
 def _ball_column(ball: Ball, setup: BallBarSetup, bar_mm: Floats, place: Place | None) -> Floats:

@@ -4,6 +4,7 @@ Readings taken one after the other err together. A standard error that supposes 
 every error here is widened by the residual's own correlation time: n readings count as n / correlation time.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -72,8 +73,15 @@ def best_line(position: Floats, reading: Floats) -> BestLine:
     return BestLine(slope, error, float(reading.mean() - slope * position.mean()), residual)
 
 
+WHITE_SE = 2.0
+"""Standard errors of ρ of white readings up to which a correlation is none."""
+
+
 def correlation_time(residual: Floats) -> float:
-    """How many readings in a row count as one: 1 + 2 Σ ρ_k, summed up to the first ρ_k that is not positive; >= 1."""
+    """How many readings in a row count as one: 1 + 2 Σ ρ_k, summed up to the first ρ_k that is not positive.
+
+    One where white readings would make as much: the sum has only positive terms, so by itself it is never below one.
+    """
     centred = residual - residual.mean()
     n = len(centred)
     power = np.abs(np.fft.rfft(centred, 2 * n)) ** 2
@@ -82,7 +90,8 @@ def correlation_time(residual: Floats) -> float:
         return 1.0
     rho = covariance / covariance[0]
     ends = np.flatnonzero(rho <= 0.0)
-    return 1.0 + 2.0 * float(rho[1 : ends[0] if len(ends) else n].sum())
+    twice = 2.0 * float(rho[1 : ends[0] if len(ends) else n].sum())
+    return 1.0 + twice if twice > WHITE_SE * 2.0 / math.sqrt(n) else 1.0
 
 
 def separable_fit(
