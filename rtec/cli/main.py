@@ -32,6 +32,7 @@ from rtec.cli import (
     run,
     simulate,
     studio,
+    table,
 )
 from rtec.cli import control as ctl
 from rtec.cli import control as status_command
@@ -76,6 +77,7 @@ app.command("status")(status_command.status)
 app.add_typer(ctl.app, name="ctl")
 app.add_typer(log.app, name="log")
 app.add_typer(machine.app, name="machine")
+app.add_typer(table.app, name="table")
 
 
 # Depending on its version typer brings click with it or asks for it; its own exceptions say which one it is.

@@ -68,10 +68,13 @@ class Session:
     Args:
         name: of the INI file in configs/linuxcnc, without its ending.
         edits: text to replace in the copied files: file name to (old, new) pairs.
+        files: text of more files beside them, by name.
     """
 
-    def __init__(self, name: str, edits: dict[str, list[tuple[str, str]]] | None = None) -> None:
-        self.name, self._edits = name, edits or {}
+    def __init__(
+        self, name: str, edits: dict[str, list[tuple[str, str]]] | None = None, files: dict[str, str] | None = None
+    ) -> None:
+        self.name, self._edits, self._files = name, edits or {}, files or {}
         self.folder = Path()
         self._clock = RealClock()
 
@@ -133,6 +136,8 @@ class Session:
         for file in CONFIGS.iterdir():
             if file.suffix in (".ini", ".hal", ".tbl"):
                 shutil.copy(file, self.folder / file.name)
+        for name, text in self._files.items():
+            (self.folder / name).write_text(text)
         changes = {f"{self.name}.ini": [("DISPLAY = axis", "DISPLAY = ./agent")]}
         changes[f"{self.name}.hal"] = [("../../drivers/rtec_drivers/linuxcnc/bridge.py", str(BRIDGE))]
         agent = self.folder / "agent"

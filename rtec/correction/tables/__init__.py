@@ -1,0 +1,20 @@
+"""Compensation tables: for controllers that take a file and no signals [G 4.1]. One module a format."""
+
+from rtec.correction.tables.linuxcnc import CompFile
+from rtec.correction.tables.table import TableFormat
+from rtec.errors import ConfigError
+from rtec.tomlfile import nearest
+
+FORMATS: dict[str, TableFormat] = {"linuxcnc": CompFile(0), "linuxcnc-type-1": CompFile(1)}
+"""The formats by the name that commands and run files use."""
+
+
+def table_format(name: str, where: str) -> TableFormat:
+    """Give a format by its name.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in FORMATS:
+        raise ConfigError(f"{where}: no format {name!r}{nearest(name, FORMATS)}")
+    return FORMATS[name]

@@ -1,0 +1,97 @@
+"""LinuxCNC's `COMP_FILE`: nominal position, then one column for each direction.
+
+LinuxCNC reads lines of three numbers up to the first line that is none, so what the file means is below its points. It
+reads them when it starts, and never again. Type 0 holds actual positions, `nominal + error`; type 1 holds what is added
+to the command, `nominal - actual = -error`. `tests/correction/test_tables_linuxcnc.py` lets LinuxCNC itself judge both.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtec.correction.tables.table import CompensationTable, TableLimits, rising
+from rtec.errors import ConfigError
+
+MOST_POINTS = 256
+QUANTUM_UM = 0.001
+LARGEST_UM = 10_000.0
+"""A centimetre is no error of a screw: the other type was meant, or other units."""
+
+
+@dataclass(frozen=True)
+class CompFile:
+    """The file of `COMP_FILE_TYPE` 0 or 1; positions in mm."""
+
+    kind: int
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"LinuxCNC COMP_FILE, COMP_FILE_TYPE = {self.kind}"
+
+    @property
+    def sign(self) -> str:
+        """In words."""
+        if self.kind == 0:
+            return "nominal position, actual position arriving forward, actual position arriving in reverse, mm"
+        return "nominal position, nominal minus actual arriving forward, nominal minus actual arriving in reverse, mm"
+
+    @property
+    def use(self) -> str:
+        """Where the INI file names it."""
+        return f"[JOINT_n] COMP_FILE = FILE, COMP_FILE_TYPE = {self.kind}; no BACKLASH; start LinuxCNC again"
+
+    @property
+    def limits(self) -> TableLimits:
+        """256 points, both directions, any distances."""
+        return TableLimits(MOST_POINTS, True, False, False, QUANTUM_UM)
+
+    def text(self, table: CompensationTable) -> str:
+        """Points first; LinuxCNC stops reading at the first line that is none."""
+        nominal = table.positions_mm
+        columns = [1e-3 * table.forward_um, 1e-3 * table.backward_um]
+        columns = [nominal + e for e in columns] if self.kind == 0 else [-e + 0.0 for e in columns]
+        rows = np.column_stack([nominal, *columns])
+        lines = ["".join(f"{v:>14.6f}" for v in row) for row in rows]
+        at = ", ".join(f"{name} = {value:g}" for name, value in table.at.items())
+        lines += [
+            f"; {self.title}, axis {table.axis}",
+            f"; columns: {self.sign}",
+            *([f"; made for: {at}"] if at else []),
+        ]
+        return "\n".join(lines) + "\n"
+
+    def read(self, text: str, source: str, axis: str) -> CompensationTable:
+        """Read as LinuxCNC does."""
+        rows = []
+        for n, line in enumerate(text.splitlines(), 1):
+            row = _three(line)
+            if row is None:
+                break
+            if not all(math.isfinite(v) for v in row):
+                raise ConfigError(f"{source}: line {n}: a value that is no finite number")
+            rows.append(row)
+        if len(rows) < 2:
+            raise ConfigError(
+                f"{source}: fewer than two lines of three numbers at its beginning: LinuxCNC would take no points"
+            )
+        if len(rows) > MOST_POINTS:
+            raise ConfigError(f"{source}: {len(rows)} points; LinuxCNC takes {MOST_POINTS}")
+        values = np.array(rows)
+        nominal = rising(values[:, 0], source)
+        errors = values[:, 1:] - nominal[:, None] if self.kind == 0 else -values[:, 1:]
+        if np.abs(errors).max() * 1e3 > LARGEST_UM:
+            other = "linuxcnc-type-1" if self.kind == 0 else "linuxcnc"
+            raise ConfigError(
+                f"{source}: an error of {np.abs(errors).max():g} mm, which is no screw's; is it of --format {other}?"
+            )
+        return CompensationTable(axis, axis, nominal, 1e3 * errors[:, 0], 1e3 * errors[:, 1])
+
+
+def _three(line: str) -> tuple[float, float, float] | None:
+    try:
+        a, b, c = (float(word) for word in line.split()[:3])
+    except ValueError:
+        return None
+    return a, b, c

@@ -1,0 +1,130 @@
+"""Compensation tables: what a model predicts, in a controller's format, and back."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rtec.cli.main import status
+from rtec.correction.tables import FORMATS, table_format
+from rtec.correction.tables.predict import checked, conditions, grid_mm, residuals, table_of
+from rtec.correction.tables.table import CompensationTable, save
+from rtec.errors import ConfigError
+from rtec.machine import load_machine
+from rtec.model import load_model
+
+CONFIGS = Path(__file__).parents[2] / "configs" / "linuxcnc"
+MACHINE = load_machine(CONFIGS / "mill-machine.toml")
+MODEL = load_model(CONFIGS / "mill-model.toml", MACHINE)
+X = MACHINE.axis("X")
+AT = {"T_x": 26.0, "T_y": 25.0, "T_z": 24.0}
+errors = st.lists(st.tuples(st.floats(-200, 200), st.floats(-200, 200)), min_size=2, max_size=256)
+
+
+@pytest.mark.parametrize("name", sorted(FORMATS))
+@given(rows=errors, start=st.floats(-500, 500), step=st.floats(0.5, 50))
+def test_a_table_comes_back_to_the_last_digit(
+    name: str, rows: list[tuple[float, float]], start: float, step: float
+) -> None:
+    """Law: reading is the inverse of writing; what is lost is the format's smallest step."""
+    form = FORMATS[name]
+    n = np.arange(len(rows))
+    table = CompensationTable("X", "X", np.round(start + step * n, 6), *np.array(rows).T)
+    back = form.read(form.text(checked(table, form)), "x", "X")
+    assert np.allclose(back.positions_mm, table.positions_mm, atol=1e-6)
+    for mine, again in ((table.forward_um, back.forward_um), (table.backward_um, back.backward_um)):
+        assert np.abs(mine - again).max() < form.limits.quantum_um
+
+
+def test_the_two_types_of_linuxcnc_by_hand() -> None:
+    """Oracle: LinuxCNC's manual: type 0 nominal, actual forward, actual reverse; type 1 nominal, nominal - actual."""
+    table = CompensationTable("X", "X", np.array([0.0, 10.0]), np.array([5.0, -3.0]), np.array([7.0, 0.0]))
+    first = [[float(w) for w in line.split()] for line in FORMATS["linuxcnc"].text(table).splitlines()[:2]]
+    second = [[float(w) for w in line.split()] for line in FORMATS["linuxcnc-type-1"].text(table).splitlines()[:2]]
+    assert first == [[0.0, 0.005, 0.007], [10.0, 9.997, 10.0]]
+    assert second == [[0.0, -0.005, -0.007], [10.0, 0.003, 0.0]]
+
+
+def test_what_a_table_cannot_express_is_said_in_um() -> None:
+    """Oracle: the model's own expansion: 11.5 µm/m/K x 0.1 m x (60 - 26) K at the ends of the travel."""
+    table = checked(table_of(MODEL, X, X, grid_mm(X, 5.0), conditions(MODEL, X, AT)), FORMATS["linuxcnc"])
+    by_what = {r.what.split()[0]: r.largest_um for r in residuals(MODEL, table)}
+    assert by_what["T_x"] == pytest.approx(11.5 * 0.1 * (60 - 26), rel=1e-3)
+    assert by_what["at"] < 0.001
+    assert by_what["Y"] == by_what["T_z"] == pytest.approx(0.0, abs=0.001)
+    assert 0.01 < by_what["between"] < 1.0
+
+
+def test_limits_of_the_format_are_checked() -> None:
+    fine = table_of(MODEL, X, X, grid_mm(X, 0.5), conditions(MODEL, X, AT))
+    with pytest.raises(ConfigError, match="takes 2 to 256 points, the table has 401"):
+        checked(fine, FORMATS["linuxcnc"])
+    across = table_of(MODEL, X, MACHINE.axis("Y"), grid_mm(X, 10.0), conditions(MODEL, X, AT))
+    with pytest.raises(ConfigError, match="no tables between axes: Y cannot be corrected along X"):
+        checked(across, FORMATS["linuxcnc"])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "fewer than two lines"),
+        ("; a heading\n0 0 0\n1 1 1\n", "fewer than two lines"),
+        ("0 0 0\n0 0 0\n", "does not lie beyond the one before"),
+        ("0 0 0\n1 nan 1\n", "line 2: a value that is no finite number"),
+        ("0 0 0\n100 0.01 0.01\n", "linuxcnc-type-1"),
+        ("".join(f"{k} {k} {k}\n" for k in range(300)), "300 points; LinuxCNC takes 256"),
+    ],
+)
+def test_a_wrong_file_is_told(text: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=says):
+        FORMATS["linuxcnc"].read(text, "x.comp", "X")
+
+
+def test_the_command_writes_reads_and_compares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the same model at the temperatures of the table differs by its rounding, at others by the expansion."""
+    out, model = tmp_path / "x.comp", str(CONFIGS / "mill-model.toml")
+    assert status(["table", model, "--axis", "X", "--at", "T_x=26,T_y=25,T_z=24", "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "What the table cannot express" in said
+    assert f"COMP_FILE = {out.name}" in said
+    for degc, differs in ((26, "0.00"), (36, "11.50")):
+        at = f"T_x={degc},T_y=25,T_z=24"
+        assert status(["table", "read", str(out), "--axis", "X", "--model", model, "--at", at]) == 0
+        assert f"by up to {differs} µm" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--axis", "Q", "--at", "T_x=26,T_y=25,T_z=24"], "no axis 'Q'"),
+        (["--axis", "X", "--at", "T_x=26"], "the model reads T_y, T_z"),
+        (["--axis", "X", "--at", "T_q=26"], "--at T_q"),
+        (["--axis", "X", "--at", "T_x"], "write NAME=NUMBER"),
+        (["--axis", "X", "--at", "T_x=26,T_y=25,T_z=24", "--cross", "EYZ"], "as EYX"),
+        (["--axis", "X", "--at", "T_x=26,T_y=25,T_z=24", "--format", "linuxnc"], "did you mean 'linuxcnc'"),
+    ],
+)
+def test_wrong_use_is_one_clear_message(
+    words: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "x.comp"
+    assert status(["table", str(CONFIGS / "mill-model.toml"), *words, "-o", str(out)]) == 2
+    assert says in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()
+
+
+def test_a_table_is_replaced_whole(tmp_path: Path) -> None:
+    file = tmp_path / "x.comp"
+    save("old", file)
+    save("new", file)
+    assert file.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [file]
+    with pytest.raises(ConfigError, match="cannot be written"):
+        save("x", tmp_path / "none" / "x.comp")
+
+
+def test_a_format_that_is_none_is_told() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'linuxcnc'"):
+        table_format("linuxnc", "here")
