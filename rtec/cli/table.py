@@ -27,7 +27,7 @@ class _MakesByDefault(TyperGroup):
 app = typer.Typer(
     cls=_MakesByDefault,
     no_args_is_help=True,
-    help="""Compensation tables for controllers that take a file and no signals.
+    help="""Writes and reads compensation tables, for controllers that take a file and no signals.
 
 `rtec table MODEL ...` writes one (`rtec table write --help`); `rtec table read FILE` compares one with a model.
 """,
