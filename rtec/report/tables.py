@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtec.correction.tables.predict import Residual
+from rtec.correction.tables.predict import TableResidual
 from rtec.correction.tables.table import CompensationTable, TableFormat
 from rtec.report.page import Page, Section, Table
 
@@ -13,7 +13,9 @@ SHOWN_UM = 0.005
 """What is smaller is not listed."""
 
 
-def written_page(table: CompensationTable, form: TableFormat, residuals: Sequence[Residual], path: Path | None) -> Page:
+def written_page(
+    table: CompensationTable, form: TableFormat, residuals: Sequence[TableResidual], path: Path | None
+) -> Page:
     """The page of a table that was written."""
     low, high = float(table.positions_mm[0]), float(table.positions_mm[-1])
     values = np.concatenate([table.forward_um, table.backward_um])

@@ -18,7 +18,7 @@ BETWEEN = 10
 
 
 @dataclass(frozen=True)
-class Residual:
+class TableResidual:
     """What a table leaves of the model's prediction.
 
     Attributes:
@@ -73,7 +73,7 @@ def table_of(
     return CompensationTable(axis.name, corrects.name, positions_mm, forward, backward, dict(at))
 
 
-def residuals(model: Model, table: CompensationTable) -> list[Residual]:
+def residuals(model: Model, table: CompensationTable) -> list[TableResidual]:
     """Give what the table cannot express, largest first: between its points, direction, heat, speed, other axes.
 
     Each is tried alone, at the ends of the range that the model was fitted in (of the travel, for axes).
@@ -92,11 +92,14 @@ def residuals(model: Model, table: CompensationTable) -> list[Residual]:
         )
 
     own = worst(table.positions_mm, {})
-    out = [Residual("at its points (rounding, direction)", own), Residual("between its points", worst(fine, {}))]
+    out = [
+        TableResidual("at its points (rounding, direction)", own),
+        TableResidual("between its points", worst(fine, {})),
+    ]
     for name, (low, high) in _ranges(model, machine, axis).items():
         unit = "°C" if name in machine.sensor_names else "1/min" if name == "spindle_rpm" else "mm"
         out.append(
-            Residual(
+            TableResidual(
                 f"{name} from {low:g} to {high:g} {unit} (table: {at.get(name, 0.0):g})",
                 max(worst(table.positions_mm, {name: value}) for value in (low, high)),
             )
