@@ -1,9 +1,14 @@
-"""`rtec init`: the first files of a machine."""
+"""`rtec init`: the first files of a machine, from questions, from an answers file, or the shipped example."""
 
+import sys
+import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+from rtec.cli.common import grid, interruptible
 
 
 def init(
@@ -11,21 +16,207 @@ def init(
     example: Annotated[
         bool, typer.Option("--example", help="Copy the shipped example: simulated machine, model, tutorial.")
     ] = False,
+    answers: Annotated[
+        Path | None, typer.Option("--answers", help="Take the answers from this file; ask nothing.", show_default=False)
+    ] = None,
+    template: Annotated[
+        str | None,
+        typer.Option("--template", help="lathe, mill, bridge or axis, where no file says it.", show_default=False),
+    ] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One answer, over the file's: axis.X.resolution_um=0.1"),
+    ] = None,
+    print_answers: Annotated[
+        bool, typer.Option("--print-answers", help="Print an answers file to fill in; write nothing.")
+    ] = False,
+    check: Annotated[bool, typer.Option("--check/--no-check", help="End with doctor and dry run.")] = True,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=0.1, max=600, help="How long live values are shown.")
+    ] = 5.0,
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there already.")] = False,
 ) -> None:
-    """Writes the first files of a machine.
+    """Writes the first files of a machine: machine.toml, run.toml, an empty model.toml.
+
+    Without options it asks: axes, encoders, sensors, output, limits. It shows live values, and ends with doctor and dry
+    run: exit status 1 if they fail, the files stay. Ctrl-C leaves nothing behind.
+
+    Example, in the folder lathe, by questions: `rtec init lathe`
 
     Example, a simulated turning centre to try everything with, in the folder configs: `rtec init --example`
+
+    Example of an answers file: `rtec init --template lathe --print-answers`
+
+    Example, by a script: `rtec init lathe --answers lathe-answers.toml --set axis.X.resolution_um=0.5`
     """
-    from rtec.commission.example import FOLDER, write_example
     from rtec.errors import ConfigError
+
+    if example:
+        _example(folder, force)
+        return
+    if print_answers:
+        _print_answers(template or "lathe")
+        return
+    if answers is None and not options and not sys.stdin.isatty():
+        raise ConfigError(
+            "rtec init: no terminal to ask at; give --answers FILE, or --example "
+            "(`rtec init --template lathe --print-answers` prints a file to fill in)"
+        )
+    asks = answers is None and not options
+    with interruptible():
+        tables, source = _asked(seconds, folder) if asks else _given(answers, template, options or [])
+        written = _write(tables, source, folder, force, keep_answers=asks)
+    for path in written:
+        typer.echo(f"Written: {path}")
+    run = next(path for path in written if path.name == "run.toml")
+    if check and _ready(run):
+        typer.echo(f"Next: rtec run {run} --step X=20um")
+        return
+    typer.echo(f"Next: rtec doctor {run}")
+    if check:
+        raise typer.Exit(1)
+
+
+def _example(folder: Path, force: bool) -> None:
+    from rtec.commission.example import FOLDER, write_example
     from rtec.wording import counted
 
-    if not example:
-        raise ConfigError("rtec init: say --example")
     files = write_example(folder, overwrite=force)
     at = folder / FOLDER
     typer.echo(f"{counted(len(files), 'file')} in {at}: a simulated turning centre, its model, the tutorial's data.")
     go_there = f"cd {folder} && " if folder != Path() else ""
     for command in ("rtec run configs/turning-centre-sim.toml --duration 10", "rtec demo"):
         typer.echo(f"Next: {go_there}{command}")
+
+
+def _print_answers(template: str) -> None:
+    from rtec.commission.write import answers_text
+
+    typer.echo(answers_text(template))
+
+
+def _given(answers: Path | None, template: str | None, options: list[str]) -> tuple[dict[str, Any], str]:
+    """The answers of a file and of options."""
+    from rtec.commission.answers import with_answers
+    from rtec.errors import ConfigError
+    from rtec.tomlfile import read_toml
+
+    tables = read_toml(answers) if answers is not None else {}
+    if template is not None:
+        tables["template"] = template
+    for option in options:
+        key, equals, value = option.partition("=")
+        text = f"{key} = {value}\n"
+        try:
+            given = tomllib.loads(text)
+        except tomllib.TOMLDecodeError:
+            try:
+                given = tomllib.loads(f'{key} = "{value}"\n')  # a text without its quotes, as a shell leaves it
+            except tomllib.TOMLDecodeError as e:
+                raise ConfigError(f"--set {option!r}: give KEY=VALUE as in the answers file: {e}") from e
+        if not equals:
+            raise ConfigError(f"--set {option!r}: give KEY=VALUE, as axis.X.resolution_um=0.1")
+        tables = with_answers(tables, given)
+    return tables, str(answers) if answers is not None else "rtec init"
+
+
+class _Terminal:
+    """Asks at the terminal."""
+
+    def ask(self, question: str, default: str) -> str:
+        return str(typer.prompt(question, default=default, show_default=True)).strip()
+
+    def say(self, text: str) -> None:
+        typer.echo(text)
+
+
+def _asked(seconds: float, folder: Path) -> tuple[dict[str, Any], str]:
+    """The answers of somebody at the terminal, names exchanged where live values say so."""
+    from rtec.commission.answers import answers_from
+    from rtec.commission.ask import Interview, check_names
+    from rtec.commission.listen import live, watch
+    from rtec.commission.write import machine_of
+    from rtec.errors import RtecError
+    from rtec.loop.clock import RealClock
+
+    talk, clock = _Terminal(), RealClock()
+    tables = Interview(talk, clock).tables()
+
+    def watched(_: str) -> Mapping[str, float]:
+        now = answers_from(tables, "answers")
+        machine, here = machine_of(now), folder.resolve()
+        with live(machine, now.device, now.role, clock, here) as values, _Screen() as screen:
+            change = watch(values, clock, seconds, screen.show)
+            for device, trouble in values.troubles.items():
+                talk.say(f"{device}: {trouble}")
+        return change
+
+    talk.say("\nNow the devices are opened and read; nothing is commanded.")
+    try:
+        return check_names(talk, tables, watched), "answers"
+    except RtecError as e:
+        talk.say(f"{e}\nThe files are written all the same; rtec doctor says what to mend.")
+        return tables, "answers"
+
+
+class _Screen:
+    """A live table of values and their changes."""
+
+    def __enter__(self) -> "_Screen":
+        from rich.live import Live
+
+        from rtec.cli.screen import Console
+
+        self._live = Live(console=Console(), refresh_per_second=5, transient=True)
+        self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def show(self, values: Mapping[str, float], change: Mapping[str, float]) -> None:
+        from rtec.report.page import Table
+        from rtec.wording import number
+
+        rows = [(name, number(value, 3), number(change[name], 3, sign=True)) for name, value in values.items()]
+        self._live.update(grid(Table(("input", "now, mm or °C", "change"), rows)))
+
+
+def _write(tables: dict[str, Any], source: str, folder: Path, force: bool, *, keep_answers: bool) -> list[Path]:
+    import tomli_w
+
+    from rtec.commission.answers import answers_from
+    from rtec.commission.files import write_together
+    from rtec.commission.write import checked_setup, texts
+
+    answers = answers_from(tables, source)
+    checked_setup(answers, folder)
+    files = {Path(name): text for name, text in texts(answers).items()}
+    if keep_answers:
+        head = "# What rtec init was answered; `rtec init --answers answers.toml` writes the same files again.\n"
+        files[Path("answers.toml")] = head + tomli_w.dumps(tables)
+    return write_together(folder, files, overwrite=force)
+
+
+def _ready(run: Path) -> bool:
+    """Doctor and dry run: is everything well?"""
+    from rtec.cli.common import show_page
+    from rtec.cli.run import show_dry_run
+    from rtec.daemon.dry_run import dry_run
+    from rtec.doctor.devices import examine
+    from rtec.errors import RtecError
+    from rtec.loop.run_file import load_setup
+    from rtec.report.doctor import doctor_page
+
+    typer.echo(f"\nrtec doctor {run} --no-pc")
+    found = examine(run, 3.0)
+    show_page(doctor_page(found))
+    typer.echo(f"rtec run {run} --dry-run")
+    try:
+        setup = load_setup(run)
+        dry = dry_run(setup)
+    except RtecError as e:
+        typer.echo(f"rtec: {e}", err=True)
+        return False
+    show_dry_run(setup, dry)
+    return found.well and not dry["reasons"] and not dry["troubles"]

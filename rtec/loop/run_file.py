@@ -260,6 +260,23 @@ def load_setup(path: Path, *, needs_model: bool = True, needs_devices: bool = Tr
     return Setup(path, file, machine, model, digest(_jsonable(data)))
 
 
+def setup_of(data: Mapping[str, Any], path: Path, machine: Machine, model: Model) -> Setup:
+    """The setup of a run file that is not written yet.
+
+    Args:
+        data: its tables.
+        path: where it will be.
+        machine, model: those that it will name.
+
+    Raises:
+        ConfigError: everything that is wrong with the tables.
+    """
+    file = validated(RunFile, data, str(path))
+    if faults := _faults(file, machine, str(path)):
+        raise ConfigError("\n".join(faults))
+    return Setup(path, file, machine, model, digest(_jsonable(data)))
+
+
 def _faults(file: RunFile, machine: Machine, source: str) -> list[str]:
     out = []
     for section, axes in (("limits", tuple(file.limits)), ("output", tuple(file.output))):

@@ -1,0 +1,264 @@
+"""`rtec init` for a machinist's lathe whose devices are on ptys: by an answers file, and by questions.
+
+Oracles: what the simulated devices print, hold and take; the exact product of the model's numbers with the position.
+"""
+
+import io
+import json
+import re
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from rtec.cli.main import status
+from rtec.commission.answers import TEMPLATES, answers_from
+from rtec.commission.listen import pattern_of
+from rtec.commission.write import answers_text, machine_of
+from rtec.effects import EFFECTS
+from rtec.errors import ConfigError
+from rtec.loop.clock import RealClock
+from rtec.machine import load_machine
+from rtec.model import FittedEffect, Model, save_model
+from rtec.tomlfile import read_toml
+from rtec_drivers.pty_peer import PtyPeer
+from tests.support.modbus_peer import FakeSlave, line
+from tests.support.offset_controller import OffsetController
+
+pytestmark = pytest.mark.xdist_group("real-clock")
+
+
+@dataclass
+class Readout:
+    """Prints the positions of both axes; each may creep."""
+
+    x_mm: float = 100.0
+    z_mm: float = 250.0
+    creep_mm: float = 0.0
+
+    def receive(self, data: bytes, now_ns: int) -> bytes:
+        del data, now_ns
+        return b""
+
+    def idle(self, now_ns: int) -> bytes:
+        del now_ns
+        self.x_mm += self.creep_mm
+        return f"X={self.x_mm:.4f} Z={self.z_mm:.4f}\r\n".encode()
+
+
+@dataclass
+class Lathe:
+    readout: Readout
+    controller: OffsetController
+    ports: dict[str, str]
+
+
+@contextmanager
+def lathe(folder: Path) -> Iterator[Lathe]:
+    """Two scales on a readout, six thermocouples in one Modbus module, a controller that takes offsets."""
+    with ExitStack() as stack:
+        clock, readout, controller = RealClock(), Readout(), OffsetController()
+        stack.enter_context(PtyPeer(readout, clock, folder / "readout", 0.01))
+        stack.enter_context(PtyPeer(controller, clock, folder / "offsets", 0.001))
+        bus = stack.enter_context(line({1: FakeSlave(value=lambda _: 215)}))
+        ports = {"0": str(folder / "readout"), "1": bus.port, "2": str(folder / "offsets")}
+        yield Lathe(readout, controller, ports)
+
+
+@pytest.fixture
+def devices(tmp_path: Path) -> Iterator[Lathe]:
+    with lathe(tmp_path) as devices:
+        yield devices
+
+
+def answers_file(folder: Path, devices: Lathe) -> Path:
+    """The one that `--print-answers` prints, with the ports of this test and the controller's line ends."""
+    text = answers_text("lathe")
+    for number, port in devices.ports.items():
+        text = text.replace(f"/dev/ttyUSB{number}", port)
+    text = text.replace('parity = "even"', 'parity = "none"')  # which a pty does not take
+    text = text.replace('acknowledge = "OK"', 'acknowledge = "OK"\nline_end = "crlf"')
+    path = folder / "lathe-answers.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_from_an_answers_file_to_a_lathe_that_is_corrected(
+    devices: Lathe, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Doctor and dry run are well; with a model of 30 µm/m the controller has -3 µm at X = 100 mm.
+
+    Z: 12 µm/(m·°C) at 250 mm, 21.9 °C (the register of T_z_nut) above 20 °C: 5.7 µm.
+    """
+    folder = tmp_path / "lathe"
+    options = ["--answers", str(answers_file(tmp_path, devices)), "--set", "name=L 3", "--set", 'mode="on"']
+    assert status(["init", str(folder), *options]) == 0
+    out = capsys.readouterr().out
+    assert "ready to run" in out
+    assert "dry run, nothing was commanded" in out
+    assert {p.name for p in folder.iterdir()} == {"machine.toml", "run.toml", "model.toml"}
+    assert {line for line in devices.controller.lines if line != "OFS?"} == set(), "nothing was commanded"
+    assert "21.90 °C" in out
+
+    machine = load_machine(folder / "machine.toml")
+    assert (machine.name, machine.axis("X").counts_per_mm) == ("L 3", 2000.0)
+    scale = EFFECTS["scale"].model_validate({"effect": "scale", "component": "EXX", "axis": "X"})
+    tables = {"effect": "axis_expansion", "component": "EZZ", "axis": "Z", "sensor": "T_z_nut", "lag": False}
+    grows = EFFECTS["axis_expansion"].model_validate({**tables, "fixed_mm": 0.0})
+    effects = (FittedEffect(scale, {"k": 30.0}), FittedEffect(grows, {"k": 12.0}))
+    save_model(Model(machine, effects), folder / "model.toml")
+    assert status(["run", str(folder / "run.toml"), "--duration", "2", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["requested_um"] == pytest.approx({"X": -3.0, "Z": -5.7}, abs=1e-6)
+    assert devices.controller.has == pytest.approx({"X": -0.0030, "Z": -0.0057}, abs=1e-7)
+
+
+def test_what_is_wrong_with_a_device_is_exit_status_1_and_the_files_stay(
+    devices: Lathe, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "lathe"
+    unplugged = ["--set", f"device.encoders.port={tmp_path}/unplugged"]
+    assert status(["init", str(folder), "--answers", str(answers_file(tmp_path, devices)), *unplugged]) == 1
+    assert "unplugged: no such port" in " ".join(capsys.readouterr().out.split())
+    assert (folder / "run.toml").is_file()
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("template=lath", "no template 'lath'; did you mean 'lathe'?"),
+        ("axis.Y.pitch_mm=5.0", "[axis.Y] the template 'lathe' has no such axis"),
+        ("limit.stop_um=50.0", "unknown key 'limit'; did you mean 'limits'?"),
+        ("role.counts=encodrs", "[role] counts: no [device.encodrs]; did you mean 'encoders'?"),
+        ("device.encoders.bawd=9600", "unknown key 'bawd'; did you mean 'baud'?"),
+        ("limits.warning_um=60.0", "warning_um is above stop_um"),
+        ("rate_hz", "give KEY=VALUE"),
+        ("device.offsets.resolution_um=0.01", "more decimals"),
+        ('sensors=["T bed"]', "sensors"),
+    ],
+)
+def test_a_wrong_answer_is_one_message_and_nothing_is_written(
+    devices: Lathe, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, message: str
+) -> None:
+    folder = tmp_path / "lathe"
+    answers = str(answers_file(tmp_path, devices))
+    assert status(["init", str(folder), "--answers", answers, "--set", option]) == 2
+    assert message in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_files_that_are_there_stay(devices: Lathe, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, answers = tmp_path / "lathe", str(answers_file(tmp_path, devices))
+    command = ["init", str(folder), "--answers", answers, "--no-check"]
+    assert status(command) == 0
+    (folder / "model.toml").write_text("measured for a day")
+    assert status(command) == 2
+    assert "model.toml: already there" in capsys.readouterr().err
+    assert (folder / "model.toml").read_text() == "measured for a day"
+    assert status([*command, "--force"]) == 0
+
+
+class Keys(io.StringIO):
+    """A terminal at which somebody types these lines, and then Ctrl-C."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def readline(self, size: int = -1, /) -> str:  # type: ignore[override]
+        typed = super().readline(size)
+        if not typed:
+            raise KeyboardInterrupt
+        return typed
+
+
+LENGTHS = ["", "", "", ""]  # travel, resolution and pitch of an axis: the template's
+
+
+def typed(devices: Lathe) -> list[str]:
+    """What the machinist types: Enter takes what is proposed."""
+    start = ["lathe", "L 3", *LENGTHS, *LENGTHS, ""]
+    encoders = ["ascii_lines", devices.ports["0"], "", "", "", "", ""]
+    sensors = ["modbus", devices.ports["1"], "19200", "none", "1", "0", "0.1", "holding"]
+    offsets = ["ascii_offset", "mm", "0.1", "", "OK", devices.ports["2"], "", ""]
+    return [*start, *encoders, *sensors, *offsets, "60", "20"]
+
+
+@pytest.fixture
+def no_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever ports the computer has that the test runs on."""
+    monkeypatch.setattr("rtec.commission.ask.serial_ports", list)
+
+
+@pytest.mark.usefixtures("no_ports")
+def test_by_questions_with_live_values(
+    devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The readout is heard at its port, and its line becomes the pattern; X moves when X is asked for."""
+    devices.readout.creep_mm = 0.01
+    live = ["y", "n", "n", "n", "n", "n", "n", "n"]
+    monkeypatch.setattr("sys.stdin", Keys("\n".join([*typed(devices), *live]) + "\n"))
+    folder = tmp_path / "lathe"
+    assert status(["init", str(folder), "--seconds", "0.5", "--no-check"]) == 0
+    out = capsys.readouterr().out
+    assert "prints lines at 9600 baud: X=1" in out
+    assert re.search(r"X changed by \+\d", out)
+    run = read_toml(folder / "run.toml")
+    assert run["device"]["encoders"]["patterns"] == [r"X=(?P<X>[+-]?[\d.,]+)\s*Z=(?P<Z>[+-]?[\d.,]+)"]
+    assert run["limits"]["X"]["stop_um"] == 60.0
+    assert run["device"]["thermocouples"]["slave"]["module"]["register"]["T_air"]["address"] == 5
+    assert load_machine(folder / "machine.toml").name == "L 3"
+    again = tmp_path / "again"
+    assert status(["init", str(again), "--answers", str(folder / "answers.toml"), "--no-check"]) == 0
+    assert (again / "run.toml").read_text() == (folder / "run.toml").read_text()
+
+
+@pytest.mark.usefixtures("no_ports")
+@pytest.mark.parametrize("lines", [0, 3, 12, 25])
+def test_ctrl_c_leaves_nothing(devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: int) -> None:
+    monkeypatch.setattr("sys.stdin", Keys("".join(f"{x}\n" for x in typed(devices)[:lines])))
+    assert status(["init", str(tmp_path / "lathe")]) == 130
+    assert not (tmp_path / "lathe").exists()
+
+
+def test_without_a_terminal_it_says_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert status(["init", str(tmp_path)]) == 2
+    assert "--print-answers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_the_answers_file_of_every_template_is_one(template: str, tmp_path: Path) -> None:
+    """Oracle: the loaders of machine and run file."""
+    path = tmp_path / "a.toml"
+    path.write_text(answers_text(template), encoding="utf-8")
+    assert status(["init", str(tmp_path / "m"), "--answers", str(path), "--no-check"]) == 0
+    machine = load_machine(tmp_path / "m" / "machine.toml")
+    assert machine == machine_of(answers_from(read_toml(path), "a"))
+    assert len(machine.components) > 6
+
+
+def test_a_template_without_devices_names_what_is_missing() -> None:
+    with pytest.raises(ConfigError, match="key 'role' is missing"):
+        answers_from({"template": "mill"}, "a")
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "values"),
+    [
+        ("X=+0012.345 Z= -0003.210", ("X", "Z"), ("+0012.345", "-0003.210")),
+        ("Z:1.5 X:2.5", ("X", "Z"), ("2.5", "1.5")),
+        ("1;  12,5; 13,5", ("T_a", "T_b"), ("1", "12,5")),
+        ("X-12.5Z3", ("X", "Z"), ("-12.5", "3")),
+        ("T1 21.5 T2 22.5", ("X", "Z"), ("21.5", "22.5")),
+    ],
+)
+def test_a_pattern_from_a_line(text: str, names: tuple[str, ...], values: tuple[str, ...]) -> None:
+    """Oracle: Python's own matching of the line that the pattern was made from."""
+    match = re.fullmatch(pattern_of(text, names) or "", text)
+    assert match is not None
+    assert tuple(match[name] for name in names) == values
+    assert pattern_of("no number", names) is None
