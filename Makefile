@@ -13,7 +13,7 @@ override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof figures lock format clean
+.PHONY: studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof reference figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -57,6 +57,9 @@ discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many a
 
 proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines
 	$(BIN)/python -m tests.ball_bar.ball_bar_proof
+
+reference: $(STAMP)  ## the page of all keys, off the models that check the files
+	$(BIN)/rtec explain --all > docs/reference/keys.md
 
 figures: $(STAMP)  ## the figures of the documentation, made by the commands of the tutorial
 	$(BIN)/python -m tests.tutorial.tutorial docs/figures

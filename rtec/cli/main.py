@@ -19,6 +19,7 @@ from rtec.cli import (
     doctor,
     drivers,
     effects,
+    explain,
     fit,
     grid,
     hil,
@@ -62,6 +63,7 @@ app.command()(simulate.simulate)
 app.command()(fit.fit)
 app.command()(effects.effects)
 app.command()(drivers.drivers)
+app.command()(explain.explain)
 app.command()(doctor.doctor)
 app.command()(compare.compare)
 app.command()(hil.hil)

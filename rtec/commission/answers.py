@@ -115,7 +115,7 @@ class Answers(Strict):
         rate_hz: cycles per second; not given: as fast as the device of the counts allows.
         mode: what the correction does after a start; "hold" until it was measured.
         counts_max_age_s: counts older than this hold the correction; not given: by the device.
-        temperature_max_age_s: so do temperatures.
+        temperature_max_age_s: temperatures older than this hold it, too.
         log_folder: where the log goes, from the run file's folder.
     """
 

@@ -129,7 +129,7 @@ class GuardSettings(Strict):
 
     Attributes:
         counts_max_age_s: counts older than this are stale.
-        temperature_max_age_s: so are temperatures.
+        temperature_max_age_s: temperatures older than this are stale.
         fade_after_s: after so long a hold the correction fades to nothing; not set: it stays for ever.
     """
 

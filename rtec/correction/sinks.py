@@ -50,7 +50,13 @@ class SinkScale:
 
 
 class PulseSink(Strict):
-    """Pulse insertion: `quantum_counts` 1 for single counts, 4 for whole cycles as the original RTEC did."""
+    """Pulse insertion.
+
+    Attributes:
+        kind: counts inserted into the encoder signal.
+        quantum_counts: 1 for single counts, 4 for whole cycles, as the original RTEC did.
+        max_counts_per_s: counts that box and controller follow.
+    """
 
     kind: Literal["pulse"] = "pulse"
     quantum_counts: Literal[1, 4] = 1
@@ -63,6 +69,15 @@ class PulseSink(Strict):
 
 
 class _OffsetSink(Strict):
+    """An offset in the controller.
+
+    Attributes:
+        kind: what the controller does with the number.
+        resolution_um: one unit of output: the smallest step that the controller takes.
+        period_s: a new value so often at most.
+        max_um: the largest offset that the controller takes.
+    """
+
     resolution_um: MicrometresPositive
     period_s: SecondsPositive = 0.020
     max_um: MicrometresPositive = 1000.0
@@ -93,7 +108,14 @@ class OriginOffsetSink(_OffsetSink):
 
 
 class PhaseSink(Strict):
-    """An N-bit D/A over ± `range_mm` shifts the phase reference ([G 4.1]: 8 bits over ±0.1 mm)."""
+    """An N-bit D/A over ± `range_mm` shifts the phase reference ([G 4.1]: 8 bits over ±0.1 mm).
+
+    Attributes:
+        kind: steps of a D/A at the reference of the phase comparator.
+        bits: of the D/A.
+        range_mm: shift at its end.
+        period_s: a new value so often at most; 0: every cycle.
+    """
 
     kind: Literal["phase"] = "phase"
     bits: Annotated[int, Field(ge=4, le=24)] = 8

@@ -236,7 +236,7 @@ def _bounds(metadata: typing.Sequence[Any]) -> str:
 
 
 def _short(number: float) -> str:
-    return str(int(number)) if float(number).is_integer() else f"{number:g}"
+    return str(int(number)) if float(number).is_integer() else f"{number:.9f}".rstrip("0")
 
 
 def _default(field: FieldInfo) -> str:

@@ -72,7 +72,7 @@ class LogTable(Strict):
 
     Attributes:
         segment_mb: a file that has grown to this is closed, and the next begun; 10^6 bytes.
-        segment_s: so is one that is this old.
+        segment_s: a file that is this old is closed, too.
         disk_share: all logs in the folder may take this share of its disk; the oldest go first.
         pack: turn closed files into zstd Parquet, about a tenth of the size.
     """
@@ -106,7 +106,14 @@ class RunTable(Strict):
 
 
 class Roles(Strict):
-    """`[role]`: which device reads and writes what, by the device's name."""
+    """`[role]`: which device reads and writes what, by the device's name.
+
+    Attributes:
+        counts: reads the axes' encoder counts.
+        temperatures: read the temperature sensors; each gives those that it has.
+        spindle: reads the spindle speed.
+        actuator: puts the correction into the machine.
+    """
 
     counts: str
     temperatures: tuple[str, ...] = ()
@@ -158,7 +165,22 @@ class CaptureTable(Strict):
 
 
 class RunFile(Strict):
-    """The whole run file; what stands in `hil` is read by the bench of `rtec hil` alone."""
+    """The whole run file.
+
+    Attributes:
+        run: what runs, how fast, where the log goes.
+        role: which device does what.
+        device: the devices by name; the key `driver` names the driver, whose own keys the others are.
+        limits: of each axis' correction; every compensated axis needs them.
+        guard: when inputs are too old.
+        inputs: what no device reads.
+        output: how the correction of an axis goes into the machine; not given: as pulses.
+        realtime: how the loop's process asks to be treated.
+        log: rules for the logs in `log_folder`.
+        control: sockets of the daemon.
+        capture: how `rtec replay` reads a logic-analyser capture.
+        hil: the simulated machine behind the buses; `rtec hil` alone reads it.
+    """
 
     run: RunTable
     role: Roles
@@ -272,7 +294,7 @@ def setup_of(data: Mapping[str, Any], path: Path, machine: Machine, model: Model
         ConfigError: everything that is wrong with the tables.
     """
     file = validated(RunFile, data, str(path))
-    if faults := _faults(file, machine, str(path)):
+    if faults := [*_faults(file, machine, str(path)), *_role_faults(file, str(path))]:
         raise ConfigError("\n".join(faults))
     return Setup(path, file, machine, model, digest(_jsonable(data)))
 

@@ -19,12 +19,33 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 class _MachineTable(Strict):
+    """`[machine]`: name and kinematic chain.
+
+    Attributes:
+        name: of the machine.
+        tool_chain: the links from the base to the tool tip: axes by their names, fixed links by names of your choice.
+        work_chain: the links from the base to the cutting point.
+    """
+
     name: Annotated[str, Field(min_length=1)]
     tool_chain: tuple[str, ...]
     work_chain: tuple[str, ...] = ()
 
 
 class _AxisTable(Strict):
+    """`[axis.X]`: one axis.
+
+    Attributes:
+        kind: how it moves.
+        direction: machine coordinate that grows when the axis moves positive: of the tool relative to the workpiece.
+        travel_mm: lowest and highest position.
+        counts_per_mm: encoder counts for a millimetre, after x4.
+        pitch_mm: of the screw or the scale; left out where there is none.
+        offset_mm: frame origin at position zero, relative to the link before it.
+        compensate: may rtec correct this axis?
+        dead_band_counts: motion back by at most this much is no reversal.
+    """
+
     kind: Literal["linear"] = "linear"
     direction: Literal["X", "Y", "Z"]
     travel_mm: tuple[Millimetres, Millimetres]
@@ -36,14 +57,35 @@ class _AxisTable(Strict):
 
 
 class _LinkTable(Strict):
+    """`[link.NAME]`: a fixed link; one without a table sits on the link before it.
+
+    Attributes:
+        offset_mm: its origin, relative to the link before it.
+    """
+
     offset_mm: Vector = (0.0, 0.0, 0.0)
 
 
 class _SensorTable(Strict):
+    """`[temperature.NAME]`: a temperature sensor.
+
+    Attributes:
+        range_degc: a reading outside is a broken sensor, not a temperature.
+    """
+
     range_degc: tuple[DegreesCelsius, DegreesCelsius] = (-20.0, 120.0)
 
 
-class _MachineFile(Strict):
+class MachineFile(Strict):
+    """The whole machine file.
+
+    Attributes:
+        machine: name and kinematic chain.
+        axis: the axes by name, as on the machine's panel.
+        link: the fixed links of the chain by name.
+        temperature: the temperature sensors by name.
+    """
+
     machine: _MachineTable
     axis: dict[str, _AxisTable]
     link: dict[str, _LinkTable] = Field(default_factory=dict)
@@ -61,7 +103,7 @@ def load_machine(path: Path) -> Machine:
 
 def machine_from(data: Mapping[str, Any], source: str) -> Machine:
     """Build a machine from the tables of its file; `source` names it in messages."""
-    file = validated(_MachineFile, data, source)
+    file = validated(MachineFile, data, source)
     faults = [f"{source}: {fault}" for fault in _faults(file)]
     if faults:
         raise ConfigError("\n".join(faults))
@@ -76,12 +118,12 @@ def machine_from(data: Mapping[str, Any], source: str) -> Machine:
     )
 
 
-def _faults(file: _MachineFile) -> list[str]:
+def _faults(file: MachineFile) -> list[str]:
     chain = [*file.machine.tool_chain, *file.machine.work_chain]
     return [*_name_faults(file, chain), *_chain_faults(file, chain), *_range_faults(file)]
 
 
-def _name_faults(file: _MachineFile, chain: list[str]) -> list[str]:
+def _name_faults(file: MachineFile, chain: list[str]) -> list[str]:
     out = []
     taken = dict.fromkeys(RESERVED, "a channel of every machine")
     for kind, names in (("axis", file.axis), ("temperature", file.temperature)):
@@ -97,7 +139,7 @@ def _name_faults(file: _MachineFile, chain: list[str]) -> list[str]:
     return out
 
 
-def _chain_faults(file: _MachineFile, chain: list[str]) -> list[str]:
+def _chain_faults(file: MachineFile, chain: list[str]) -> list[str]:
     out = [f"[machine] {name!r} is twice in the chains" for name in sorted({n for n in chain if chain.count(n) > 1})]
     out += [
         f"[axis.{name}] is in neither tool_chain nor work_chain{nearest(name, chain)}"
@@ -125,7 +167,7 @@ def _chain_faults(file: _MachineFile, chain: list[str]) -> list[str]:
     return out
 
 
-def _range_faults(file: _MachineFile) -> list[str]:
+def _range_faults(file: MachineFile) -> list[str]:
     out = []
     for name, axis in file.axis.items():
         if axis.travel_mm[0] >= axis.travel_mm[1]:

@@ -52,7 +52,17 @@ class _ModelTable(Strict):
     effects: Counts | None = None
 
 
-class _ModelFile(Strict):
+class ModelFile(Strict):
+    """The whole model file.
+
+    Attributes:
+        model: the model as a whole.
+        effect: the effects, each with its arguments and numbers; `rtec effects NAME` explains one.
+        valid_range: lowest and highest value of a channel that the fit has seen; the guard holds outside.
+        measurement: SHA-256 of the measurements behind the fit, by name.
+        history: one entry a change, for `rtec history`.
+    """
+
     model: _ModelTable
     effect: list[dict[str, Any]] = Field(default_factory=list)
     valid_range: dict[str, tuple[Coefficient, Coefficient]] = Field(default_factory=dict)
@@ -77,7 +87,7 @@ def load_model(path: Path, machine: Machine) -> Model:
 
 def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
     """Build a model from the tables of its file."""
-    file = validated(_ModelFile, data, source, ModelError)
+    file = validated(ModelFile, data, source, ModelError)
     if file.model.machine_hash not in ("", machine.hash):
         raise ModelError(
             f"{source}: [model] machine_hash: made for machine {file.model.machine!r} as it was then, not for "
@@ -168,7 +178,7 @@ def _read_effect(table: Mapping[str, Any], source: str) -> FittedEffect:
     )
 
 
-def _check_units(file: _ModelFile, model: Model, source: str) -> None:
+def _check_units(file: ModelFile, model: Model, source: str) -> None:
     """Refuse numbers written in another unit than the one in which they are read."""
     faults = []
     for i, (table, fitted) in enumerate(zip(file.effect, model.effects, strict=True)):

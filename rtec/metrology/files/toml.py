@@ -50,7 +50,15 @@ class Leniency(Strict):
 
 
 class MeasurementTable(Strict):
-    """`[measurement]`."""
+    """`[measurement]`: what was measured.
+
+    Attributes:
+        instrument: name of the instrument.
+        machine: name of the machine.
+        axis: axis that it follows, where it follows one.
+        component: component error that it reads, where it reads one.
+        notes: for people.
+    """
 
     instrument: str
     machine: str
@@ -60,7 +68,13 @@ class MeasurementTable(Strict):
 
 
 class MeasurementFile(Strict):
-    """The whole TOML; `[setup]` is checked by the instrument."""
+    """The whole TOML.
+
+    Attributes:
+        measurement: what was measured.
+        setup: how the instrument was set up; its keys are the instrument's own.
+        table: what you accept about the table of readings.
+    """
 
     measurement: MeasurementTable
     setup: dict[str, Any] = Field(default_factory=dict)

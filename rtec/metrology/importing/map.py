@@ -74,6 +74,7 @@ class Time(Strict):
         format: strptime pattern of a time of day.
         from_zero: does the first row become 0? Times of day always begin at 0.
         restarts: a time that falls begins a new run: put it after the one before, `restart_gap_s` later.
+        restart_gap_s: see `restarts`.
         step_s: without a column: time from one row to the next.
     """
 
@@ -157,7 +158,18 @@ class EventLog(Strict):
 
 
 class ImportMap(Strict):
-    """A whole map."""
+    """A whole map.
+
+    Attributes:
+        source: how the file is read.
+        events: for a log with one value a line.
+        measurement: what was measured.
+        setup: how the instrument was set up; its keys are the instrument's own.
+        time: where the time comes from.
+        run: what begins a new run.
+        rows: which rows are used.
+        column: where each column of the measurement comes from, by its name there.
+    """
 
     source: SourceOptions = SourceOptions()
     events: EventLog | None = None
