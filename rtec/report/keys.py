@@ -20,7 +20,7 @@ HEAD = """\
 Written by `rtec explain --all` from the models that check the files; `make reference` writes it again. On the command
 line, `rtec explain stop_um` explains one key. How the files work together: [files](../files.md).
 
-NAME is a name of your choice: of an axis, a link, a sensor, a device. A key without a default and without "required" may
+NAME is a name of your choice: of an axis, a link, a sensor, a device. A key without a default, not required, may
 be left out. Numbers outside their limits are refused.
 """
 
