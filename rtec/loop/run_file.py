@@ -33,7 +33,7 @@ class ControlTable(Strict):
         access: who may use it: "user" (the one that the daemon runs as, and root) or "group" (its group, too).
         status_hz: how often the status is sent to clients that watch it.
         prometheus: "host:port" of this computer at which Prometheus reads figures; not given: nothing listens.
-        compared: file with what `rtec compare --json` printed last; what it says is left stands in the status.
+        compared: file with what `rtec compare --json` printed last; the status shows its residual.
     """
 
     local: bool = True

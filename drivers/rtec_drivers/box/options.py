@@ -20,8 +20,8 @@ class BoxOptions(PortOptions):
         max_speed_mm_s: highest speed of each axis; counts that move faster are refused.
         box_serial: number of the box; another one is refused. Not given: the one that answers first.
         timeout_ms: longest wait for an answer in a cycle; shorter than the cycle.
-        open_timeout_s: longest wait for the box when its port is opened (some start anew when that happens).
-        command_timeout_s: so long may the box leave commands alone before that is told.
+        open_timeout_s: longest wait for the box when its port is opened (some restart when that happens).
+        command_timeout_s: so long may the box leave commands alone before that is reported.
         silent_reopen_s: after so long a silence the port is closed and opened again.
         resume_step_counts: the first command after a start or an order to resume may differ from the box's ledger
             by at most this.

@@ -33,9 +33,9 @@ class CanBoxOptions(CanOptions):
         base_id: first identifier of the box; a multiple of 64, 64 identifiers are its own.
         axes: the box's inputs in order, by the machine's axis names; the machine's own order where not given.
         max_speed_mm_s: highest speed of each axis; counts that move faster are refused.
-        timeout_ms: a reading older than this is told as missing.
+        timeout_ms: a reading older than this is reported as missing.
         open_timeout_s: longest wait for the box when its interface is opened.
-        command_timeout_s: so long may the box leave commands alone before that is told.
+        command_timeout_s: so long may the box leave commands alone before that is reported.
         resume_step_counts: the first command after a start or an order to resume may differ from the box's ledger
             by at most this.
     """

@@ -41,7 +41,7 @@ class CanEncoderOptions(CanOptions):
         bits: width of the position value; it wraps there.
         sync: send SYNC, so that all encoders latch at the same instant (their PDOs must be synchronous, type 1).
             Without it each position has the instant of its own frame, and the reading that of the oldest.
-        timeout_ms: a reading older than this is told as missing.
+        timeout_ms: a reading older than this is reported as missing.
         node: CANopen devices that are watched, by a name of your choice.
     """
 

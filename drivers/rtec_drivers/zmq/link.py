@@ -34,10 +34,10 @@ class ZmqOptions(Strict):
         own_key_file: this side's secret key; readable by its owner only.
         at_start: "required": the run does not begin without a first message; "later": it may come any time.
         open_timeout_s: longest wait for that first message.
-        silent_s: so long without a message is told.
-        command_timeout_s: so long may a command stay without an answer before that is told.
+        silent_s: so long without a message is reported.
+        command_timeout_s: so long may a command stay without an answer before that is reported.
         resume_step: the first command may differ from the output that the other process has by at most this.
-        stuck_after_s: as for other sensors: a temperature that stands still for so long is told. Not set: never.
+        stuck_after_s: as for other sensors: a temperature that stands still for so long is reported. Not set: never.
     """
 
     state: str
