@@ -1,8 +1,11 @@
-# Every target sets itself up: a virtual environment in .venv with the versions of requirements.lock.
+# Every target sets itself up: a virtual environment in .venv; what runs has the versions of requirements-run.lock,
+# what tests and documents it those of requirements.lock beside them.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+RUN := $(VENV)/.run
 STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 MINUTES ?= 30
 SEED ?= 1
 INPUTS ?= 1000000
@@ -17,16 +20,20 @@ UNITS := $(PREFIX)/lib/systemd/system
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
-$(STAMP): requirements.lock pyproject.toml
+$(RUN): requirements-run.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || \
 	  { echo "rtec needs Python 3.11 to 3.13; $(PYTHON) is $$($(PYTHON) --version 2>&1). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
 	@$(PYTHON) -m venv $(VENV) || \
 	  { echo "python cannot make virtual environments here. On Debian and Ubuntu: apt-get install python3-venv"; exit 2; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(PIP) --require-hashes -r requirements-run.lock
+	$(PIP) --no-deps --no-build-isolation --editable .
 	@touch $@
 
-demo: $(STAMP)  ## a machine warms up for a day, uncorrected and corrected; writes out/demo
+$(STAMP): $(RUN) requirements.lock
+	$(PIP) --require-hashes -r requirements.lock
+	@touch $@
+
+demo: $(RUN)  ## a machine warms up for a day, uncorrected and corrected; writes out/demo
 	$(BIN)/rtec demo
 
 test: $(STAMP)  ## the tests
@@ -43,7 +50,7 @@ check: lint test  ## all of it: lint, then the tests
 bench: $(STAMP)  ## speed, each figure beside what it is measured against
 	$(BIN)/python -m tests.bench
 
-soak: $(STAMP)  ## half an hour against simulated hardware with faults by chance; MINUTES=, SEED=, SHARED=--shared
+soak: $(RUN)  ## half an hour against simulated hardware with faults by chance; MINUTES=, SEED=, SHARED=--shared
 	$(BIN)/rtec hil configs/hil.toml --soak $(MINUTES) --seed $(SEED) $(SHARED) --report out/soak
 
 attack: $(STAMP)  ## ten minutes of kills, faults, hostile clients and spoilt files; fails on any loss; MINUTES=
@@ -61,7 +68,9 @@ proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines
 reference: $(STAMP)  ## the page of all keys, off the models that check the files
 	$(BIN)/rtec explain --all > docs/reference/keys.md
 
-figures: $(STAMP)  ## the figures of the documentation, made by the commands of the tutorial
+figures: $(STAMP)  ## the figures of the documentation, made by the demo and by the commands of the tutorial
+	$(BIN)/rtec demo --no-hidden --out out/figures
+	cp out/figures/diameter.png docs/figures/demo-diameter.png
 	$(BIN)/python -m tests.tutorial.tutorial docs/figures
 	$(BIN)/python -m tests.tutorial.campaign docs/figures
 
@@ -76,9 +85,11 @@ format: $(STAMP)  ## rewrite the code in the project's format
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-lock: $(STAMP)  ## resolve requirements.lock anew from pyproject.toml
-	$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 \
-	  --generate-hashes --no-header --no-annotate --upgrade --quiet --output-file requirements.lock
+LOCK := $(BIN)/uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-header \
+  --no-annotate --quiet
+lock: $(STAMP)  ## resolve both locks again from pyproject.toml
+	$(LOCK) --group dev --upgrade --output-file requirements.lock
+	$(LOCK) --group build --constraint requirements.lock --output-file requirements-run.lock
 
 install: install-venv install-files  ## the daemon as a service, for root; PREFIX (/usr/local) and DESTDIR as usual
 	@echo "installed; now see $(PREFIX)/share/doc/rtec/service.md"

@@ -69,15 +69,19 @@ class Later:
 
     @property
     def found(self) -> Verdict:
-        """Whether the fault was found; only a simulation can say."""
+        """Whether the fault was found; only a simulation can say.
+
+        "named" only where the diagnosis is sure, and the fault is the first and only effect that it names.
+        """
         if self.added is None:
             return "not named"
-        first = self.diagnosis.findings[0].effect
-        if first.effect in self.fault.right and first.component == self.fault.component:
+        right = {(effect, self.fault.component) for effect in self.fault.right}
+        named = {(f.effect.effect, f.effect.component) for f in self.diagnosis.group}
+        named |= {(m.effect, m.component) for m in self.diagnosis.together}
+        if self.diagnosis.verdict == "missing_effect" and named <= right:
             return "named"
-        alike = {f.effect.effect for f in self.diagnosis.group}
-        alike |= {a.effect for a in self.diagnosis.findings[0].confused_with}
-        return "among those alike" if alike & set(self.fault.right) else "wrongly named"
+        alike = {(a.effect, a.component) for a in self.diagnosis.findings[0].confused_with}
+        return "among those alike" if (named | alike) & right else "wrongly named"
 
     def facts(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""

@@ -233,7 +233,7 @@ def test_figures_are_pictures(written: Path) -> None:
 
     names = sorted(p.name for p in written.iterdir())
     pictures = [n for n in names if n.endswith(".png")]
-    assert len(pictures) == 5
+    assert len(pictures) == 6
     assert set(names) - set(pictures) == {"report.html", "result.json"}
     for name in pictures:
         pixels = imread(written / name)

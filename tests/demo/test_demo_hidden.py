@@ -132,6 +132,22 @@ def test_words_tell_the_truth(told: Later) -> None:
     assert "it was wrong" in later_words(wrong)[-1]
 
 
+def test_named_is_said_only_of_the_first_and_only_name(told: Later) -> None:
+    """Oracle: the same diagnosis, once as sure as can be, and once with a rival that the readings do not separate."""
+    (right,) = told.fault.right
+    findings = told.diagnosis.findings
+    first = next(f for f in findings if (f.effect.effect, f.effect.component) == (right, told.fault.component))
+    sure = replace(told.diagnosis, verdict="missing_effect", findings=(replace(first, group=True),), together=())
+    assert replace(told, diagnosis=sure).found == "named"
+    other = next(f for f in findings if f.effect != first.effect)
+    rivals = (replace(first, accepted=True, group=True), replace(other, group=True))
+    open_ = replace(sure, verdict="ambiguous", findings=rivals)
+    assert replace(told, diagnosis=open_).found == "among those alike"
+    assert "named it" not in later_words(replace(told, diagnosis=open_))[-1]
+    two = replace(sure, findings=rivals)
+    assert replace(told, diagnosis=two).found == "among those alike"
+
+
 class Pictures(HTMLParser):
     """Counts pictures."""
 
