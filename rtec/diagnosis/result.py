@@ -202,6 +202,15 @@ class Member:
 
 
 @dataclass(frozen=True)
+class OnCircle:
+    """Where the readings of a ball bar are: letters of the plane, sense (+1 ccw, -1 cw), angles, rad, (n,)."""
+
+    letters: tuple[str, str]
+    sense: int
+    angle_rad: Floats
+
+
+@dataclass(frozen=True)
 class Picture:
     """What a figure needs to show a finding in one reading column, less what the instruments cannot know.
 
@@ -216,6 +225,7 @@ class Picture:
         time_s, run: of each reading, (n,).
         title: the label and the measurement, with its column where it has several.
         others: pictures of the other reading columns that the finding moves most, strongest first.
+        circle: where it is a ball bar.
     """
 
     label: str
@@ -229,6 +239,7 @@ class Picture:
     title: str = ""
     others: "tuple[Picture, ...]" = ()
     period_mm: float | None = None
+    circle: OnCircle | None = None
 
 
 @dataclass(frozen=True)

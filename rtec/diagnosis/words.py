@@ -36,8 +36,9 @@ def spoken(unit: str) -> str:
     """A unit as people write it: `um_per_m_degc` is µm/(m·K), `degC` °C, and `1` nothing."""
     if unit.endswith("krpm_to_p"):
         return f"{WORDS[unit.split('_', maxsplit=1)[0]]}/(1000/min)^p"
-    above, _, below = unit.partition("_per_")
-    top = "·".join(WORDS.get(w, w) for w in above.split("_"))
+    above, _, below = f"_{unit}".partition("_per_")
+    above = above.removeprefix("_")
+    top = "·".join(WORDS.get(w, w) for w in above.split("_") if w)
     parts = [WORDS.get(w, w) for w in below.split("_")] if below else []
     if not parts:
         return top

@@ -196,20 +196,29 @@ def circle_picture(readings: Readings, s: Series, title: str, measured: Floats, 
     if bar is None or angle is None:
         return None
     turned = np.deg2rad(angle[s.row])
-    return _polar_pair(title, bar.setup.letters[:2], CircleTrace("", bar.setup.sense, turned, measured, predicted))
+    trace = CircleTrace("", bar.setup.sense, turned, measured, predicted)
+    return polar_pair(title, bar.setup.letters[:2], trace, ("measured", "predicted", "residual"))
 
 
 @as_png
-def _polar_pair(title: str, letters: tuple[str, str], trace: CircleTrace) -> "MplFigure":
+def polar_pair(title: str, letters: tuple[str, str], trace: CircleTrace, names: tuple[str, str, str]) -> "MplFigure":
+    """Two deviations drawn outwards from a circle, their difference beside it.
+
+    Args:
+        title: of the figure.
+        letters: directions of the plane, to the right and upwards.
+        trace: both.
+        names: of them, and of the difference.
+    """
     figure = canvas(0.56 * WIDTH_IN)
     both, rest = figure.subplots(1, 2)
     gain = frame(both, letters, max(float(np.abs(v).max()) for v in (trace.measured_um, trace.fitted_um)))
-    around(both, trace.angle_rad, MIDDLE + gain * trace.measured_um, GREY, "-", 3.0, 0.5, "measured")
-    around(both, trace.angle_rad, MIDDLE + gain * trace.fitted_um, ON, "-", 2.0, 1.0, "predicted")
+    around(both, trace.angle_rad, MIDDLE + gain * trace.measured_um, GREY, "-", 3.0, 0.5, names[0])
+    around(both, trace.angle_rad, MIDDLE + gain * trace.fitted_um, ON, "-", 2.0, 1.0, names[1])
     arrow(both, trace, MIDDLE + 1.1 * ROOM, GREY)
     residual = trace.measured_um - trace.fitted_um
     gain = frame(rest, letters, float(np.abs(residual).max()))
-    around(rest, trace.angle_rad, MIDDLE + gain * residual, OFF, "-", 1.4, 1.0, "residual")
+    around(rest, trace.angle_rad, MIDDLE + gain * residual, OFF, "-", 1.4, 1.0, names[2])
     for ax in (both, rest):
         ax.legend(loc="upper left", frameon=False, fontsize=13)
     figure.suptitle(f"{title}: deviation from the circle, magnified", x=0.01, ha="left", fontweight="bold")

@@ -2,11 +2,12 @@
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
-from rtec.diagnosis.result import Diagnosis, Finding, NotTestable
+from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken
 from rtec.effects import Effect
 from rtec.report.evidence import evidence
@@ -104,6 +105,7 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
         png = diagnosis_figures.evidence_figure([evidence(q) for q in (p, *p.others) if q.drivers])
         shows = "The residual against its driver, with the fitted effect."
         out.append(Section("Residual and fitted effect", [], None, Figure("evidence.png", png, shows)))
+        out += [on_its_circle(q, q.circle) for q in (p, *p.others) if q.circle is not None]
     if not d.findings:
         return [*out, Section("Candidates", ["Noise alone would give as good a fit as the best of them."])]
     figure = None
@@ -114,6 +116,19 @@ def _evidence(d: Diagnosis, figures: bool) -> list[Section]:
         rows = [(n, f.heldout_drop, f.group, _short(d, f)) for f, n in zip(shown, labels(shown), strict=True)]
         figure = Figure("rivals.png", diagnosis_figures.rivals(rows), "Fall of the held-out error with each candidate.")
     return [*out, Section("Candidates, best first", _candidate_words(d), _candidates(d), figure)]
+
+
+def on_its_circle(p: Picture, circle: OnCircle) -> Section:
+    """The residual of a ball bar on its circle."""
+    from rtec.report.ball_bar_figures import CircleTrace
+    from rtec.report.compare_figures import polar_pair
+
+    trace = CircleTrace("", circle.sense, circle.angle_rad, p.residual, p.part)
+    names = ("residual before", "fitted effect", "residual after")
+    png = polar_pair(p.title, circle.letters, trace, names)
+    shows = "Residual and fitted effect drawn outwards from the circle; beside it what is then the residual."
+    file = re.sub(r"[^A-Za-z0-9_.-]+", "-", p.title.rpartition(", in ")[2])
+    return Section(f"On the circle: {p.title}", [], None, Figure(f"polar-{file}.png", png, shows))
 
 
 def _to_type(d: Diagnosis) -> list[Section]:

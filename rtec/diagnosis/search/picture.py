@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.result import Picture
+from rtec.diagnosis.result import OnCircle, Picture
 from rtec.diagnosis.search.confounded import period_mm
 from rtec.effects import Effect
 from rtec.estimation import floor
@@ -78,20 +78,24 @@ def _of_series(
     if axis is not None:
         way = readings.channel(axis.direction_channel)[rows]
         direction = way if np.isfinite(way).all() and np.ptp(way) > 0 else None
-    known = [*_on_circle(readings, series), *known]
+    circle = _on_circle(readings, series)
+    # The angle says more than the positions of two axes.
+    known = [*([("angle_deg", "deg", np.rad2deg(circle.angle_rad))] if circle else []), *known]
     return Picture(
         label, "urad" if series.unit == "urad" else "um", residual[rows], part[rows], tuple(known), direction,
         readings.time_s[rows], series.run, f"{label}, in {series_name(readings, series)}",
+        circle=circle,
     )  # fmt: skip
 
 
-def _on_circle(readings: Readings, series: Series) -> list[tuple[str, str, Floats]]:
-    """The angle of a ball bar, which says more than the positions of two axes; none for other instruments."""
+def _on_circle(readings: Readings, series: Series) -> OnCircle | None:
+    """Angles of a ball bar; None for other instruments."""
     instrument = readings.measurements[series.source].instrument
     angle = readings.states[series.source].channels.get("angle_deg")
     if not isinstance(instrument, BallBar) or angle is None:
-        return []
-    return [("angle_deg", "deg", instrument.on_arc_deg(angle[series.row]))]
+        return None
+    setup = instrument.setup
+    return OnCircle(setup.letters[:2], setup.sense, np.deg2rad(instrument.on_arc_deg(angle[series.row])))
 
 
 def series_name(readings: Readings, series: Series) -> str:
