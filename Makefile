@@ -16,7 +16,7 @@ override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof reference figures lock format clean
+.PHONY: studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof docs reference figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -67,6 +67,9 @@ proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines
 
 reference: $(STAMP)  ## the page of all keys, off the models that check the files
 	$(BIN)/rtec explain --all > docs/reference/keys.md
+
+docs: $(STAMP)  ## the documentation as a site in out/docs, readable without a network
+	$(BIN)/python -m tests.site.build out/docs
 
 figures: $(STAMP)  ## the figures of the documentation, made by the demo and by the commands of the tutorial
 	$(BIN)/rtec demo --no-hidden --out out/figures

@@ -1,0 +1,202 @@
+"""Builds the documentation as a site: `python -m tests.site.build out/docs`, which is `make docs`.
+
+The pages are those of `docs`, with README, CONTRIBUTING and CHANGELOG beside them and a page of the Python API made of
+its docstrings. Zensical builds them; a link that leads nowhere, or a warning, fails. Nothing in the site has an address
+outside of it.
+"""
+
+import functools
+import inspect
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import tomli_w
+
+import rtec
+from rtec.characterise.result import Characterisation
+from rtec.diagnosis.compare.result import Comparison
+from rtec.diagnosis.extend.add import Added
+from rtec.diagnosis.extend.improve import Improved
+from rtec.diagnosis.plan.answer import Answer
+from rtec.diagnosis.result import Diagnosis
+from rtec.effects import Effect
+from rtec.machine import Machine
+from rtec.metrology.importing import Imported
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from rtec.playback.result import Replayed
+from rtec.result import Result
+from rtec.sim.campaign.campaign import Simulated
+
+ROOT = Path(__file__).parents[2]
+SECTIONS: Mapping[str, Sequence[str]] = {
+    "Tutorials": ("tutorial.md", "campaign.md", "studio.md", "python.md"),
+    "How-to": (
+        "runbook.md", "init.md", "service.md", "control.md", "measurements.md", "procedures.md", "fit.md", "compare.md",
+        "diagnose.md", "plan.md", "ball-bar.md", "grid-encoder.md", "tables.md", "linuxcnc.md", "write-an-effect.md",
+        "write-a-driver.md", "hil.md",
+    ),
+    "Reference": (
+        "reference/keys.md", "reference/api.md", "files.md", "effects.md", "instruments.md", "drivers.md",
+        "ascii-offset.md", "can.md", "modbus.md", "zmq-link.md", "rtec-box-link.md", "thermocouples.md", "changes.md",
+    ),
+    "Explanation": (
+        "architecture.md", "pulse-insertion.md", "real-time.md", "encoder-box.md", "threats.md", "contributing.md",
+        "adr/README.md",
+    ),
+}  # fmt: skip
+"""By what a reader wants: to learn, to do, to look up, to understand."""
+BESIDE = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changes.md"}
+"""Pages of the project's root, by their name in the site."""
+CLASSES: tuple[type, ...] = (Model, Measurement, Machine, Result, Effect)
+RESULTS: tuple[type, ...] = (
+    Simulated,
+    Imported,
+    Characterisation,
+    Comparison,
+    Diagnosis,
+    Added,
+    Improved,
+    Answer,
+    Replayed,
+)
+LISTS = {"Args:": "Arguments", "Returns:": "Returns", "Raises:": "Errors", "Attributes:": "Attributes"}
+LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#\s]+)(#[^)]*)?\)")
+
+
+def pages() -> list[Path]:
+    """The pages of `docs`, decisions too."""
+    return sorted((ROOT / "docs").rglob("*.md"))
+
+
+def gather(folder: Path) -> None:
+    """Lay out the site's sources: a link to a file that is no page becomes its name."""
+    shutil.copytree(ROOT / "docs", folder, dirs_exist_ok=True)
+    for name, page in BESIDE.items():
+        text = (ROOT / name).read_text(encoding="utf-8")
+        (folder / page).write_text(text.replace("](docs/", "]("), encoding="utf-8")
+    (folder / "reference").mkdir(exist_ok=True)
+    (folder / "reference" / "api.md").write_text(api_page(), encoding="utf-8")
+    for path in folder.rglob("*.md"):
+        text = path.read_text(encoding="utf-8")
+        path.write_text(LINK.sub(functools.partial(_link, path.parent), text), encoding="utf-8")
+
+
+def _link(here: Path, found: re.Match[str]) -> str:
+    words, target = found[1], found[2]
+    if (moved := BESIDE.get(target.removeprefix("../"))) is not None:
+        return f"[{words}]({moved})"
+    inside = (here / target).is_file() or "://" in target
+    return found[0] if inside else f"`{words.strip('`')}`"
+
+
+def config(source: Path, out: Path) -> str:
+    """The site's settings: no address outside of it, pages that open as files, too."""
+    nav: list[dict[str, object]] = [{"rtec": "index.md"}]
+    for section, names in SECTIONS.items():
+        nav.append({section: list(names)})
+    nav[-1] = {"Explanation": [*SECTIONS["Explanation"], {"Decisions": [f"adr/{p.name}" for p in decisions()]}]}
+    colours = [
+        {"scheme": "default", "toggle": {"icon": "lucide/sun", "name": "Dark"}},
+        {"scheme": "slate", "toggle": {"icon": "lucide/moon", "name": "Light"}},
+    ]
+    features = ["content.code.copy", "navigation.sections", "navigation.top", "search.highlight", "toc.follow"]
+    extensions = {
+        "admonition": {},
+        "attr_list": {},
+        "tables": {},
+        "toc": {"permalink": True},
+        "pymdownx": {"highlight": {"pygments_lang_class": True}, "superfences": {}, "inlinehilite": {}},
+    }
+    project = {
+        "site_name": "rtec",
+        "site_description": "Makes machine tools more accurate than they were built",
+        "docs_dir": source.name,
+        "site_dir": str(out),
+        "use_directory_urls": False,
+        "nav": nav,
+        "extra": {"generator": False},
+        "theme": {"language": "en", "font": False, "features": features, "palette": colours},
+        "markdown_extensions": extensions,
+    }
+    return tomli_w.dumps({"project": project})
+
+
+def decisions() -> list[Path]:
+    """The pages of decisions, oldest first."""
+    return sorted(p for p in (ROOT / "docs" / "adr").glob("*.md") if p.name != "README.md")
+
+
+def api_page() -> str:
+    """The Python API from its docstrings."""
+    out = ["# Python API", "", "Every function of `import rtec`; [Python](../python.md) shows them at work.", ""]
+    for name in rtec.__all__:
+        thing = getattr(rtec, name)
+        if inspect.isfunction(thing):
+            out += _function(f"rtec.{name}", thing, "##")
+    out += ["## Results", "", "What `import rtec` gives back; each is a dataclass.", ""]
+    for kind in RESULTS:
+        out += _class(kind, methods=False)
+    for kind in CLASSES:
+        out += _class(kind, methods=True)
+    return "\n".join(out) + "\n"
+
+
+def _class(kind: type, *, methods: bool) -> Iterator[str]:
+    yield from (f"### `{kind.__name__}`", "", *_docstring(kind), "")
+    for name, thing in vars(kind).items() if methods else ():
+        if inspect.isfunction(thing) and not name.startswith("_") and thing.__doc__:
+            yield from _function(f"{kind.__name__}.{name}", thing, "####")
+
+
+def _function(name: str, function: object, mark: str) -> Iterator[str]:
+    assert callable(function)
+    signature = str(inspect.signature(function)).replace("'", "")
+    signature = re.sub(r"(\w+\.)+(?=[A-Z])", "", signature)
+    lines = signature if len(signature) < 90 else re.sub(r", (?=\*\*?\w*|\w+: )", ",\n    ", signature)
+    yield from (f"{mark} `{name}`", "", "```python", f"{name}{lines}", "```", "", *_docstring(function), "")
+
+
+def _docstring(thing: object) -> Iterator[str]:
+    """A docstring of ours as Markdown: its lists of arguments, attributes and errors as lists."""
+    for line in (inspect.getdoc(thing) or "").splitlines():
+        if line in LISTS:
+            yield from ("", f"**{LISTS[line]}**", "")
+        elif found := re.match(r"    ([\w*, ]+): (.*)", line):
+            yield f"- `{found[1]}`: {found[2]}"
+        elif line.startswith("     "):
+            yield f"  {line.strip()}"
+        else:
+            yield line.strip()
+
+
+def build(out: Path) -> str:
+    """Build the site; gives what Zensical printed.
+
+    Raises:
+        RuntimeError: a link leads nowhere, or Zensical warns.
+    """
+    out = out.resolve()
+    with tempfile.TemporaryDirectory() as scratch:
+        source = Path(scratch) / "pages"
+        gather(source)
+        settings = Path(scratch) / "zensical.toml"
+        settings.write_text(config(source, Path(scratch) / "site"), encoding="utf-8")
+        program = Path(sys.executable).with_name("zensical")
+        words = [str(program), "build", "--strict", "--config-file", str(settings)]
+        done = subprocess.run(words, cwd=scratch, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"zensical ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.copytree(Path(scratch) / "site", out)
+    return done.stdout + done.stderr
+
+
+if __name__ == "__main__":
+    build(Path(sys.argv[1]))
+    sys.stdout.write(f"{sys.argv[1]}/index.html\n")
