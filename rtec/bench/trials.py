@@ -418,7 +418,11 @@ def _plate(m: Maker, count: int) -> Parts:
         ({"EC0Y": ones}, 0.15, (Right("squareness"), Right("parallelism"))),
         ({"EYX": np.cosh(1.2 * x)}, 1.0, (Right("straightness", "EYX"), Right("polynomial_position", "EYX"))),
         ({"EXX": x + 0.03 * x**2}, 1.0, (Right("scale", "EXX"), Right("polynomial_position", "EXX"))),
-        ({"EXY": np.sinh(1.5 * y) - 1.6 * y}, 1.0, (Right("straightness", "EXY"),)),
+        (
+            {"EXY": np.sinh(1.5 * y) - np.polyval(np.polyfit(y, np.sinh(1.5 * y), 1), y)},
+            1.0,
+            (Right("straightness", "EXY"),),
+        ),
         ({"EYY": np.cosh(y)}, 1.0, (Right("polynomial_position", "EYY"),)),
     ]
     errors: dict[str, Floats] = {}

@@ -13,6 +13,7 @@ import typer
 
 from rtec.cli import (
     ballbar,
+    bench,
     compare,
     demo,
     diagnose,
@@ -80,6 +81,7 @@ app.add_typer(ctl.app, name="ctl")
 app.add_typer(log.app, name="log")
 app.add_typer(machine.app, name="machine")
 app.add_typer(table.app, name="table")
+app.add_typer(bench.app, name="bench")
 
 
 # Depending on its version typer brings click with it or asks for it; its own exceptions say which one it is.

@@ -28,12 +28,14 @@ Ints = NDArray[np.int64]
 
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
-    "one_pass", "few_runs",
+    "one_pass", "few_runs", "no_temperature", "other_sensor",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {"wrong_channel", "swapped_sensors", "moved_origin", "contradiction", "corrected"}
 )
 """Doubts beside which no effect of the machine is named."""
+DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature"}
+"""Doubts beside which nothing can be said to be missing, nor not."""
 
 TOGETHER = 0.98
 """Correlation of position and time from which on they are one."""

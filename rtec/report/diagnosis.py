@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
+from rtec.diagnosis.doubts import BLAMES_NO_EFFECT
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
+from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken
 from rtec.effects import Effect
 from rtec.report.evidence import evidence
@@ -190,7 +192,11 @@ def _doubt(d: Diagnosis, f: Finding) -> str:
         return "does not lower the error on held-out runs"
     if d.unknown is not None and d.adequacy is not None:
         return f"explains only {percent(max(d.adequacy, 0.0))} of what a shape without a name does"
-    return f"is as good in {percent(f.p)} of random draws under noise alone"
+    if any(b.kind in BLAMES_NO_EFFECT for b in d.doubts):
+        return "no effect is named beside a record in doubt"
+    if f.p >= ALPHA:
+        return f"is as good in {percent(f.p)} of random draws under noise alone"
+    return "the evidence for it is below 20 to 1 beyond that of any effect at all"
 
 
 def _short(d: Diagnosis, f: Finding) -> str:

@@ -6,8 +6,8 @@ from typing import Any, ClassVar, Literal
 
 from rtec.diagnosis.extend.add import WORTH, Added, add, is_there, new_effect, residual_size, rivals_of, said
 from rtec.diagnosis.result import Diagnosis, Finding
-from rtec.diagnosis.search.diagnose import ALPHA, DRAWS, diagnose
-from rtec.diagnosis.search.not_found import SURE
+from rtec.diagnosis.search.diagnose import DRAWS, diagnose
+from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, Doubt
+from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
+from rtec.diagnosis.heat import stands_for, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown, label_of
 from rtec.diagnosis.search import picture
-from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, fold, pitch_in_doubt
+from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, curve_or_wave, fold, pitch_in_doubt
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
 from rtec.diagnosis.search.refit import Prepared, Refitted
@@ -196,8 +197,17 @@ class _Answer:
         rivals = [r for r in out.values() if not r[0].apart]
         said = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
         said += [a for a, _ in out.values() if a.apart]
-        said += [a for a in (fold(self.readings, mine, winner.theta), self._pitch(winner)) if a is not None]
-        return said
+        part = winner.columns @ winner.fit.values[self._first(winner) :][: winner.columns.shape[1]]
+        asked = (
+            fold(self.readings, mine, winner.theta),
+            curve_or_wave(self.readings, self.s.prepared.base, mine, part),
+            self._pitch(winner),
+        )
+        return [*said, *(a for a in asked if a is not None)]
+
+    def _first(self, t: Refitted) -> int:
+        """Place of a candidate's first number in its fit."""
+        return self.s.prepared.base.shape[1] if t.before is None else t.before
 
     def _pitch(self, winner: Refitted) -> Alike | None:
         """The screw of another pitch that the winner may be, where the machine file's does not give the wave."""
@@ -205,11 +215,16 @@ class _Answer:
 
     def _doubts(self, accepted: bool) -> tuple[Doubt, ...]:
         """Those about the record, and about the machine file where the finding raises them."""
-        asked = self._pitch(self.s.tried[0]) if accepted else None
-        if asked is None:
-            return self.s.doubts
-        message = f"Is pitch_mm right? The wave that is missing is that of a screw: {asked.why}."
-        return (*self.s.doubts, Doubt("wrong_pitch", message, words.sentence(asked.separating_test)))
+        if not accepted:
+            slow = unrecorded_heat(self.readings, self.s.without.whitener)
+            return (*self.s.doubts, *([slow] if slow is not None else []))
+        first, out = self.s.tried[0], list(self.s.doubts)
+        asked = self._pitch(first)
+        if asked is not None:
+            message = f"Is pitch_mm right? The wave that is missing is that of a screw: {asked.why}."
+            out.append(Doubt("wrong_pitch", message, words.sentence(asked.separating_test)))
+        stands = stands_for(self.readings, self.s.candidates[first.number].effect)
+        return (*out, *([stands] if stands is not None else []))
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same with the test that this machine can take and that tells them apart soonest."""
@@ -231,7 +246,7 @@ class _Answer:
         machine = self.s.model.machine
         at = dict(theta)
         linear = effect.coefficients(machine)
-        first = self.s.prepared.base.shape[1] if t.before is None else t.before
+        first = self._first(t)
         values = t.fit.values[first : first + len(linear)]
         fitted = FittedEffect(effect, {p.name: float(v) for p, v in zip(linear, values, strict=True)}, at)
         slopes = [slope(fitted, self.readings, name, values) for name in at]
@@ -272,7 +287,7 @@ class _Answer:
             verdict = "ambiguous" if len(group) > 1 or findings[0].confused_with else "missing_effect"
         elif unknown is not None:
             verdict = "unknown_effect"
-        elif self.s.undecided is not None or any(d.kind in BLAMES_NO_EFFECT for d in self.s.doubts):
+        elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in self._doubts(accepted)):
             verdict = "undecided"
         else:
             verdict = "nothing_missing"
@@ -311,7 +326,7 @@ class _Answer:
             doubts=self._doubts(accepted),
             runs=self.s.undecided,
         )
-        return words.with_sentence(draft, smallest, [d.words for d in self.s.doubts if d.fatal])
+        return words.with_sentence(draft, smallest, [d.words for d in self._doubts(accepted) if d.fatal])
 
     @cached_property
     def _typed(self) -> Typed | None:

@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 SAME = 0.99
 """Cosine between two contributions from which on they are one to these readings."""
 WITHIN = math.log(20.0)
+WAVE = 0.9
+"""Cosine from which on a curve may be a wave that equal targets fold onto it."""
+ONE_FORMULA = 1.0 - 1e-6
 APART = 0.3
 """Cosine below which two effects explain different parts of the readings."""
 
@@ -67,10 +70,13 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
             f"it explains another part of the readings (cosine {cos:.2f}) and lowers the error on held-out runs: both "
             "may be missing"
         )
+    elif cos > ONE_FORMULA:
+        how = "on this machine, with these readings, the two are one and the same formula: either describes the error"
     elif cos > SAME:
         how = f"in these readings the two are the same shape (cosine {cos:.3f})"
     elif log_odds > 2.0 * WITHIN:
         how = "it is less likely from these data, yet it predicts held-out runs better"
+        test = ""
     else:
         how = f"these readings favour it only {math.exp(min(log_odds, 20.0)):.0f} to 1"
     return Alike(
@@ -197,6 +203,49 @@ def aliases_mm(period_mm: float, step: float) -> tuple[float, ...]:
     return tuple(1.0 / f for f in others)
 
 
+LONG = 1.0
+"""Turns over the span from which on a curve may be a wave."""
+FREQUENCIES = 60
+CURVES = ("polynomial_position", "piecewise_position", "straightness", "angular_motion")
+
+
+def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats) -> Alike | None:
+    """A wave near the step between equal targets that looks like a curve along the axis; None where none does.
+
+    Args:
+        readings: the readings.
+        base: columns of the current model, (m, p).
+        effect: a curve along its axis, or anything else.
+        part: what it adds to the readings, (m,).
+    """
+    axis = next((a for a in readings.machine.axes if a.name == getattr(effect, "axis", None)), None)
+    if axis is None or effect.effect not in CURVES:
+        return None
+    step = step_mm(readings, axis.channel, effect.component)
+    if step is None:
+        return None
+    q, arms = readings.channel(axis.channel), readings.arms(effect.component)
+    seen = arms != 0.0
+    span = float(np.ptp(q[seen]))
+    known = np.linalg.qr(np.concatenate([np.ones((int(seen.sum()), 1)), base[seen]], axis=1))[0]
+    mine = part[seen] - known @ (known.T @ part[seen])
+    best, period = 0.0, math.nan
+    for f in np.linspace(LONG / span, 0.5 / step, FREQUENCIES):
+        wave = np.stack([np.sin(2.0 * np.pi * f * q[seen]), np.cos(2.0 * np.pi * f * q[seen])], axis=1)
+        wave = wave * arms[seen][:, None]
+        wave = wave - known @ (known.T @ wave)
+        follows = wave @ np.linalg.lstsq(wave, mine, rcond=None)[0]
+        cos = cosine(follows, mine)
+        if cos > best:
+            best, period = cos, 1.0 / float(f)
+    if best < WAVE:
+        return None
+    others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:2])
+    why = f"targets stand every {step:.4g} mm, and there a wave of {others} mm draws the same curve (cosine {best:.2f})"
+    test = f"unequal steps along {axis.name}, or a few targets between two of these"
+    return Alike("cyclic_pole", effect.component, why, test, label=f"a wave near the step ({effect.component})")
+
+
 def fold(readings: Readings, effect: Effect, theta: Mapping[str, float]) -> Alike | None:
     """A wave of another period that these targets cannot tell from that of an effect; None where they can.
 
@@ -210,12 +259,15 @@ def fold(readings: Readings, effect: Effect, theta: Mapping[str, float]) -> Alik
         return None
     channel = next(a.channel for a in readings.machine.axes if a.name == axis)
     step = step_mm(readings, channel, effect.component)
-    if step is None or period >= PER_WAVE * step:
+    known = "pitch" in theta or effect.effect != "cyclic_pole"
+    if step is None or (known and period >= PER_WAVE * step):
         return None
     others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:3])
+    rests = "the period that the machine file gives" if known else "the longest period that may be"
     why = (
         f"targets stand every {step:.4g} mm, and there a wave of {period:.4g} mm looks like one of {others} mm: "
-        "the name rests on the period that the machine file gives"
+        f"the name rests on {rests}"
     )
-    test = f"unequal steps along {axis}, or steps below {significant(period / PER_WAVE)} mm"
+    finest = period if known else min(aliases_mm(period, step)[:3])
+    test = f"unequal steps along {axis}, or steps below {significant(finest / PER_WAVE)} mm"
     return Alike("cyclic_pole", effect.component, why, test, label=f"a wave of another period ({effect.component})")

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, doubts
+from rtec.diagnosis.heat import unrecorded_heat
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import PERIODS, WITHIN
-from rtec.diagnosis.search.not_found import SURE
+from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen, screen
@@ -46,12 +47,14 @@ LITTLE = 0.25
 """A fall of the mean square on runs left out below this is little."""
 PLAIN = 2
 """Numbers of a plain effect at the most."""
+NOTHING_MUCH = 0.02
+"""A fall of the mean square on held-out runs below this share is not worth an addition."""
 MAY = 0.3
 """A candidate that removes this share of the held-out mean square may be why the runs differ, though too few of them
 decide it."""
 MOSTLY = 0.5
 """Two effects that only help together must take away at least this share of the mean square on runs left out."""
-ALPHA, DRAWS = 0.05, 400
+DRAWS = 400
 
 
 def diagnose(
@@ -154,6 +157,8 @@ class _Search:
             named, unknown = False, None
         pair = None if self._doubted or (accepted and named and not half) else self._pair(tried)
         chain = self._chain(tried, p) if unknown is not None and pair is None else []
+        if accepted and named and pair is None and best is not None:
+            chain = self._simple_ones(best, tried)
         if chain:
             tried = [chain[0], *(t for t in tried if t.number != chain[0].number)]
             accepted, named = True, True
@@ -198,6 +203,8 @@ class _Search:
         beyond = best.log_evidence - self._prior_odds
         if self._doubted:
             return False
+        if best.drop < NOTHING_MUCH and unrecorded_heat(self.readings, self.refits.without.whitener) is not None:
+            return False  # heat that no sensor recorded is bent as well as the machine is
         return best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
 
     @property
@@ -297,6 +304,28 @@ class _Search:
         if first is None or first.drop < LITTLE:
             return []
         return self.refits.chain(first, bar, plain)
+
+    def _simple_ones(self, best: Refitted, tried: Sequence[Refitted]) -> list[Refitted]:
+        """Two simple effects that together are likelier than one of three numbers or more; none where there are none.
+
+        Both must be as sure as a first one: what has many numbers follows two causes at once as it follows one.
+        """
+        if best.columns.shape[1] <= PLAIN:
+            return []
+        bar = self._prior_odds + SURE
+        simple = [t for t in tried if t.holds and t.columns.shape[1] <= PLAIN and t.log_evidence > bar]
+        out: list[Refitted] = []
+        for first in sorted(simple, key=lambda t: -t.log_evidence)[:BESIDE]:
+            for second in self.refits.beside(first):
+                width = second.columns.shape[1]
+                sure = second.holds and second.log_evidence - first.log_evidence > bar
+                if (
+                    sure
+                    and width <= PLAIN
+                    and second.log_evidence > max(best.log_evidence + WITHIN, out[1].log_evidence if out else -math.inf)
+                ):
+                    out = [first, second]
+        return out
 
     def _shapes(self, best: Refitted | None) -> list[Shaped]:
         """The best shapes without a name, looked for under the noise that is known best and as if without drift."""

@@ -13,6 +13,8 @@ from rtec.estimation.floor import unit_of
 
 SURE = math.log(20.0)
 """Odds, as a logarithm, beyond those of finding any effect at all."""
+ALPHA = 0.05
+"""Accepted false-positive rate, family-wise, where none is given."""
 HARDLY = 3.0
 """An effect that would be seen only from so many times its usual size on could not be checked."""
 

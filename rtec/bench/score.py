@@ -1,0 +1,159 @@
+"""Scores answers to the benchmark's trials: a row for each claim that a diagnosis makes, with its goal."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rtec.bench.rig.noise import FORMS
+from rtec.bench.trials import Names, Right, Trial
+from rtec.errors import MeasurementError
+
+VERDICTS = ("nothing_missing", "undecided", "missing_effect", "ambiguous", "unknown_effect")
+CLAIMS = ("missing_effect", "ambiguous")
+
+
+@dataclass(frozen=True)
+class TrialAnswer:
+    """What a program says of one data set.
+
+    Attributes:
+        verdict: of `VERDICTS`.
+        names: effects, best first.
+        claimed: those that are said to be missing, rivals of the first with it.
+        variables: channels of what has no name.
+        doubts: what is said of the record or of the machine file.
+        seconds: processor time; NaN where it is not told.
+    """
+
+    verdict: str
+    names: tuple[Right, ...] = ()
+    claimed: tuple[Right, ...] = ()
+    variables: frozenset[str] = frozenset()
+    doubts: frozenset[str] = frozenset()
+    seconds: float = float("nan")
+
+
+@dataclass(frozen=True)
+class ScoreRow:
+    """One row of the score.
+
+    Attributes:
+        what: in words.
+        hits, total: how many of how many.
+        goal: share that is wanted.
+        at_most: the goal is an upper one.
+    """
+
+    what: str
+    hits: int
+    total: int
+    goal: float
+    at_most: bool = False
+
+    @property
+    def met(self) -> bool:
+        """Whether the goal is met."""
+        share = self.hits / self.total
+        return share <= self.goal if self.at_most else share >= self.goal
+
+
+Pair = tuple[Trial, TrialAnswer]
+
+
+def is_right(name: Right, names: Names) -> bool:
+    """Whether a name is one of the right ones."""
+    return any(
+        name.effect == r.effect and r.component in ("", name.component) and r.sensor in ("", name.sensor) for r in names
+    )
+
+
+def confidently_wrong(trial: Trial, answer: TrialAnswer) -> bool:
+    """Whether a name is asserted without a rival, and is false."""
+    if answer.verdict != "missing_effect" or not answer.names:
+        return False
+    return not any(is_right(answer.names[0], names) for names in trial.hidden)
+
+
+def score(trials: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> list[ScoreRow]:
+    """All rows that these trials can fill.
+
+    Args:
+        trials: data sets with their truth.
+        answers: by the label of the trial.
+
+    Raises:
+        MeasurementError: a trial has no answer.
+    """
+    missing = [t.label for t in trials if t.label not in answers]
+    if missing:
+        raise MeasurementError(f"{len(missing)} data sets have no answer")
+    pairs = [(t, answers[t.label]) for t in trials]
+    rows = [*_named(pairs), *_plates(pairs), *_doubted(pairs), *_quiet(pairs)]
+    rows.append(_row("asserted without rivals and false", pairs, confidently_wrong, 0.01, True))
+    return [r for r in rows if r.total]
+
+
+def _row(
+    what: str, pairs: Sequence[Pair], test: Callable[[Trial, TrialAnswer], bool], goal: float, at_most: bool = False
+) -> ScoreRow:
+    return ScoreRow(what, sum(test(t, a) for t, a in pairs), len(pairs), goal, at_most)
+
+
+def _first(count: int) -> Callable[[Trial, TrialAnswer], bool]:
+    """A right name is among the first so many."""
+    return lambda t, a: any(is_right(n, t.hidden[0]) for n in a.names[:count])
+
+
+def _named(pairs: Sequence[Pair]) -> list[ScoreRow]:
+    out = []
+    for size, said, goal in (("natural", "natural size", 0.97), ("faint", "signal-to-noise 1", 0.85)):
+        one = [(t, a) for t, a in pairs if len(t.hidden) == 1 and t.size == size]
+        out.append(_row(f"one effect, {said}: the right name comes first", one, _first(1), goal))
+        for group in sorted({t.group for t, _ in one}):
+            mine = [(t, a) for t, a in one if t.group == group]
+            out.append(_row(f"… {group}", mine, _first(1), goal))
+    natural = [(t, a) for t, a in pairs if len(t.hidden) == 1 and t.size == "natural"]
+    out.append(_row("one effect, natural size: the right name among three", natural, _first(3), 0.99))
+    beyond = [(t, a) for t, a in pairs if t.group == "beyond"]
+    only_true = _row(
+        "outside the catalogue: only true variables named",
+        beyond,
+        lambda t, a: a.verdict == "unknown_effect" and bool(a.variables) and a.variables <= t.variables,
+        0.92,
+    )
+    return [*out, only_true]
+
+
+def _plates(pairs: Sequence[Pair]) -> list[ScoreRow]:
+    out = []
+    for count, said, goal in ((2, "two", 0.92), (3, "three", 0.75)):
+        mine = [(t, a) for t, a in pairs if len(t.hidden) == count]
+        out.append(
+            _row(
+                f"{said} effects on a plate: all claimed",
+                mine,
+                lambda t, a: all(any(is_right(n, names) for n in a.claimed) for names in t.hidden),
+                goal,
+            )
+        )
+    return out
+
+
+def _doubted(pairs: Sequence[Pair]) -> list[ScoreRow]:
+    """Records and machine files that are wrong, or cannot decide: it is said."""
+    out = []
+    for doubt in sorted({t.doubt for t, _ in pairs if t.doubt}):
+        mine = [(t, a) for t, a in pairs if t.doubt == doubt]
+        words = doubt.replace("_", " ")
+        out.append(_row(f"{words}: it is said", mine, lambda t, a: t.doubt in a.doubts, 0.97))
+    return out
+
+
+def _quiet(pairs: Sequence[Pair]) -> list[ScoreRow]:
+    out = []
+    for form in FORMS:
+        mine = [(t, a) for t, a in pairs if t.group == "quiet" and t.what.startswith(f"{form}_")]
+        words = form.replace("_", " ")
+        out.append(
+            _row(f"nothing hidden, {words}: an effect is named", mine, lambda _, a: a.verdict in CLAIMS, 0.02, True)
+        )
+    return out

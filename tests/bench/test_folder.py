@@ -1,0 +1,105 @@
+"""Data sets for another program, and its answers. Oracle: what was written, and rows counted by hand."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from rtec.bench.folder import ANSWERS, BenchmarkRange, read_answers, read_range, write_answers, write_sets
+from rtec.bench.score import TrialAnswer, confidently_wrong, score
+from rtec.bench.sets import measurements_of
+from rtec.bench.trials import Right, build
+from rtec.cli.main import status
+from rtec.machine import load_machine
+from rtec.metrology.files.load import load_measurements
+from rtec.model import load_model
+
+ONE = BenchmarkRange(3, 4, ("lean", "wrong_file"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("bench") / "mytool"
+    assert write_sets(made, ONE) == 14
+    return made
+
+
+def test_the_sets_are_files_that_the_program_reads(folder: Path) -> None:
+    """Oracle: the readings that were made."""
+    trial = ONE.trials()[0]
+    where = folder / "sets" / "0001"
+    machine = load_machine(where / "machine.toml")
+    load_model(where / "model.toml", machine)
+    (read,) = load_measurements(sorted(where.glob("*.csv")), machine)
+    (made,) = measurements_of(trial)
+    assert read.matrix() == pytest.approx(made.matrix(), abs=1e-6)
+
+
+def test_no_file_tells_the_truth(folder: Path) -> None:
+    words = ("abbe", "servo", "swapped", "hidden", "wrong_", "moved_origin")
+    for file in (folder / "sets").rglob("*.*"):
+        text = file.read_text(encoding="utf-8").replace("servo_lag", "")
+        assert not [w for w in words if w in text], file
+
+
+def test_answers_go_there_and_back(folder: Path, tmp_path: Path) -> None:
+    made = ONE.trials()
+    assert read_range(folder) == ONE
+    assert read_answers(folder, made) == {}
+    given = {
+        t.label: TrialAnswer(
+            "ambiguous", (Right("scale", "EXX"), Right("axis_expansion", "EXX", "T_nut")), (Right("scale", "EXX"),),
+            frozenset({"x"}), frozenset({"alias"}), 0.5,
+        )
+        for t in made
+    }  # fmt: skip
+    write_answers(tmp_path / ANSWERS, made, given)
+    assert read_answers(tmp_path, made) == given
+
+
+def test_the_score_counts_what_is_right_and_what_is_asserted_and_false() -> None:
+    right, wrong = (build("lean", "servo", s) for s in (1, 2))
+    pitch, quiet = build("wrong_file", "wrong_pitch", 1), build("quiet", "white_line", 1)
+    answers = {
+        right.label: TrialAnswer("missing_effect", (Right("servo_lag", "EXX"),)),
+        wrong.label: TrialAnswer("missing_effect", (Right("stribeck", "EXX"), Right("servo_lag", "EXX"))),
+        pitch.label: TrialAnswer("ambiguous", doubts=frozenset({"wrong_pitch"})),
+        quiet.label: TrialAnswer("nothing_missing"),
+    }
+    rows = {r.what: (r.hits, r.total) for r in score([right, wrong, pitch, quiet], answers)}
+    assert rows["one effect, natural size: the right name comes first"] == (1, 2)
+    assert rows["one effect, natural size: the right name among three"] == (2, 2)
+    assert rows["wrong pitch: it is said"] == (1, 1)
+    assert rows["nothing hidden, white: an effect is named"] == (0, 1)
+    assert rows["asserted without rivals and false"] == (1, 4)
+    assert confidently_wrong(wrong, answers[wrong.label])
+
+
+def test_the_command_writes_then_scores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    order = ["bench", "discovery", "--score", str(tmp_path / "tool"), "--seeds", "5:6", "--only", "one_pass"]
+    assert status(order) == 0
+    assert "1 data sets" in capsys.readouterr().out
+    assert status(order) == 2
+    assert "not filled in" in capsys.readouterr().err
+    table = tmp_path / "tool" / ANSWERS
+    rows = list(csv.reader(table.read_text(encoding="utf-8").splitlines()))
+    rows[1][1], rows[1][5] = "undecided", "one_pass"
+    table.write_text("\n".join(",".join(r) for r in rows) + "\n", encoding="utf-8")
+    assert status(order) == 0
+    assert "2 of 2 goals are met" in capsys.readouterr().out
+    rows[1][1] = "maybe"
+    table.write_text("\n".join(",".join(r) for r in rows) + "\n", encoding="utf-8")
+    assert status(order) == 2
+    assert "set 0001: verdict 'maybe' is none of nothing_missing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["3", "4:4", "a:b"])
+def test_seeds_that_are_no_range_are_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["bench", "discovery", "--seeds", text]) == 2
+    assert "1:11" in capsys.readouterr().err
+
+
+def test_rtec_scores_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    """One quiet set of each form on a line: nothing is asserted."""
+    assert status(["bench", "discovery", "--seeds", "1:2", "--only", "contradicting", "--json"]) == 0
+    assert '"met": true' in capsys.readouterr().out

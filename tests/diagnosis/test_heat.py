@@ -1,0 +1,46 @@
+"""Heat that no sensor, or the wrong one, recorded; curves that may be waves; two simple causes before one rich one."""
+
+import pytest
+
+from rtec.bench.sets import measurements_of, model_of
+from rtec.bench.trials import build
+from rtec.diagnosis.result import Diagnosis
+from rtec.diagnosis.search.diagnose import diagnose
+
+
+def answer(group: str, what: str, seed: int) -> Diagnosis:
+    trial = build(group, what, seed)
+    return diagnose(model_of(trial), measurements_of(trial), draws=50)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_slow_and_unexplained_by_anything_recorded(seed: int) -> None:
+    """A screw grows; no temperature was recorded."""
+    d = answer("unrecorded", "no_sensors", seed)
+    assert d.verdict == "undecided"
+    assert "slow, and unexplained by anything recorded. Record temperatures of the screw or scale of X" in d.sentence
+
+
+def test_a_sensor_that_stands_for_another_is_said_to() -> None:
+    """A screw grows; sensors are on coolant, air and bed."""
+    d = answer("unrecorded", "nut_unseen", 1)
+    (doubt,) = d.doubts
+    assert doubt.kind == "other_sensor"
+    assert doubt.message.startswith("axis_expansion follows T_bed; no sensor on the screw, nut or scale of X")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_curve_at_equal_targets_may_be_a_wave(seed: int) -> None:
+    """Oracle: the wave that was put in is among the periods that are told."""
+    d = answer("aliases", "alias", seed)
+    assert d.verdict == "ambiguous"
+    (wave,) = [a for a in d.findings[0].confused_with if "targets stand every" in a.why]
+    assert "unequal steps along X" in wave.separating_test
+
+
+def test_two_simple_effects_come_before_one_of_many_numbers() -> None:
+    """A plate with two effects of one and two numbers, of which a reversal with five numbers follows some."""
+    trial = build("plates", "two_on_plate", 2)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert all(len(f.parameters) <= 2 for f in d.findings[:1])
+    assert not any(f.effect.effect == "backlash_position" for f in d.group)
