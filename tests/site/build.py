@@ -43,7 +43,8 @@ SECTIONS: Mapping[str, Sequence[str]] = {
     ),
     "Reference": (
         "reference/keys.md", "reference/api.md", "files.md", "effects.md", "instruments.md", "drivers.md",
-        "ascii-offset.md", "can.md", "modbus.md", "zmq-link.md", "rtec-box-link.md", "thermocouples.md", "changes.md",
+        "ascii-offset.md", "can.md", "modbus.md", "zmq-link.md", "rtec-box-link.md", "thermocouples.md", "benchmark.md",
+        "changes.md",
     ),
     "Explanation": (
         "architecture.md", "pulse-insertion.md", "real-time.md", "encoder-box.md", "threats.md", "contributing.md",
