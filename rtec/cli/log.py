@@ -178,16 +178,18 @@ def info(log: _Log, as_json: Json = False) -> None:
 @app.command()
 def export(
     log: _Logs,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Table to write: NAME.parquet or NAME.csv.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Table to write: NAME.parquet, NAME.csv or NAME.mcap.")],
     from_: _From = None,
     to: _To = None,
     utc: Annotated[
         bool, typer.Option("--utc", help="A first column `utc` with the date and time of each row.")
     ] = False,
 ) -> None:
-    """Exports a log, or a stretch of time of a folder, as a table: counts_X, degc_T_spindle, applied_um_X, ...
+    """Exports a log, or a stretch of time of a folder, as a table: time_s, counts_X, degc_T_spindle, applied_um_X, ...
 
-    The table is written whole or not at all. Parquet (zstd) keeps the header of the log; CSV has columns only.
+    The table is written whole or not at all. time_s counts from its first row; every column is a number, as PlotJuggler
+    wants it, but for --utc. Parquet (zstd) keeps the header of the log; CSV has columns only; MCAP (pip install
+    'rtec[mcap]') has a JSON message a row for Foxglove.
 
     Example: rtec log export run.arrows run.parquet
 

@@ -1,5 +1,7 @@
-"""A log as a flat table, one column a number: Parquet (zstd) or CSV."""
+"""A log as a flat table, one column a number, time in seconds first: Parquet (zstd), CSV, or MCAP (JSON messages)."""
 
+import json
+import math
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -8,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 import pyarrow as pa
+import pyarrow.compute
 import pyarrow.csv
 import pyarrow.parquet
 
@@ -18,6 +21,8 @@ from rtec.loop.records import Commands, Samples
 __all__ = ["export", "flat_names"]
 
 _UTC: Final = pa.timestamp("ns", tz="UTC")
+_ENDINGS: Final = (".parquet", ".csv", ".mcap")
+_TIME: Final = "time_s"
 
 
 class _Sink(Protocol):
@@ -31,7 +36,7 @@ def export(reader: Log, out_path: Path, progress: Callable[[int], None] | None =
 
     Args:
         reader: the log; it is streamed, memory does not grow with its length.
-        out_path: ends in `.parquet` (keeps the header as metadata) or `.csv`.
+        out_path: ends in `.parquet`, `.mcap` (both keep the header as metadata) or `.csv`.
         progress: told the number of rows done, from time to time.
         utc: a first column `utc` with date and time of each row; for a `LogStretch`, which knows them.
 
@@ -39,10 +44,10 @@ def export(reader: Log, out_path: Path, progress: Callable[[int], None] | None =
         Rows written.
 
     Raises:
-        LogError: another ending, the log itself as target, or the file cannot be written.
+        LogError: another ending, the log itself as target, the file cannot be written, or `mcap` is not installed.
     """
-    if out_path.suffix not in (".parquet", ".csv"):
-        raise LogError(f"export to {out_path}: ending {out_path.suffix!r}; '.parquet' or '.csv' is needed")
+    if out_path.suffix not in _ENDINGS:
+        raise LogError(f"export to {out_path}: ending {out_path.suffix!r}; '.parquet', '.csv' or '.mcap' is needed")
     if out_path.exists() and out_path.samefile(reader.path):
         raise LogError(f"export to {out_path}: that is the log itself")
     try:
@@ -68,7 +73,7 @@ def _write(reader: Log, part: Path, progress: Callable[[int], None] | None, utc:
     types = [pa.from_numpy_dtype(column.dtype) for column in empty]
     metadata: dict[bytes | str, bytes | str] = {}
     metadata.update(reader.header)
-    columns: list[tuple[str, pa.DataType]] = [("utc", _UTC)] if utc else []
+    columns: list[tuple[str, pa.DataType]] = [(_TIME, pa.float64()), *([("utc", _UTC)] if utc else [])]
     schema = pa.schema([*columns, *zip(names, types, strict=True)], metadata=metadata)
     sink, done = _open(part, schema), 0
     try:
@@ -87,14 +92,52 @@ def _write(reader: Log, part: Path, progress: Callable[[int], None] | None, utc:
 def _open(part: Path, schema: pa.Schema) -> _Sink:
     if part.suffix == ".csv":
         return pyarrow.csv.CSVWriter(str(part), schema)
+    if part.suffix == ".mcap":
+        return _McapFile(part, schema)
     return pyarrow.parquet.ParquetWriter(str(part), schema, compression="zstd")
+
+
+class _McapFile:
+    """One channel `rtec`, a JSON message a row; what is not a number is null. The time of a message is its `utc`, else
+    the loop's own clock.
+    """
+
+    def __init__(self, part: Path, schema: pa.Schema) -> None:
+        try:
+            from mcap.writer import Writer
+        except ImportError as error:
+            raise LogError("export to MCAP needs the package mcap: pip install 'rtec[mcap]'") from error
+        self._writer = Writer(str(part))
+        self._writer.start(library="rtec")
+        self._writer.add_metadata("rtec", {k.decode(): v.decode() for k, v in (schema.metadata or {}).items()})
+        numbers = {name: {"type": ["number", "null"]} for name in schema.names if name != "utc"}
+        kind = json.dumps({"type": "object", "properties": numbers}).encode()
+        self._channel = self._writer.register_channel(
+            "rtec", "json", self._writer.register_schema("rtec", "jsonschema", kind)
+        )
+
+    def write_table(self, table: pa.Table) -> None:
+        instants, numbers = table["time_ns"], table
+        if "utc" in table.column_names:
+            numbers = table.drop_columns(["utc"])
+            instants = pyarrow.compute.coalesce(table["utc"].cast(pa.int64()), instants)
+        for row, at_ns in zip(numbers.to_pylist(), instants.to_numpy().tolist(), strict=True):
+            known = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+            self._writer.add_message(self._channel, at_ns, json.dumps(known).encode(), at_ns)
+
+    def close(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _tables(reader: Log, schema: pa.Schema) -> Iterator[pa.Table]:
     """Tables of some `CHUNK_ROWS` rows, so that the row groups of Parquet do not depend on the flushes of the log."""
     batches: list[pa.RecordBatch] = []
+    begin_ns: int | None = None
     for samples, commands in reader.blocks(CHUNK_ROWS):
-        columns: list[pa.Array[Any]] = [_utc(reader, samples)] if schema.names[0] == "utc" else []
+        instants_ns = samples.time_ns + (getattr(reader, "offset_ns", None) or 0)
+        begin_ns = int(instants_ns[0]) if begin_ns is None and len(samples) else begin_ns
+        columns: list[pa.Array[Any]] = [pa.array((instants_ns - (begin_ns or 0)) * 1e-9)]
+        columns += [_utc(reader, samples)] if "utc" in schema.names else []
         columns += [pa.array(column) for column in flatten(samples, commands)]
         batches.append(pa.RecordBatch.from_arrays(columns, schema=schema))
         if sum(batch.num_rows for batch in batches) >= CHUNK_ROWS:

@@ -1,8 +1,11 @@
 """The status for Prometheus. Oracles: the figures that went in; the format's grammar as a pattern; `http.client`."""
 
 import http.client
+import json
 import re
+import shutil
 import socket
+import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -102,3 +105,44 @@ def test_it_does_not_leave_this_computer(other: str) -> None:
 def test_the_package_does_not_need_it(tmp_path: Path) -> None:
     """Off unless it is asked for."""
     assert setups.setup(tmp_path).file.control.prometheus is None
+
+
+def promtool(*arguments: str, text: str = "") -> str:
+    """What Prometheus' own tool says, standard error included; it must agree."""
+    tool = shutil.which("promtool")
+    if tool is None:
+        pytest.skip("promtool is not installed (Debian: prometheus)")
+    done = subprocess.run([tool, *arguments], input=text, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_prometheus_own_tool_finds_no_fault(found: dict[str, Any]) -> None:
+    """Oracle: `promtool check metrics`, which reads the text and knows the customs of names."""
+    assert promtool("check", "metrics", text=metrics(found)).strip() == ""
+
+
+def panels() -> dict[str, list[str]]:
+    """The queries of each panel of the dashboard."""
+    board = json.loads((Path(__file__).parents[2] / "configs" / "grafana" / "rtec.json").read_text(encoding="utf-8"))
+    return {panel["title"]: [target["expr"] for target in panel["targets"]] for panel in board["panels"]}
+
+
+def test_the_dashboard_asks_for_what_is_there(found: dict[str, Any]) -> None:
+    """Oracle: the names that the daemon itself announces."""
+    known = {**found["status"], "spindle_rpm": 1200.0, "faults": {"log": 1}}
+    compared = {**found["left"], "axes": {"X": {"rms_um": 0.5}}}
+    announced = set(re.findall(r"# TYPE (rtec_\w+)", metrics({**found, "status": known, "left": compared})))
+    asked = {name for queries in panels().values() for query in queries for name in re.findall(r"rtec_\w+", query)}
+    assert len(panels()) == 9
+    assert asked <= announced
+    assert announced - asked <= {"rtec_cycles_total", "rtec_reloads_total", "rtec_control_requests_total"}
+
+
+def test_the_dashboards_queries_are_promql(tmp_path: Path) -> None:
+    """Oracle: `promtool check rules`, with each query as a rule."""
+    queries = [query.replace("$job", "mill") for of_panel in panels().values() for query in of_panel]
+    rules = [{"record": f"rtec:panel:{i}", "expr": query} for i, query in enumerate(queries)]
+    path = tmp_path / "rules.json"
+    path.write_text(json.dumps({"groups": [{"name": "rtec", "rules": rules}]}), encoding="utf-8")
+    assert f"SUCCESS: {len(queries)} rules found" in promtool("check", "rules", str(path))

@@ -305,7 +305,8 @@ def test_closed_log_takes_no_more(tmp_path: Path) -> None:
 def flat(block: Block) -> dict[str, NDArray[Any]]:
     """The table that an export must hold, written out by hand."""
     s, c = block
-    table: dict[str, NDArray[Any]] = {"time_ns": s.time_ns, "mode": s.mode, "counts_time_ns": s.counts_time_ns}
+    table: dict[str, NDArray[Any]] = {"time_s": (s.time_ns - s.time_ns[0]) * 1e-9, "time_ns": s.time_ns}
+    table |= {"mode": s.mode, "counts_time_ns": s.counts_time_ns}
     table |= {"counts_X": s.counts[:, 0], "counts_Z": s.counts[:, 1]}
     for i, name in enumerate(("T_spindle", "T_bed", "T_air")):
         table[f"degc_{name}"] = s.degc[:, i]
@@ -358,12 +359,31 @@ def test_export_to_csv(tmp_path: Path, log_path: Path) -> None:
         np.testing.assert_array_equal(found, array, err_msg=name)
 
 
+def test_export_to_mcap(tmp_path: Path, log_path: Path) -> None:
+    """Oracle: the reader of the mcap package, and Python's JSON; what is not a number is null."""
+    reader_of = pytest.importorskip("mcap.reader").make_reader
+    out = tmp_path / "out.mcap"
+    with LogReader(log_path) as reader:
+        assert export(reader, out) == 300
+    wanted = flat(random_rows(300))
+    with out.open("rb") as file:
+        made = reader_of(file)
+        messages = [(channel.topic, message) for _, channel, message in made.iter_messages()]
+        assert {m.name: m.metadata for m in made.iter_metadata()} == {"rtec": HEADER}
+    assert {topic for topic, _ in messages} == {"rtec"}
+    assert [m.log_time for _, m in messages] == wanted["time_ns"].tolist()
+    rows = [json.loads(m.data) for _, m in messages]
+    for name, array in wanted.items():
+        found = np.array([np.nan if row[name] is None else row[name] for row in rows], array.dtype)
+        np.testing.assert_array_equal(found, np.where(np.isfinite(array), array, np.nan), err_msg=name)
+
+
 def test_export_refuses_and_leaves_nothing_behind(tmp_path: Path, log_path: Path) -> None:
     parquet = tmp_path / "same.parquet"
     parquet.hardlink_to(log_path)
     before = sorted(tmp_path.iterdir())
     with LogReader(log_path) as reader:
-        with pytest.raises(LogError, match=r"'.parquet' or '.csv'"):
+        with pytest.raises(LogError, match=r"'.parquet', '.csv' or '.mcap'"):
             export(reader, tmp_path / "out.xlsx")
         with pytest.raises(LogError, match="the log itself"):
             export(reader, parquet)
