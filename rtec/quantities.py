@@ -62,7 +62,6 @@ Kilograms = Annotated[float, Field(ge=0, le=1e6)]
 Newtons = Annotated[float, Field(ge=-1e9, le=1e9)]
 Coefficient = Annotated[float, Field(ge=-1e12, le=1e12)]
 """A number whose unit its place decides: a coefficient of a model, an offset of a column."""
-CoefficientPositive = Annotated[float, Field(ge=1e-9, le=1e12)]
 CoefficientNotNegative = Annotated[float, Field(ge=0, le=1e12)]
 Factor = Annotated[float, Field(ge=-1e12, le=1e12), AfterValidator(_not_zero)]
 """What readings are multiplied by."""

@@ -335,9 +335,6 @@ def _of_residual(series: Series, wide: Floats, left: Floats, now: Noise, steps: 
     return Noise(math.sqrt(max(square, 1e-12) / freedom), float(found[0]), float(found[1]), offset)
 
 
-Cost = Callable[[Noise], tuple[float, float]]
-
-
 def _prior(noise: Noise) -> float:
     """Log of the weak priors; they keep a parameter that the readings do not decide from running away."""
     value = -0.5 * ((math.log(noise.drift) - USUAL_DRIFT) / SPREAD) ** 2

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.hil import Accuracy, FaultFound, HilResult, SoakResult
-from rtec.report.figures import GREY, KINDS, as_png, stacked
+from rtec.report.figures import GREY, KINDS, as_png, room_above, stacked
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.result import plain
 from rtec.wording import number, significant
@@ -41,16 +41,18 @@ def tip_errors(
         for name, begin_s, end_s in faults:
             ax.axvspan(begin_s, end_s, color=FAULT, alpha=0.45, linewidth=0, zorder=0)
             if place == 0:
-                ax.text(begin_s, 0.99, f" {name}", rotation=90, va="top", ha="left", color=GREY, fontsize=12,
-                        transform=ax.get_xaxis_transform(),
-                        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})  # fmt: skip
+                ax.text(begin_s, 0.97, f" {name}", va="top", ha="left", color=GREY, fontsize=14,
+                        transform=ax.get_xaxis_transform())  # fmt: skip
         for values, style, name in zip(both, KINDS, ("uncorrected", "corrected"), strict=True):
             ax.plot(time_s[thin], values[thin], color=style["color"], linestyle=style["linestyle"], label=name)
         ax.axhline(0.0, color="black", linewidth=1)
         ax.set_title(f"Tool-tip error in {direction}, behind real buses")
-        ax.set_ylabel("error, µm")
+        ax.set_ylabel("tool-tip error, µm")
         ax.set_xlim(0.0, float(time_s[-1]))
-        ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=12, loc="best")
+        if faults and place == 0:
+            room_above(ax, 0.12)
+        if place == len(panels) - 1:
+            ax.legend(frameon=True, facecolor="white", framealpha=0.9, fontsize=14, loc="best")
     axes[-1].set_xlabel("time since the start, s; yellow: a fault is on" if faults else "time since the start, s")
     return figure
 

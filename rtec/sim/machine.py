@@ -11,7 +11,6 @@ from rtec.machine import Machine
 from rtec.sim import controller as c
 from rtec.sim.controller import at_rest, program_table, servo_parameters, table_nodes_mm
 from rtec.sim.geometry import Geometry
-from rtec.sim.lines import lines_between
 from rtec.sim.program import END, POSITIONS, ProgramReader
 from rtec.sim.recording import MotionRecording, recording_of
 from rtec.sim.thermal import ThermalNetwork
@@ -154,17 +153,6 @@ class SimulatedMachine:
     def commanded_mm(self) -> Floats:
         """Where the program wants the axes, (axes,)."""
         return self._axes[:, c.COMMAND].copy()
-
-    def encoder_lines(self, time_ns: int, sample_hz: float) -> NDArray[np.uint8]:
-        """As `advance_to`, and give the encoder lines on the way, (samples, axes); see `rtec.sim.lines`.
-
-        Raises:
-            ConfigError: an axis moves by more than a count in a sample.
-        """
-        start, began_ns = self._axes[:, c.READING] * self._per_mm + 0.5, self.time_ns
-        position = self.record_to(time_ns, self._period_ns).reading_counts
-        samples = round((self.time_ns - began_ns) * 1e-9 * sample_hz)
-        return lines_between(self.machine, start, position, samples)
 
     @property
     def actual_mm(self) -> Floats:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rtec.cli.main import status
 from rtec.diagnosis.plan.plan import Extra
-from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, usual_size, with_gains
+from rtec.diagnosis.plan.separating import CLEAR, Pair, Separator, fitted_to, separating, with_gains
 from rtec.diagnosis.result import Alike
 from rtec.diagnosis.search.refit import prepare
 from rtec.estimation.outliers import clean
@@ -226,9 +226,3 @@ def test_where_no_test_tells_the_rivals_apart_that_is_said(gain: float, rows: in
     (section,) = separator_sections([Separator(test, (Pair("a", "b", gain, 0.0),))])
     assert "No single test on this machine separates any two of them" in section.text[1]
     assert (len(section.table.rows) if section.table else 0) == rows
-
-
-def test_usual_size_is_the_catalogues() -> None:
-    m = small_machine()
-    effect = effects(SCALE)[0].effect
-    assert usual_size(effect, m).values == {"k": effect.coefficients(m)[0].typical}

@@ -82,7 +82,10 @@ def bars(residuals_um: Mapping[str, float]) -> "MplFigure":
     ax.invert_yaxis()
     ax.grid(visible=False, axis="y")
     ax.set_xlim(0.0, 1.15 * max(values))
-    ax.set_xlabel(f"residual at the tool tip, rms, µm (the probing's own noise: {NOISE_UM:.2f} µm)")
+    noise = f"noise of the probing, {NOISE_UM:.2f} µm"
+    ax.axvline(NOISE_UM, color="black", linestyle=":", linewidth=2.5, label=noise)
+    ax.legend(loc="lower right", frameon=False)
+    ax.set_xlabel("residual at the tool tip, rms, µm")
     ax.set_title("Residual of each instrument's model on another day, elsewhere")
     return figure
 

@@ -84,11 +84,6 @@ class BoxSession:
         """Says that nothing was heard for too long to be waited for; "" where that is not so."""
         return f"the encoder box is silent for {self.silent_s:.2f} s" if self.silent_s > PATIENCE_S else ""
 
-    @property
-    def bad_frames(self) -> int:
-        """How many blocks were no frame."""
-        return self._reader.bad
-
     def greet(self, timeout_s: float) -> Info:
         """Say hello until the box answers.
 

@@ -13,14 +13,26 @@ from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
 from rtec.tomlfile import Strict, nearest
-from rtec_drivers.byte_line import ByteLine, way_of
+from rtec_drivers.byte_line import ByteLine, TcpPlace, way_of
 from rtec_drivers.link_worker import NS, Backoff, Worker
 from rtec_drivers.modbus.frame import Exchange, RtuExchange, TcpExchange
-from rtec_drivers.modbus.line import TcpOptions
 from rtec_drivers.modbus.map import Register, blocks_of, load_profile
 from rtec_drivers.modbus.poll import Poller, Slave
 from rtec_drivers.serial_line import PortOptions
 from rtec_drivers.thermocouple import TemperatureReadings
+
+TCP_PORT = 502
+
+
+class TcpOptions(TcpPlace):
+    """A TCP connection to Modbus slaves.
+
+    Attributes:
+        rtu: the connection carries a serial line's frames, as simple serial servers do.
+    """
+
+    port: Annotated[int, Field(ge=1, le=65535)] = TCP_PORT
+    rtu: bool = False
 
 
 class ModbusPort(PortOptions):

@@ -165,12 +165,6 @@ def fitted_to(whitener: Whitener, base: Floats, effect: Effect, theta: Mapping[s
     return FittedEffect(effect, dict(zip(names, map(float, found[base.shape[1] :]), strict=True)), dict(theta))
 
 
-def usual_size(effect: Effect, machine: Machine) -> FittedEffect:
-    """An effect at its usual size, for tests of which there are no readings yet."""
-    values = {p.name: p.typical for p in effect.coefficients(machine)}
-    return FittedEffect(effect, values, {p.name: p.start for p in effect.nonlinear(machine)})
-
-
 def _gains(whole: Floats, base: NDArray[np.int64], rivals: Sequence[SimulatedRival]) -> Floats:
     """Half the squared misfit that rival j leaves of rival i, (rivals, rivals)."""
     out = np.zeros((len(rivals), len(rivals)))
