@@ -57,13 +57,13 @@ def ballbar(
 ) -> None:
     """Diagnoses ball-bar tests: scales, squareness, clearance, servo, bent and twisted guides, with intervals.
 
+    Example: `rtec ballbar flat-ccw.csv high-cw.csv high-ccw.csv --machine mill.toml --report out/ballbar`
+
     Two tests separate the ten parameters of straight guides: height 0 ccw, and another height cw. Bent guides have
     fifteen parameters and need a third test: that height ccw. Then dynamic effects: reversal spikes, servo gain and
     delay (a second feed separates them from scale and phase), lateral play, cyclic and indexing error of the screw,
     clearance that changes along its axis, master-slave change-over. Of parameters that the tests do not separate, only
     the combination that they determine is shown. Also G, G(b), F, H and D of ISO 230-4, and harmonics.
-
-    Example: `rtec ballbar flat-ccw.csv high-cw.csv high-ccw.csv --machine mill.toml --report out/ballbar`
     """
     from rtec.cli.common import bar, give
     from rtec.machine import load_machine

@@ -39,7 +39,7 @@ def enable(config: Config = None, at: At = None, key: KeyFile = None, as_json: J
 
     Exit status 1 if it does not, with the reason.
 
-    Example: rtec ctl enable
+    Example: `rtec ctl enable`
     """
     _give("enable", "", config, at, key, as_json)
 
@@ -48,7 +48,7 @@ def enable(config: Config = None, at: At = None, key: KeyFile = None, as_json: J
 def hold(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Holds the correction at its present value.
 
-    Example: rtec ctl hold configs/turning-centre-sim.toml
+    Example: `rtec ctl hold configs/turning-centre-sim.toml`
     """
     _give("hold", "", config, at, key, as_json)
 
@@ -57,7 +57,7 @@ def hold(config: Config = None, at: At = None, key: KeyFile = None, as_json: Jso
 def fade(config: Config = None, at: At = None, key: KeyFile = None, as_json: Json = False) -> None:
     """Fades the correction to zero at its slew limit.
 
-    Example: rtec ctl fade
+    Example: `rtec ctl fade`
     """
     _give("fade", "", config, at, key, as_json)
 
@@ -68,7 +68,7 @@ def resume(config: Config = None, at: At = None, key: KeyFile = None, as_json: J
 
     Exit status 1 if a device is still in trouble.
 
-    Example: rtec ctl resume
+    Example: `rtec ctl resume`
     """
     _give("resume", "", config, at, key, as_json)
 
@@ -85,10 +85,10 @@ def reload(
 ) -> None:
     """Reloads run file and model; limits and model change without a jump.
 
+    Example: `rtec ctl reload`
+
     Exit status 1 if the old ones stay, with the reason. A model that differs much from the running one (a reversed
     sign, a step of more than a fifth of warning_um) is taken with --yes only.
-
-    Example: rtec ctl reload
     """
     from rtec.loop.orders import YES
 
@@ -105,7 +105,7 @@ def mark(
 ) -> None:
     """Writes a text beside the log, with this instant.
 
-    Example: rtec ctl mark "new tool, first part"
+    Example: `rtec ctl mark "new tool, first part"`
     """
     _give("mark", text, config, at, key, as_json)
 
@@ -203,7 +203,7 @@ def status(
 
     Exit status 1 if a device is in trouble, rows do not reach the log, or the loop does not advance.
 
-    Example: rtec status configs/turning-centre-sim.toml --watch
+    Example: `rtec status configs/turning-centre-sim.toml --watch`
     """
     from rtec.control.client import Client, find
     from rtec.loop.clock import RealClock

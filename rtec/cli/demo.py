@@ -33,13 +33,13 @@ def demo(
 ) -> None:
     """Corrects a simulated machine tool and improves its model; needs no hardware and takes under a minute.
 
-    A turning centre works for 8 hours from cold and cools overnight, once uncorrected and once corrected by the same
-    loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the machine. rtec finds it in
-    the residual and adds it, and the error falls. Writes report.html, figures and result.json.
-
     Example: `rtec demo --out out/demo --seed 1 --hidden-seed 7`
 
     The model in configs/models was made by: `rtec demo --model-out configs/models/turning-centre.toml`
+
+    A turning centre works for 8 hours from cold and cools overnight, once uncorrected and once corrected by the same
+    loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the machine. rtec finds it in
+    the residual and adds it, and the error falls. Writes report.html, figures and result.json.
     """
     from secrets import randbelow
 

@@ -37,10 +37,10 @@ def diagnose(
 ) -> None:
     """Names the physical effect that a model lacks, with the evidence, the rivals and what could not be tested.
 
+    Example: `rtec diagnose model.toml laser-x.csv drift.csv --report out/diagnosis`
+
     Tests every effect of the catalogue (`rtec effects`) on all measurements at once, against noise that drifts. It
     names an effect only if noise alone is an unlikely cause and the error on held-out runs falls.
-
-    Example: `rtec diagnose model.toml laser-x.csv drift.csv --report out/diagnosis`
     """
     from rtec import api
     from rtec.cli.common import show, stages
@@ -89,14 +89,14 @@ def add(
 ) -> None:
     """Adds an effect to a model, refits all of it, and shows the error before and after.
 
-    Refits on the channels as the loop sees them. Writes nothing and ends with status 1 if the error on held-out runs
-    does not fall by 0.1 %.
-
     Example: `rtec add model.toml axis_expansion --component EXX --set sensor=T_x_nut --data laser-x.csv -o better.toml`
 
     `rtec add model.toml --expr "A*sin(2*pi*x/p + phi)" --param p=37:3..200 --component EXX --data x.csv -o b.toml`
 
     `rtec add model.toml --refit --data laser-x.csv -o newer.toml`
+
+    Refits on the channels as the loop sees them. Writes nothing and ends with status 1 if the error on held-out runs
+    does not fall by 0.1 %.
     """
     from rtec import api
     from rtec.cli.common import interruptible, show, stages
@@ -149,10 +149,10 @@ def improve(
 ) -> None:
     """Diagnoses and adds, one effect after the other, until no significant effect is missing.
 
+    Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
+
     First it refits the model's own numbers if that lowers the error on held-out runs by 2 % or more. It asks before
     each effect, unless --yes is given, and writes the model after each step.
-
-    Example: `rtec improve model.toml laser-x.csv drift.csv -o better.toml --yes --report out/improved`
     """
     from rtec import api
     from rtec.cli.common import interruptible, kept, show, stages

@@ -56,7 +56,7 @@ def doctor(
 
     All devices are opened at once; no correction is applied. Exit status 1 if something is wrong.
 
-    Example: rtec doctor configs/turning-centre-sim.toml
+    Example: `rtec doctor configs/turning-centre-sim.toml`
     """
     from rtec.errors import ConfigError
 

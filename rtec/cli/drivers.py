@@ -17,7 +17,7 @@ def drivers(
 
     Drivers of other packages are listed too, and drivers that lack a package, with what to install.
 
-    Example: rtec drivers serial_box
+    Example: `rtec drivers serial_box`
     """
     from rtec.cli.common import show_page
     from rtec.loop.driver_info import all_drivers, driver_facts

@@ -21,7 +21,7 @@ def effects(
 
     With a NAME it also lists what the effect may be confounded with, and the experiment that separates the two.
 
-    Example: rtec effects lost_motion --figure lost-motion.png
+    Example: `rtec effects lost_motion --figure lost-motion.png`
     """
     from rtec.cli.common import show_page
     from rtec.errors import ConfigError

@@ -30,14 +30,14 @@ def fit(
 ) -> None:
     """Characterises a machine: chooses effects and temperatures on held-out runs, fits them, and writes a model.
 
-    Correlates each component error with every temperature, difference and lag. Warns if sensors are collinear,
-    choices undecided, ranges not visited, or the model over-fitted. `rtec effects` lists the effects.
-
     Example: `rtec fit configs/machines/turning-centre.toml laser-x.csv laser-z.csv -o model.toml --report out/fit`
 
     `rtec fit machine.toml laser-x.csv -o model.toml --effects scale,backlash,axis_expansion`
 
     `rtec fit machine.toml drift.csv -o model.toml --effects mount_expansion:EX0spindle:sensor=*`
+
+    Correlates each component error with every temperature, difference and lag. Warns if sensors are collinear,
+    choices undecided, ranges not visited, or the model over-fitted. `rtec effects` lists the effects.
     """
     from rtec import api
     from rtec.cli.common import interruptible, show, stages

@@ -30,10 +30,10 @@ def grid(
 ) -> None:
     """Evaluates grid-encoder paths: squareness, linear deviation, straightness and pitch, each with its uncertainty.
 
+    Example: `rtec grid yz-low.csv yz-high.csv --machine bridge.toml --magnification 10000 --report out/grid`
+
     Set-ups given together are compared: roll, cross-talk between axes. So are paths of one set-up: directions, feeds,
     Ls from both sides. Squares, straight lines and Ls are recognised in the commanded positions.
-
-    Example: `rtec grid yz-low.csv yz-high.csv --machine bridge.toml --magnification 10000 --report out/grid`
     """
     from rtec.cli.common import give
     from rtec.machine import load_machine

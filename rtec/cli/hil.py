@@ -54,14 +54,14 @@ def hil(
 ) -> None:
     """Runs the daemon against simulated hardware behind real serial, Modbus and CAN lines, on the real clock.
 
+    Example: `rtec hil configs/hil.toml --fault modbus-silent@8s+8s --fault box-unplugged@24s+2s --report out/hil`
+
     The devices of the run file stay as they are except for their ports, behind which an encoder box, Modbus slaves and
     a CAN adapter run in processes of their own. The machine runs uncorrected, then corrected, beside the all-simulated
     run of the same machine and programme; some 80 seconds. With --soak: one long run with random faults.
 
     Exit status 1: a check failed (ledger, log, no jump, recovery, improvement within 10 % of the all-simulated run;
     with --soak also memory, files, threads, deadlines).
-
-    Example: `rtec hil configs/hil.toml --fault modbus-silent@8s+8s --fault box-unplugged@24s+2s --report out/hil`
     """
     from rtec.hil import HilOrder, SoakOrder, load_bench, parse_fault
 

@@ -38,11 +38,11 @@ def import_(
 ) -> None:
     """Imports tables of other programs as a measurement: NAME.csv and NAME.toml.
 
+    Example: `rtec import scope.csv --machine machine.toml --answer axis=X -o laser-x`
+
     Without --map it finds out how FILE is written and what its columns are, and shows a proposed map with reasons. It
     asks only what the file does not say: on a terminal, else with --answer. With -o it writes the measurement, and the
     map that made it as NAME-map.toml. The notes on the import are printed and kept in NAME.toml.
-
-    Example: `rtec import scope.csv --machine machine.toml --answer axis=X -o laser-x`
     """
     if list_:
         _list(as_json=as_json)

@@ -38,9 +38,6 @@ def init(
 ) -> None:
     """Writes the first files of a machine: machine.toml, run.toml, an empty model.toml.
 
-    Without options it asks: axes, encoders, sensors, output, limits. It shows live values, and ends with doctor and dry
-    run: exit status 1 if they fail, the files stay. Ctrl-C leaves nothing behind.
-
     Example, in the folder lathe, by questions: `rtec init lathe`
 
     Example, a simulated turning centre to try everything with, in the folder configs: `rtec init --example`
@@ -48,6 +45,9 @@ def init(
     Example of an answers file: `rtec init --template lathe --print-answers`
 
     Example, by a script: `rtec init lathe --answers lathe-answers.toml --set axis.X.resolution_um=0.5`
+
+    Without options it asks: axes, encoders, sensors, output, limits. It shows live values, and ends with doctor and dry
+    run: exit status 1 if they fail, the files stay. Ctrl-C leaves nothing behind.
     """
     from rtec.errors import ConfigError
 

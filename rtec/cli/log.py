@@ -145,10 +145,10 @@ _To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Before th
 def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: Json = False) -> None:
     """Lists the logs of a stretch of time, each with its dates, rows and size, and whether it is whole.
 
+    Example: `rtec log list logs --from 2026-03-09T06:00 --to 2026-03-09T14:00`
+
     Logs are in the order of writing, even if the wall clock was set meanwhile. A damaged log is listed, loses its own
     rows only, and gives status 1; a folder that does not exist or has no logs gives status 2.
-
-    Example: rtec log list logs --from 2026-03-09T06:00 --to 2026-03-09T14:00
     """
     segments = _segments(logs, from_, to)
     if as_json:
@@ -163,7 +163,7 @@ def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: Json = Fals
 def info(log: _Log, as_json: Json = False) -> None:
     """Shows what a log holds: versions and hashes, axes and sensors, rows, duration, and whether its end is whole.
 
-    Example: rtec log info run.arrows --json
+    Example: `rtec log info run.arrows --json`
     """
     from rtec.log.reader import open_log
 
@@ -191,9 +191,9 @@ def export(
     wants it, but for --utc. Parquet (zstd) keeps the header of the log; CSV has columns only; MCAP (pip install
     'rtec[mcap]') has a JSON message a row for Foxglove.
 
-    Example: rtec log export run.arrows run.parquet
+    Example: `rtec log export run.arrows run.parquet`
 
-    Example: rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc
+    Example: `rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc`
     """
     from rtec.cli.common import bar
     from rtec.log.export import export as export_log
@@ -219,7 +219,7 @@ def tail(
 
     Of a folder it shows the newest log; with `--follow` also the logs after it.
 
-    Example: rtec log tail run.arrows -n 5 --follow
+    Example: `rtec log tail run.arrows -n 5 --follow`
     """
     from rtec.log.folder import logs_at
     from rtec.log.reader import open_log

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import warnings
+from collections.abc import Callable, Mapping
 from typing import Annotated, TextIO
 
 import typer
@@ -55,33 +56,57 @@ It reads axis counts and temperatures, computes the tool-tip error from a geomet
 Start with `rtec demo`: a simulated machine, uncorrected and corrected.
 """,
 )
-app.command()(demo.demo)
-app.command()(init.init)
-app.command()(run.run)
-app.command()(replay.replay)
-app.command("import")(import_.import_)
-app.command()(simulate.simulate)
-app.command()(fit.fit)
-app.command()(effects.effects)
-app.command()(drivers.drivers)
-app.command()(explain.explain)
-app.command()(doctor.doctor)
-app.command()(compare.compare)
-app.command()(hil.hil)
-app.command()(studio.studio)
-for _command in (diagnose.diagnose, diagnose.add, diagnose.improve, diagnose.history):
-    app.command()(_command)
-app.command()(plan.plan)
-for _procedure in (procedures.iso230, procedures.straightness, procedures.parallelism, procedures.drift):
-    app.command()(_procedure)
-for _instrument in (ballbar.ballbar, grid.grid):
-    app.command()(_instrument)
-app.command("status")(status_command.status)
-app.add_typer(ctl.app, name="ctl")
-app.add_typer(log.app, name="log")
-app.add_typer(machine.app, name="machine")
-app.add_typer(table.app, name="table")
-app.add_typer(bench.app, name="bench")
+GROUPS: Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]] = {
+    "Try": {
+        "demo": demo.demo,
+        "init": init.init,
+        "simulate": simulate.simulate,
+        "studio": studio.studio,
+        "hil": hil.hil,
+        "bench": bench.app,
+    },
+    "Measure": {
+        "import": import_.import_,
+        "plan": plan.plan,
+        "iso230": procedures.iso230,
+        "straightness": procedures.straightness,
+        "parallelism": procedures.parallelism,
+        "drift": procedures.drift,
+        "ballbar": ballbar.ballbar,
+        "grid": grid.grid,
+    },
+    "Model": {
+        "fit": fit.fit,
+        "compare": compare.compare,
+        "diagnose": diagnose.diagnose,
+        "add": diagnose.add,
+        "improve": diagnose.improve,
+        "history": diagnose.history,
+        "effects": effects.effects,
+    },
+    "Run": {
+        "doctor": doctor.doctor,
+        "run": run.run,
+        "ctl": ctl.app,
+        "table": table.app,
+        "replay": replay.replay,
+    },
+    "Look": {
+        "status": status_command.status,
+        "log": log.app,
+        "machine": machine.app,
+        "drivers": drivers.drivers,
+        "explain": explain.explain,
+    },
+}
+"""Every command of `rtec`, by what people want to do. A command is in one of these groups, or it does not exist."""
+
+for _group, _commands in GROUPS.items():
+    for _name, _command in _commands.items():
+        if isinstance(_command, typer.Typer):
+            app.add_typer(_command, name=_name, rich_help_panel=_group)
+        else:
+            app.command(_name, rich_help_panel=_group)(_command)
 
 
 # Depending on its version typer brings click with it or asks for it; its own exceptions say which one it is.

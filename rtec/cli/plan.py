@@ -35,14 +35,14 @@ def plan(
 ) -> None:
     """Plans tests: which parameters a set of tests separates, which stay confounded, and which test to add.
 
-    Nothing needs to be measured yet. A planned test is a TOML file with [measurement] and [setup] as beside a
-    measurement, and [targets], [path] and [[phase]] as in `rtec simulate --settings`.
-
     Example: `rtec plan configs/machines/turning-centre.toml laser-x.toml --effects scale:EXX,guide_curvature:EBX`
 
     `rtec plan machine.toml circle-ccw.toml circle-cw.toml --ball-bar non-linear`
 
     `rtec plan machine.toml laser-x.csv --rivals backlash:EXX,servo_lag:EXX`
+
+    Nothing needs to be measured yet. A planned test is a TOML file with [measurement] and [setup] as beside a
+    measurement, and [targets], [path] and [[phase]] as in `rtec simulate --settings`.
     """
     from rtec import api
     from rtec.cli.common import show, stages

@@ -39,12 +39,12 @@ def iso230(
 ) -> None:
     """Evaluates positioning after ISO 230-2: A, R, E, M and B in each direction and together, coverage factor 2.
 
-    Drift between the cycles is separated from repeatability. Warns if the targets are multiples of the pitch, which
-    hide an error that repeats with the pitch.
-
     Example: `rtec iso230 x-axis_ISO230.dat --pitch 5 --report out/x`
 
     `rtec iso230 laser-x.csv --machine configs/machines/turning-centre.toml --json`
+
+    Drift between the cycles is separated from repeatability. Warns if the targets are multiples of the pitch, which
+    hide an error that repeats with the pitch.
     """
     from rtec.metrology.procedures.iso230_2 import positioning
     from rtec.report.procedures import iso230_page
@@ -67,11 +67,11 @@ def straightness(
 ) -> None:
     """Evaluates straightness: with an arbor and its reversal, a pair of probes, or a turned face with orthogonality.
 
+    Example: `rtec straightness z-arbor.csv --report out/z`
+
     Columns: x_mm (or z_mm, ...), spindle_deg (0 or 180), probe1_um, probe2_um; run numbers repeated sets. Probes read
     positive as the gap closes; probe 1 is on the positive side. Or a measurement of instrument straightness with
     reversed_runs.
-
-    Example: `rtec straightness z-arbor.csv --report out/z`
     """
     from rtec.metrology.procedures.tables import straightness_table
     from rtec.report.procedures import straightness_page

@@ -26,14 +26,14 @@ def replay(
 ) -> None:
     """Replays a log, or a logic-analyser capture, through the same step as the daemon, as fast as it can.
 
+    Examples: `rtec replay configs/turning-centre-sim.toml logs/run.arrows --check`
+
+    `rtec replay configs/capture.toml scale.sr --out corrected.sr`
+
     A log gives a new log with recomputed commands; `--check` compares them with the logged ones. In a folder every log
     is checked, each from its own beginning, packed ones (.parquet) too. A capture (sigrok `.sr`) gives a capture with
     corrected A/B lines that sigrok opens, and a table of counts; `[capture]` in the run file names the channels.
     Neither needs `[role]` or `[device]` there.
-
-    Examples: `rtec replay configs/turning-centre-sim.toml logs/run.arrows --check`
-
-    `rtec replay configs/capture.toml scale.sr --out corrected.sr`
     """
     from rtec import api
     from rtec.cli.common import stages

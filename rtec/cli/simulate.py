@@ -80,11 +80,11 @@ def simulate(
 ) -> None:
     """Simulates a measurement on a machine whose true effects you choose; the same seed gives the same files.
 
-    Temperatures follow the warm-up of NIST's guidelines: cycles cold, then after each step of warming up. Targets
-    avoid multiples of the pitch. Noise is in the unit of the reading, µm or µrad.
-
     Example: `rtec simulate configs/machines/turning-centre.toml --instrument laser_linear --axis X
     --effect scale,component=EXX,axis=X,k=12 -o out/laser-x --seed 3`
+
+    Temperatures follow the warm-up of NIST's guidelines: cycles cold, then after each step of warming up. Targets
+    avoid multiples of the pitch. Noise is in the unit of the reading, µm or µrad.
     """
     from rtec import api
     from rtec.sim.campaign.request import setup_table

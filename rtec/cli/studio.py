@@ -27,10 +27,10 @@ def studio(
 ) -> None:
     """Opens the pages in the browser: compare, diagnose, add an effect, and watch the error fall.
 
+    Example: `rtec studio out/tutorial`
+
     Reads and writes files in FOLDER only, and listens on this computer only. Another address needs TLS or a key of
     your own. Needs `pip install rtec[studio]`.
-
-    Example: `rtec studio out/tutorial`
     """
     _check_installed()
     from rtec.studio.app import Address, serve
