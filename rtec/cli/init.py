@@ -10,6 +10,8 @@ import typer
 
 from rtec.cli.common import grid, interruptible
 
+ANSWERS = "answers.toml"
+
 
 def init(
     folder: Annotated[Path, typer.Argument(metavar="[FOLDER]", help="Where the files go.")] = Path(),
@@ -63,6 +65,8 @@ def init(
             "(`rtec init --template lathe --print-answers` prints a file to fill in)"
         )
     asks = answers is None and not options
+    if asks and not force:
+        _refuse_to_replace(folder)
     with interruptible():
         tables, source = _asked(seconds, folder) if asks else _given(answers, template, options or [])
         written = _write(tables, source, folder, force, keep_answers=asks)
@@ -75,6 +79,16 @@ def init(
     typer.echo(f"Next: rtec doctor {run}")
     if check:
         raise typer.Exit(1)
+
+
+def _refuse_to_replace(folder: Path) -> None:
+    """Before the first question, not after the last."""
+    from rtec.commission.write import MACHINE, MODEL, RUN
+    from rtec.errors import ConfigError
+
+    there = [str(folder / name) for name in (MACHINE, RUN, MODEL, ANSWERS) if (folder / name).exists()]
+    if there:
+        raise ConfigError(f"{', '.join(there)}: already there; name another FOLDER, or --force replaces")
 
 
 def _example(folder: Path, force: bool) -> None:
@@ -194,7 +208,7 @@ def _write(tables: dict[str, Any], source: str, folder: Path, force: bool, *, ke
     files = {Path(name): text for name, text in texts(answers).items()}
     if keep_answers:
         head = "# What rtec init was answered; `rtec init --answers answers.toml` writes the same files again.\n"
-        files[Path("answers.toml")] = head + tomli_w.dumps(tables)
+        files[Path(ANSWERS)] = head + tomli_w.dumps(tables)
     return write_together(folder, files, overwrite=force)
 
 

@@ -64,7 +64,7 @@ def write(
 
     Positions of axes that `--at` does not name are the middle of their travel.
 
-    Example: `rtec table model.toml --axis X --at T_x=24,T_y=22 --format linuxcnc -o x.comp`
+    Example: `rtec table write model.toml --axis X --at T_x=24,T_y=22 --format linuxcnc -o x.comp`
     """
     from dataclasses import asdict
 
@@ -131,7 +131,10 @@ def read(
 
 @app.command()
 def formats(as_json: Json = False) -> None:
-    """Lists the formats: points, directions, smallest step, sign."""
+    """Lists the formats: points, directions, smallest step, sign.
+
+    Example: `rtec table formats`
+    """
     from dataclasses import asdict
 
     from rtec.correction.tables import FORMATS

@@ -115,6 +115,26 @@ def test_from_an_answers_file_to_a_lathe_that_is_corrected(
     assert devices.controller.has == pytest.approx({"X": -0.0030, "Z": -0.0057}, abs=1e-7)
 
 
+def test_a_controller_that_restarts_in_a_run_is_sent_nothing_more(
+    devices: Lathe, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """30 µm at 20 µm/s are some seven commands; it loses its offsets after the third. Oracle: the lines it was sent."""
+    folder = tmp_path / "lathe"
+    more = ["--set", 'mode="on"', "--set", "device.offsets.restarted=READY.*", "--no-check"]
+    assert status(["init", str(folder), "--answers", str(answers_file(tmp_path, devices)), *more]) == 0
+    scale = EFFECTS["scale"].model_validate({"effect": "scale", "component": "EXX", "axis": "X"})
+    machine = load_machine(folder / "machine.toml")
+    save_model(Model(machine, (FittedEffect(scale, {"k": 300.0}),)), folder / "model.toml")
+    devices.controller.restarts_after = 3
+    capsys.readouterr()
+    assert status(["run", str(folder / "run.toml"), "--duration", "3", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert len(devices.controller.lines) == 3
+    assert devices.controller.has == {"X": 0.0, "Z": 0.0}
+    assert report["flags_seen"]["OUTPUT_TROUBLE"] > 0.1
+    assert "restarted" in json.dumps(report["devices"])
+
+
 def test_what_is_wrong_with_a_device_is_exit_status_1_and_the_files_stay(
     devices: Lathe, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -209,6 +229,8 @@ def test_by_questions_with_live_values(
     assert run["limits"]["X"]["stop_um"] == 60.0
     assert run["device"]["thermocouples"]["slave"]["module"]["register"]["T_air"]["address"] == 5
     assert load_machine(folder / "machine.toml").name == "L 3"
+    assert status(["init", str(folder)]) == 2, "before the first question"
+    assert "already there" in capsys.readouterr().err
     again = tmp_path / "again"
     assert status(["init", str(again), "--answers", str(folder / "answers.toml"), "--no-check"]) == 0
     assert (again / "run.toml").read_text() == (folder / "run.toml").read_text()

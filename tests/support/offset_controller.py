@@ -20,6 +20,7 @@ class OffsetController:
         answers: it acknowledges and answers.
         refuses: it refuses commands.
         deaf: it acknowledges, and does nothing.
+        restarts_after: it restarts after so many commands, once.
         says: printed at the next opportunity.
     """
 
@@ -28,6 +29,7 @@ class OffsetController:
     answers: bool = True
     refuses: bool = False
     deaf: bool = False
+    restarts_after: int = -1
     says: bytes = b""
     rest: bytes = b""
 
@@ -55,6 +57,9 @@ class OffsetController:
             text = "OK" if match else "ERR 1"
             if match and not self.deaf:
                 self.has = {"X": float(match[1]), "Z": float(match[2])}
+                self.restarts_after -= 1
+                if self.restarts_after == 0:
+                    self.restart()
         return text.encode() + b"\r\n" if self.answers else b""
 
 

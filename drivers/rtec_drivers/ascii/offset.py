@@ -24,7 +24,7 @@ Output = tuple[int, ...]
 IDLE_S = 0.1
 """What the controller says unasked is looked at this often."""
 RETRY_NS = 100_000_000
-"""A command that was not taken is sent again after this, as long as the loop repeats it."""
+"""A command that was not taken, or is not read back, is sent again after this, as long as the loop repeats it."""
 DRAIN_NS = 200_000_000
 """So long may the last command take on its way out: 24 characters at 1200 baud."""
 MOST_LINES = 64
@@ -35,13 +35,16 @@ HOLDS = "the correction holds until it is ordered to resume"
 class OffsetAccount:
     """What the loop wants, what the controller has, and what is wrong; shared by the loop and the line's thread.
 
+    Args:
+        reads_back: can the controller be asked what it has?
+
     Attributes:
         lost: why nobody knows which offsets the controller has; "" where that is known.
         wake: set when there is something to command.
     """
 
-    def __init__(self) -> None:
-        self.lost, self.wake = "", threading.Event()
+    def __init__(self, reads_back: bool) -> None:
+        self.lost, self.wake, self._reads_back = "", threading.Event(), reads_back
         self._lock = threading.Lock()
         self._has: Output | None = None
         self._wanted: Output | None = None
@@ -90,6 +93,11 @@ class OffsetAccount:
             self._sent = wanted
             return wanted
 
+    def agrees(self, output: Output) -> bool:
+        """Has the controller what it was commanded?"""
+        with self._lock:
+            return self._has == output
+
     def accepted(self, output: Output, confirmed: bool) -> None:
         """The controller took this command; whether that says that it has it."""
         with self._lock:
@@ -114,6 +122,8 @@ class OffsetAccount:
         """The controller printed what it prints after a start."""
         with self._lock:
             self._lose(f"the controller restarted: {line[:60]!r}")
+            if self._reads_back:
+                self._has = self._sent = None  # what it says next is right, whenever the order to resume comes
 
     def well(self) -> None:
         """The line is open, and nothing is wrong with it that is known."""
@@ -173,7 +183,7 @@ line_end = "crlf"
         del base
         self.options, self._axes, self._clock = options, machine.axis_names, clock
         self._text = OffsetText(options, machine)
-        self._account = OffsetAccount()
+        self._account = OffsetAccount(options.ask is not None)
         self._connect, self._retry = way_of(options.serial, options.tcp, clock)
         self._worker: Worker[ByteLine] | None = None
         self._ending = False
@@ -276,7 +286,8 @@ line_end = "crlf"
         while True:
             ending = self._ending  # looked at first, so that what was ordered before is still sent
             command = self._account.take()
-            taken = command is None or talk.command(command)
+            if command is not None:
+                talk.command(command)
             if self.options.ask is not None and (command is not None or self._clock.now_ns() >= ask_ns):
                 talk.read_back(self._axes)
                 ask_ns = self._clock.now_ns() + round(self.options.ask_period_s * NS)
@@ -288,7 +299,7 @@ line_end = "crlf"
                 if command is not None:  # closing throws away what the port has not sent yet
                     self._clock.sleep_until_ns(self._clock.now_ns() + DRAIN_NS)
                 return
-            if taken:
+            if command is None or self._account.agrees(command):
                 self._account.wake.wait(IDLE_S)
             else:
                 worker.wait_until_ns(self._clock.now_ns() + RETRY_NS)
@@ -312,17 +323,16 @@ class OffsetTalk:
         patterns = (options.acknowledge, options.refuse, options.restarted)
         self._yes, self._no, self._restart = (None if p is None else re.compile(p) for p in patterns)
 
-    def command(self, output: Output) -> bool:
-        """Send the lines of a command, each after the one before was acknowledged; say whether all were taken."""
+    def command(self, output: Output) -> None:
+        """Send the lines of a command, each after the one before was acknowledged; note what comes of it."""
         self.listen()
         for line in self._text.lines(output):
             self._send(line)
             trouble = None if self._yes is None else self._acknowledged(line.decode(self._options.encoding))
             if trouble is not None:
                 self._account.refused(trouble)
-                return False
+                return
         self._account.accepted(output, confirmed=self._options.ask is None)
-        return True
 
     def read_back(self, axes: tuple[str, ...]) -> None:
         """Ask which offsets are in force; note the answer."""
