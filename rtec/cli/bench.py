@@ -36,11 +36,11 @@ def discovery(
 ) -> None:
     """Scores a diagnosis on machines whose hidden effects are known: rtec's own, or that of another program.
 
+    Example: `rtec bench discovery --score mytool --seeds 1:11`
+
     Without --score it diagnoses the data sets itself, some 60 for each seed, about a second each. With --score MYTOOL
     it writes them into the folder MYTOOL, without the truth, and a table answers.csv to fill in; called again, it
     scores that table. `docs/benchmark.md` describes the files.
-
-    Example: `rtec bench discovery --score mytool --seeds 1:11`
     """
     from rtec.bench.folder import ANSWERS, SETS, BenchmarkRange, read_answers, read_range, write_sets
     from rtec.bench.own import own_answers

@@ -40,6 +40,7 @@ NOT_RUN = {
     "add model.toml --expr": "a search, half a minute: tests/diagnosis",
     "add model.toml --refit": "half a minute: tests/diagnosis",
     "fit machine.toml drift.csv": "its measurement: tests/characterise",
+    "bench": "makes ten campaigns, half a minute: tests/discovery",
     "compare": "figures, ten seconds: tests/tutorial",
     "doctor": "measures for six seconds: tests/doctor",
     "table": "a model of the other machine: tests/correction",
