@@ -28,13 +28,17 @@ errors = st.lists(st.tuples(st.floats(-200, 200), st.floats(-200, 200)), min_siz
 def test_a_table_comes_back_to_the_last_digit(
     name: str, rows: list[tuple[float, float]], start: float, step: float
 ) -> None:
-    """Law: reading is the inverse of writing; what is lost is the format's smallest step."""
+    """Law: reading is the inverse of writing; lost is the format's smallest step, and the direction if it has none."""
     form = FORMATS[name]
     n = np.arange(len(rows))
-    table = CompensationTable("X", "X", np.round(start + step * n, 6), *np.array(rows).T)
+    positions = np.round(start, 4) + np.round(step, 4) * n
+    table = CompensationTable("X", "X", positions, *np.array(rows).T)
     back = form.read(form.text(checked(table, form)), "x", "X")
-    assert np.allclose(back.positions_mm, table.positions_mm, atol=1e-6)
-    for mine, again in ((table.forward_um, back.forward_um), (table.backward_um, back.backward_um)):
+    assert np.allclose(back.positions_mm, positions, atol=1e-5)
+    forward, backward = table.forward_um, table.backward_um
+    if not form.limits.both_directions:
+        forward = backward = (forward + backward) / 2
+    for mine, again in ((forward, back.forward_um), (backward, back.backward_um)):
         assert np.abs(mine - again).max() < form.limits.quantum_um
 
 
@@ -45,6 +49,74 @@ def test_the_two_types_of_linuxcnc_by_hand() -> None:
     second = [[float(w) for w in line.split()] for line in FORMATS["linuxcnc-type-1"].text(table).splitlines()[:2]]
     assert first == [[0.0, 0.005, 0.007], [10.0, 9.997, 10.0]]
     assert second == [[0.0, -0.005, -0.007], [10.0, 0.003, 0.0]]
+
+
+SINUMERIK = """%_N_AX_EEC_INI
+CHANDATA(1)
+$AA_ENC_COMP[0,0,X1]=0.003 ; 1st compensation value (interpolation point 0): +3µm
+$AA_ENC_COMP[0,1,X1]=0.01 ; +10µm
+$AA_ENC_COMP[0,2,X1]=0.012 ; +12µm
+$AA_ENC_COMP_STEP[0,X1]=1.0
+$AA_ENC_COMP_MIN[0,X1]=-200.0
+$AA_ENC_COMP_MAX[0,X1]=600.0
+$AA_ENC_COMP_IS_MODULO[0,X1]=0
+M17
+"""
+BECKHOFF = """kopf.achs_nr                        2
+kopf.log_achs_name                  Y AXIS
+kw.ssfk.interval                    0
+kw.ssfk.kw_startpos                 -200000
+kw.ssfk.kw_nr_max                   3
+kw.ssfk.unit                        1
+kw.ssfk.bilateral                   1
+kw.ssfk.table[0].setpoint           -200000
+kw.ssfk.table[1].setpoint           -199306
+kw.ssfk.table[2].setpoint           -198667
+kw.ssfk.table[0].pos                0
+kw.ssfk.table[1].pos                24
+kw.ssfk.table[2].pos                -102
+kw.ssfk.table[0].neg                0
+kw.ssfk.table[1].neg                67
+kw.ssfk.table[2].neg                80
+"""
+
+
+def test_the_makers_own_examples() -> None:
+    """Oracles: 6FC5397-1BP40-3BA1, page 242 (its first three points); TF5200, non-equidistant bilateral SSFK (its first
+    three): actual 19856.5 µm at setpoint 19866.7 is the value -102, 19874.7 is 80."""
+    siemens = FORMATS["siemens"].read(SINUMERIK, "manual", "X")
+    assert siemens.positions_mm.tolist() == [-200.0, -199.0, -198.0]
+    assert siemens.forward_um.tolist() == siemens.backward_um.tolist() == [3.0, 10.0, 12.0]
+    lines = FORMATS["siemens"].text(siemens).splitlines()
+    assert "$AA_ENC_COMP[0,1,X1]=0.010000" in lines
+    assert "$AA_ENC_COMP_MIN[0,X1]=-200" in lines
+    isg = FORMATS["isg"].read(BECKHOFF, "manual", "Y")
+    assert isg.positions_mm.tolist() == pytest.approx([-20.0, -19.9306, -19.8667])
+    assert isg.forward_um[2] == pytest.approx(19856.5 - 19866.7)
+    assert isg.backward_um[2] == pytest.approx(19874.7 - 19866.7)
+    again = {" ".join(line.split()) for line in FORMATS["isg"].text(isg).splitlines()}
+    assert {" ".join(line.split()) for line in BECKHOFF.splitlines()[2:]} <= again
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        ("siemens", "[0,1,X1]", "[0,5,X1]", "3 points at a distance of 1 mm"),
+        ("siemens", "MODULO[0,X1]=0", "MODULO[0,X1]=1", "rotary"),
+        ("siemens", "[0,1,X1]", "[0,1,Z1]", "tables of 2 axes"),
+        ("siemens", "$AA_ENC_COMP_STEP[0,X1]=1.0", "", "without .AA_ENC_COMP_STEP"),
+        ("siemens", "M17", "R1=5", "line 10: 'R1=5' is no value"),
+        ("isg", "unit                        1", "unit 0", "encoder increments"),
+        ("isg", "table[2].neg                80", "table[9].neg 80", "each point needs its own"),
+        ("isg", "kw_nr_max                   3", "kw_nr_max 999999999", "each point needs its own"),
+        ("isg", "table[1].pos                24", "table[1].pos 2.5", "line 12: .* is no entry"),
+    ],
+)
+def test_a_wrong_table_of_a_maker_is_told(name: str, old: str, new: str, says: str) -> None:
+    text = {"siemens": SINUMERIK, "isg": BECKHOFF}[name]
+    assert old in text
+    with pytest.raises(ConfigError, match=says):
+        FORMATS[name].read(text.replace(old, new), "x", "X")
 
 
 def test_what_a_table_cannot_express_is_said_in_um() -> None:

@@ -1,11 +1,18 @@
 """Compensation tables: for controllers that take a file and no signals [G 4.1]. One module a format."""
 
+from rtec.correction.tables.isg import LeadscrewList
 from rtec.correction.tables.linuxcnc import CompFile
+from rtec.correction.tables.siemens import EncoderCompensation
 from rtec.correction.tables.table import TableFormat
 from rtec.errors import ConfigError
 from rtec.tomlfile import nearest
 
-FORMATS: dict[str, TableFormat] = {"linuxcnc": CompFile(0), "linuxcnc-type-1": CompFile(1)}
+FORMATS: dict[str, TableFormat] = {
+    "linuxcnc": CompFile(0),
+    "linuxcnc-type-1": CompFile(1),
+    "siemens": EncoderCompensation(),
+    "isg": LeadscrewList(),
+}
 """The formats by the name that commands and run files use."""
 
 
