@@ -53,6 +53,9 @@ def import_(
         _import(files, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
         return
     proposal = _proposal(files[0], map_, reader, machine, answer or [])
+    if _somebody_is_there() and not as_json:
+        proposal = _asked(proposal)
+        out = out or _name_for(files[0])
     if out is None:
         if as_json:
             print_json(proposal.facts())
@@ -65,7 +68,7 @@ def import_(
 def _proposal(
     file: Path, map_: Path | None, reader: str | None, machine: Path | None, answers: list[str]
 ) -> "ImportProposal":
-    """The proposal; on a terminal with the answers of whoever sits there."""
+    """The proposal, with the answers of the command line."""
     from rtec.errors import MeasurementError
     from rtec.machine import load_machine
     from rtec.metrology.importing import propose
@@ -80,8 +83,17 @@ def _proposal(
         if not mark:
             raise typer.BadParameter(f"{text!r}: write KEY=VALUE", param_hint="--answer")
         given[key.strip()] = value.strip()
-    proposal = propose(file, load_machine(machine) if machine is not None else None, told, given)
-    return _asked(proposal) if sys.stdin.isatty() and sys.stdout.isatty() else proposal
+    return propose(file, load_machine(machine) if machine is not None else None, told, given)
+
+
+def _somebody_is_there() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _name_for(file: Path) -> Path | None:
+    """Where the measurement is to be written; None: nowhere."""
+    name = str(typer.prompt("Write the measurement as (- for not at all)", default=file.stem, err=True)).strip()
+    return None if name == "-" else Path(name)
 
 
 def _asked(proposal: "ImportProposal") -> "ImportProposal":

@@ -320,6 +320,31 @@ def test_questions_and_answers(tmp_path: Path) -> None:
     assert "T_x_nut_degc" not in column
 
 
+def test_on_a_terminal_it_asks_what_the_file_does_not_say(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: a wrong answer is asked again, Enter takes the usual one, and the measurement has what was answered."""
+    typed = {"Which axis moved?": ["Q", "X"], "Which sensor of the machine is 'Mutter [°C]'?": ["T_x_nut"]}
+    typed |= {"Write the measurement as": [str(tmp_path / "laser-x")]}
+
+    def prompt(text: str, *, default: str | None, err: bool) -> str:
+        assert err  # standard output is for the result
+        answers = next((a for start, a in typed.items() if text.startswith(start)), None)
+        return answers.pop(0) if answers else str(default)
+
+    monkeypatch.setattr("rtec.cli.import_._somebody_is_there", lambda: True)
+    monkeypatch.setattr("typer.prompt", prompt)
+    file = put(tmp_path, semicolons(rows()))
+    assert status(["import", str(file), "--machine", str(TURNING)]) == 0
+    out, err = capsys.readouterr()
+    assert "axis: 'Q' is not possible" in err
+    assert "66 rows out" in out
+    m = load_measurement(tmp_path / "laser-x.csv", MACHINE)
+    assert m.instrument.axis == "X"
+    assert "T_x_nut" in m.channels
+    assert not any("assumed" in n for n in m.notes)  # all of it was answered
+
+
 # --- rows, sums, files
 
 
