@@ -39,7 +39,8 @@ module box #(
     output wire [32*AXES-1:0]     at_index
 );
   wire [32*AXES-1:0] asked;
-  wire [AXES-1:0] fault, moving;
+  wire [AXES-1:0] fault;
+  reg [AXES-1:0] on_its_way;
   wire clear_fault, resumed, heard, held;
   wire [31:0] time_us;
 
@@ -52,25 +53,32 @@ module box #(
       filter #(.LENGTH_BITS(FILTER_BITS)) in_z (.clk(clk), .length(filter_length), .line(z[n]), .level(fz));
       wire signed [31:0] wanted = asked[32*n+:32];
       wire signed [31:0] most = limit;
-      wire signed [31:0] target = wanted > most ? most : wanted < -most ? -most : wanted;
+      reg above, below;
+      reg signed [31:0] waits, target, off;
       wire signed [31:0] is = inserted[32*n+:32];
+      always @(posedge clk) begin
+        above <= wanted > most;
+        below <= wanted < -most;
+        waits <= wanted;
+        target <= rst ? 0 : above ? most : below ? -most : waits;
+        off <= target - is;
+      end
       inserter #(.SEPARATION(SEPARATION), .WIDTH(32), .RATE_BITS(RATE_BITS)) axis (
-          .clk(clk), .rst(rst), .a(fa), .b(fb), .z(fz), .target(target), .whole_cycles(whole_cycles),
+          .clk(clk), .rst(rst), .a(fa), .b(fb), .z(fz), .target(target), .hold(held), .whole_cycles(whole_cycles),
           .interval(interval), .clear_fault(clear_fault), .raw(raw[32*n+:32]), .inserted(inserted[32*n+:32]),
           .a_out(a_out[n]), .b_out(b_out[n]), .z_out(z_out[n]), .at_index(at_index[32*n+:32]), .fault(illegal)
       );
       reg seen_broken;
       always @(posedge clk) seen_broken <= !rst && (broken[n] || (seen_broken && !clear_fault));
       assign fault[n]  = illegal || seen_broken;
-      wire signed [31:0] off = target - is;
-      assign moving[n] = whole_cycles ? off > 2 || off < -2 || is[1:0] != 0 : off != 0;
+      always @(posedge clk) on_its_way[n] <= whole_cycles ? off > 2 || off < -2 || is[1:0] != 0 : off != 0;
     end
   endgenerate
 
   link #(.AXES(AXES), .SIZE_BITS(SIZE_BITS)) line (
       .clk(clk), .rst(rst), .boot(boot), .box_serial(box_serial), .counter_bits(counter_bits),
       .hold_after_ms(hold_after_ms), .counts_per_s(counts_per_s), .rx_data(rx_data), .rx_valid(rx_valid),
-      .tx_data(tx_data), .tx_valid(tx_valid), .tx_ready(tx_ready), .raw(raw), .inserted(inserted), .moving(|moving),
+      .tx_data(tx_data), .tx_valid(tx_valid), .tx_ready(tx_ready), .raw(raw), .inserted(inserted), .moving(|on_its_way),
       .fault(|fault), .broken(|broken), .target(asked), .clear_fault(clear_fault), .time_us(time_us), .held(held),
       .resumed(resumed), .heard(heard)
   );

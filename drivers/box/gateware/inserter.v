@@ -11,6 +11,8 @@
 // - A count against the motion may be made by leaving a raw edge out.
 // - Between two inserted counts there are at least `interval` clocks.
 // - `whole_cycles`: four counts at a time; a cycle once begun is finished, and more than half a one must be wanting.
+// - The target of two clocks ago counts: the long subtraction and what follows from it take a clock each, and what was
+//   inserted meanwhile is taken off. So no path holds more than one sum of WIDTH bits.
 `default_nettype none
 module inserter #(
     parameter SEPARATION = 16,  // clocks, at least 2
@@ -23,6 +25,7 @@ module inserter #(
     input  wire                    b,
     input  wire                    z,
     input  wire signed [WIDTH-1:0] target,        // inserted counts wanted, absolute
+    input  wire                    hold,          // nothing is inserted, but for the rest of a cycle that is begun
     input  wire                    whole_cycles,
     input  wire [RATE_BITS-1:0]    interval,      // clocks from one inserted count to the next, at least 1
     input  wire                    clear_fault,
@@ -65,20 +68,25 @@ module inserter #(
   wire ahead_clear = since_in >= CLEAR - 2 && !edge_in;
   wire behind_clear = since_raw >= CLEAR - 1 && since_edge >= CLEAR - 1;
 
-  // What is wanted.
-  reg signed [WIDTH-1:0] cycle_goal;
-  wire signed [WIDTH-1:0] wanting = target - cycle_goal;
-  wire more = inserted == cycle_goal && wanting > 2, less = inserted == cycle_goal && wanting < -2;
-  wire signed [WIDTH-1:0] goal = !whole_cycles ? target : more ? cycle_goal + 4 : less ? cycle_goal - 4 : cycle_goal;
-  reg [RATE_BITS-1:0] since_insertion;
-  wire due = running && since_insertion + 1'b1 >= interval;
-  wire wants_up = due && goal > inserted, wants_down = due && goal < inserted;
+  // What is wanted: how far the target of two clocks ago is from here, as far as it matters (-5 … 5).
+  reg signed [WIDTH-1:0] off;
+  reg signed [3:0] near_off;
+  reg signed [1:0] step, step_before;  // what the last two clocks inserted
+  wire signed [4:0] wanting = near_off - step - step_before;
+  reg signed [3:0] left;               // counts to the end of the cycle that is begun
+  wire more = left == 0 && !hold && wanting > 2, less = left == 0 && !hold && wanting < -2;
+  wire signed [3:0] cycle = more ? 4'sd4 : less ? -4'sd4 : left;
+  reg [RATE_BITS-1:0] to_wait;
+  reg due;
+  wire wants_up = running && due && (whole_cycles ? cycle > 0 : !hold && wanting > 0);
+  wire wants_down = running && due && (whole_cycles ? cycle < 0 : !hold && wanting < 0);
 
   wire alone = !raw_edge && ahead_clear && behind_clear;
   wire up = wants_up && (alone || raw_down);
   wire down = wants_down && (alone || raw_up);
   wire insert = up || down;
-  wire signed [WIDTH-1:0] inserted_next = inserted + (up ? 1 : down ? -1 : 0);
+  wire signed [1:0] step_now = up ? 2'sd1 : down ? -2'sd1 : 2'sd0;
+  wire signed [WIDTH-1:0] inserted_next = inserted + step_now;
 
   // Lines and ledger change at the same clock.
   reg [1:0] phase_out;
@@ -87,21 +95,31 @@ module inserter #(
     if (rst || !running) begin
       raw <= 0;
       inserted <= 0;
-      cycle_goal <= 0;
+      off <= 0;
+      near_off <= 0;
+      step <= 0;
+      step_before <= 0;
+      left <= 0;
+      due <= 1;
       fault <= 0;
       at_index <= 0;
       since_raw <= CLEAR;
       since_edge <= CLEAR;
-      since_insertion <= {RATE_BITS{1'b1}} - 1'b1;
+      to_wait <= 0;
     end else begin
       raw <= raw + (raw_up ? 1 : raw_down ? -1 : 0);
       inserted <= inserted_next;
-      cycle_goal <= goal;
+      off <= target - inserted;
+      near_off <= off > 5 ? 4'sd5 : off < -5 ? -4'sd5 : off[3:0];
+      step <= step_now;
+      step_before <= step;
+      left <= whole_cycles ? cycle - step_now : 4'sd0;
       fault <= raw_both || (fault && !clear_fault);
       if (index[SEPARATION-1] && !index_before) at_index <= raw + (raw_up ? 1 : raw_down ? -1 : 0);
       since_raw <= raw_edge ? 0 : since_raw + (since_raw != CLEAR);
       since_edge <= insert && !raw_edge ? 0 : since_edge + (since_edge != CLEAR);
-      since_insertion <= insert ? 0 : since_insertion + (since_insertion + 1'b1 < interval);
+      to_wait <= insert ? interval : to_wait - (to_wait != 0);
+      due <= insert ? interval <= 1 : to_wait <= 2;
     end
     since_in <= edge_in ? 0 : since_in + (since_in != CLEAR);
     phase_out <= phase[SEPARATION-1] + (rst || !running ? 2'd0 : inserted_next[1:0]);

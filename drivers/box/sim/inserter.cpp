@@ -21,6 +21,7 @@ int inserter_run(int64_t n, int separation, const uint8_t* a, const uint8_t* b, 
   top.whole_cycles = whole_cycles;
   top.interval = interval;
   top.clear_fault = 0;
+  top.hold = 0;
   top.a = a[0];
   top.b = b[0];
   top.z = z[0];
@@ -29,14 +30,14 @@ int inserter_run(int64_t n, int separation, const uint8_t* a, const uint8_t* b, 
   for (int i = 0; i < 2 * separation + 4; ++i) clock();
   top.rst = 0;
   for (int i = 0; i < 2 * separation + 4; ++i) clock();
-  // The sample that is decided in a clock came in `separation` clocks before; the target is that of this sample.
-  const int late = separation;
+  // The sample that is decided in a clock came in `separation` clocks before; its target two clocks before.
+  const int late = separation, early = 2;
   for (int64_t i = 0; i < n + late; ++i) {
     const int64_t in = i < n ? i : n - 1;
     top.a = a[in];
     top.b = b[in];
     top.z = z[in];
-    if (i >= late) top.target = target[i - late];
+    if (i >= late - early) top.target = target[i - late + early < n ? i - late + early : n - 1];
     clock();
     if (i >= late) {
       a_out[i - late] = top.a_out;
