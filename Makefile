@@ -82,8 +82,8 @@ studio: $(STAMP)  ## compare, diagnose and improve in the browser; opens out/stu
 	@mkdir -p out/studio
 	$(BIN)/rtec studio out/studio
 
-box:  ## the encoder box's gateware: its simulation and the bitstreams of two boards
-	$(MAKE) -C drivers/box sim synth
+box:  ## the encoder box's gateware: its simulation, its proofs and the bitstreams of the boards
+	$(MAKE) -C drivers/box sim proof synth
 
 format: $(STAMP)  ## rewrite the code in the project's format
 	$(BIN)/ruff format .

@@ -299,6 +299,10 @@ class GatewareBox:
         self._tell()
         return self.chip.received()
 
+    def tick(self, now_ns: int) -> None:
+        """Time goes by; what comes from the chip is lost, and none does."""
+        self.idle(now_ns)
+
     def _tell(self) -> None:
         """What the controller has more than the encoders, by its own count."""
         ledgers = [self.chip.ledger(i) for i in range(self.axes)]

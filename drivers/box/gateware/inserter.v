@@ -11,7 +11,7 @@
 // - A count against the motion may be made by leaving a raw edge out.
 // - Between two inserted counts there are at least `interval` clocks.
 // - `whole_cycles`: four counts at a time; a cycle once begun is finished, and more than half a one must be wanting.
-// - The target of two clocks ago counts: the long subtraction and what follows from it take a clock each, and what was
+// - The target of three clocks ago counts: its long subtraction and what follows from it take a clock each, and what was
 //   inserted meanwhile is taken off. So no path holds more than one sum of WIDTH bits.
 `default_nettype none
 module inserter #(
@@ -68,18 +68,21 @@ module inserter #(
   wire ahead_clear = since_in >= CLEAR - 2 && !edge_in;
   wire behind_clear = since_raw >= CLEAR - 1 && since_edge >= CLEAR - 1;
 
-  // What is wanted: how far the target of two clocks ago is from here, as far as it matters (-5 … 5).
+  // What is wanted: how far the target of three clocks ago is from here, as far as it matters (-6 … 6), less what the
+  // clocks since then have inserted. The last of them chooses between three answers that are ready.
   reg signed [WIDTH-1:0] off;
   reg signed [3:0] near_off;
   reg signed [1:0] step, step_before;  // what the last two clocks inserted
-  wire signed [4:0] wanting = near_off - step - step_before;
+  wire signed [4:0] base = near_off - step - step_before;
+  reg [2:0] over, under, far_over, far_under;  // if the clock before inserted nothing, a count up, a count down
+  wire [1:0] last = step[1] ? 2'd2 : {1'b0, step[0]};
   reg signed [3:0] left;               // counts to the end of the cycle that is begun
-  wire more = left == 0 && !hold && wanting > 2, less = left == 0 && !hold && wanting < -2;
+  wire more = left == 0 && !hold && far_over[last], less = left == 0 && !hold && far_under[last];
   wire signed [3:0] cycle = more ? 4'sd4 : less ? -4'sd4 : left;
   reg [RATE_BITS-1:0] to_wait;
   reg due;
-  wire wants_up = running && due && (whole_cycles ? cycle > 0 : !hold && wanting > 0);
-  wire wants_down = running && due && (whole_cycles ? cycle < 0 : !hold && wanting < 0);
+  wire wants_up = running && due && (whole_cycles ? cycle > 0 : !hold && over[last]);
+  wire wants_down = running && due && (whole_cycles ? cycle < 0 : !hold && under[last]);
 
   wire alone = !raw_edge && ahead_clear && behind_clear;
   wire up = wants_up && (alone || raw_down);
@@ -97,6 +100,7 @@ module inserter #(
       inserted <= 0;
       off <= 0;
       near_off <= 0;
+      {over, under, far_over, far_under} <= 0;
       step <= 0;
       step_before <= 0;
       left <= 0;
@@ -110,7 +114,11 @@ module inserter #(
       raw <= raw + (raw_up ? 1 : raw_down ? -1 : 0);
       inserted <= inserted_next;
       off <= target - inserted;
-      near_off <= off > 5 ? 4'sd5 : off < -5 ? -4'sd5 : off[3:0];
+      near_off <= off > 6 ? 4'sd6 : off < -6 ? -4'sd6 : off[3:0];
+      over <= {base > -1, base > 1, base > 0};
+      under <= {base < -1, base < 1, base < 0};
+      far_over <= {base > 1, base > 3, base > 2};
+      far_under <= {base < -3, base < -1, base < -2};
       step <= step_now;
       step_before <= step;
       left <= whole_cycles ? cycle - step_now : 4'sd0;
@@ -118,7 +126,7 @@ module inserter #(
       if (index[SEPARATION-1] && !index_before) at_index <= raw + (raw_up ? 1 : raw_down ? -1 : 0);
       since_raw <= raw_edge ? 0 : since_raw + (since_raw != CLEAR);
       since_edge <= insert && !raw_edge ? 0 : since_edge + (since_edge != CLEAR);
-      to_wait <= insert ? interval : to_wait - (to_wait != 0);
+      to_wait <= insert ? interval : to_wait - !due;
       due <= insert ? interval <= 1 : to_wait <= 2;
     end
     since_in <= edge_in ? 0 : since_in + (since_in != CLEAR);
@@ -128,5 +136,8 @@ module inserter #(
   assign a_out = phase_out[1] ^ phase_out[0];
   assign b_out = phase_out[1];
   assign z_out = z_late;
+`ifdef FORMAL
+`include "formal/inserter.vh"
+`endif
 endmodule
 `default_nettype wire

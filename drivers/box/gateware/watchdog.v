@@ -3,7 +3,8 @@
 // Silent for more than `hold_after_ms` since the last `heard`: `held` is set, and stays until the next one.
 `default_nettype none
 module watchdog #(
-    parameter CLK_HZ = 12_000_000
+    parameter CLK_HZ = 12_000_000,
+    parameter US_PER_MS = 1000  // smaller in the proof
 ) (
     input  wire        clk,
     input  wire        rst,
@@ -18,7 +19,7 @@ module watchdog #(
   reg [PRE_BITS-1:0] pre;
   wire tick_us = pre == CLKS_PER_US - 1;
   reg [9:0] us;
-  wire tick_ms = tick_us && us == 10'd999;
+  wire tick_ms = tick_us && us == US_PER_MS - 1;
   reg [16:0] silent_ms;
 
   always @(posedge clk) begin
@@ -34,5 +35,8 @@ module watchdog #(
       if (silent_ms > hold_after_ms) held <= 1;
     end
   end
+`ifdef FORMAL
+`include "formal/watchdog.vh"
+`endif
 endmodule
 `default_nettype wire

@@ -30,8 +30,8 @@ int inserter_run(int64_t n, int separation, const uint8_t* a, const uint8_t* b, 
   for (int i = 0; i < 2 * separation + 4; ++i) clock();
   top.rst = 0;
   for (int i = 0; i < 2 * separation + 4; ++i) clock();
-  // The sample that is decided in a clock came in `separation` clocks before; its target two clocks before.
-  const int late = separation, early = 2;
+  // The sample that is decided in a clock came in `separation` clocks before; its target three clocks before.
+  const int late = separation, early = 3;
   for (int64_t i = 0; i < n + late; ++i) {
     const int64_t in = i < n ? i : n - 1;
     top.a = a[in];
