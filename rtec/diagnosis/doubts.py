@@ -109,8 +109,9 @@ def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
     apart: list[tuple[Series, Series]] = []
     worst = 0.0
     for (i, one), (j, two) in itertools.combinations(enumerate(readings.series), 2):
-        same = one.column == two.column and readings.measurements[one.source].instrument.component == (
-            readings.measurements[two.source].instrument.component
+        # Set up otherwise, as a beam at another offset, an instrument reads something else at the same place.
+        same = one.column == two.column and (
+            readings.measurements[one.source].instrument == readings.measurements[two.source].instrument
         )
         common = _common(readings, one, two, measured) if same and one.source != two.source else None
         if common is None:

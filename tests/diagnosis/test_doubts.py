@@ -44,6 +44,13 @@ def test_files_that_contradict_each_other_blame_no_effect() -> None:
     assert not d.findings[0].accepted
 
 
+def test_beams_at_other_offsets_do_not_contradict_each_other() -> None:
+    """Oracle: the arm: 38 µrad of tilt make 3.8 µm more on a beam that is 100 mm farther away."""
+    tilts = [*BENT, "angular_reversal,component=EBX,axis=X,theta=38"]
+    beside = laser(tilts, 12, setup={"beam_offset_mm": [0.0, 0.0, 100.0]})
+    assert not compare(model(*BENT), [laser(tilts, 11), beside]).doubts
+
+
 @pytest.mark.parametrize("factor", [60.0, 1 / 25.4])
 def test_a_wrong_unit_of_a_channel_is_no_new_effect(factor: float) -> None:
     """A position in other units; the model, which was made with the right ones, says which."""
