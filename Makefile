@@ -76,6 +76,7 @@ figures: $(STAMP)  ## the figures of the documentation, made by the demo and by 
 	$(BIN)/rtec demo --no-hidden --out out/figures
 	cp out/figures/diameter.png docs/figures/demo-diameter.png
 	$(BIN)/python -m tests.tutorial.tutorial docs/figures
+	$(BIN)/python -m tests.notebooks.run
 	$(BIN)/python -m tests.tutorial.campaign docs/figures
 
 studio: $(STAMP)  ## compare, diagnose and improve in the browser; opens out/studio

@@ -38,11 +38,11 @@ class Measurement(Shown):
 
     name: str
     instrument: Instrument
-    machine: Machine
-    run: Ints
-    time_s: Floats
-    channels: Mapping[str, Floats]
-    readings: Mapping[str, Floats]
+    machine: Machine = field(repr=False)
+    run: Ints = field(repr=False)
+    time_s: Floats = field(repr=False)
+    channels: Mapping[str, Floats] = field(repr=False)
+    readings: Mapping[str, Floats] = field(repr=False)
     sha256: str = ""
     notes: tuple[str, ...] = field(default=())
 

@@ -117,7 +117,7 @@ class Model(Shown):
 
     page_maker: ClassVar[str] = "rtec.report.history:model_page"
 
-    machine: Machine
+    machine: Machine = field(repr=False)
     effects: tuple[FittedEffect, ...] = ()
     name: str = "model"
     reference_degc: float = 20.0

@@ -182,6 +182,15 @@ def test_figures_and_notebooks(folder: Path) -> None:
     assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
 
 
+def test_a_console_shows_a_line_not_every_number(folder: Path) -> None:
+    """Oracle: the length; 10 000 readings make no difference."""
+    measured = rtec.load_measurement(folder / "laser-x-4.csv", folder / "machine.toml")
+    assert repr(measured).startswith("Measurement(name='laser-x-4', instrument=LaserLinear(")
+    assert len(repr(measured)) < 500
+    made = rtec.simulate(folder / "machine.toml", "laser_linear", axis="X", changes={"cycles": 1})
+    assert len(repr(made)) < 600
+
+
 def test_the_message_says_what_to_do(folder: Path, tmp_path: Path) -> None:
     """Oracle: the messages of the commands; nothing was written."""
     with pytest.raises(rtec.RtecError, match="no such file"):

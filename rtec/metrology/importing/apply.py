@@ -1,7 +1,7 @@
 """Applying a map: a table of another program becomes the columns of a measurement, and says what it did."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -43,7 +43,7 @@ class Imported(Result):
 
     page_maker: ClassVar[str] = "rtec.report.measurement:imported_page"
 
-    columns: dict[str, Values]
+    columns: dict[str, Values] = field(repr=False)
     reader: str
     rows_in: int
     rows_out: int

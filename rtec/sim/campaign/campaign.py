@@ -5,7 +5,7 @@ The true effects see the true temperatures; the measurement holds what the senso
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,12 +46,12 @@ class Simulated(Result):
     page_maker: ClassVar[str] = "rtec.report.measurement:recorded_page"
 
     measurement: Measurement
-    components: Mapping[str, Floats]
-    nuisance_um: Floats
-    nuisance: Mapping[tuple[str, int], float]
-    clean: Floats
-    true_degc: Mapping[str, Floats]
-    phase: tuple[str, ...]
+    components: Mapping[str, Floats] = field(repr=False)
+    nuisance_um: Floats = field(repr=False)
+    nuisance: Mapping[tuple[str, int], float] = field(repr=False)
+    clean: Floats = field(repr=False)
+    true_degc: Mapping[str, Floats] = field(repr=False)
+    phase: tuple[str, ...] = field(repr=False)
 
     def to_frame(self, kind: Kind | None = None) -> Any:
         """The rows of the measurement; `kind` as for `rtec.result.Shown.to_frame`."""
