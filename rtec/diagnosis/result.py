@@ -149,6 +149,7 @@ class Unknown:
         p: family-wise probability of it by chance.
         r2: share of the residual's variance that it explains on runs left out.
         where: where along its channels it is, in words; empty where there is nothing to say.
+        with_time: the channel rises with time in this record, so that a drift would look alike.
         expression, parameters, feeds: the nearest simple expression for `rtec add`, as `--expr`, `--param` and
             `--component` take them; empty where there is none.
     """
@@ -163,6 +164,7 @@ class Unknown:
     expression: str = ""
     parameters: tuple[str, ...] = ()
     feeds: str = ""
+    with_time: bool = False
 
 
 @dataclass(frozen=True)
@@ -365,4 +367,5 @@ def _unknown(u: Unknown | None) -> dict[str, Any] | None:
         "expression": u.expression,
         "parameters": list(u.parameters),
         "feeds": u.feeds,
+        "with_time": u.with_time,
     }

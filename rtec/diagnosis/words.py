@@ -114,10 +114,10 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
         period = d.unknown.period
         how = f"with a period of {significant(period.value, 4)} {spoken(period.unit)}" if period else "smoothly"
         at = f", {d.unknown.where}" if d.unknown.where else ""
-        near = ""
+        near = "; it rises with time in this record, so a drift would look alike" if d.unknown.with_time else ""
         if d.findings and d.adequacy is not None:
             share = percent(max(d.adequacy, 0.0))
-            near = f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
+            near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
         return f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
     levels = f"the residual is {number(d.rms_residual)} {unit}, the noise floor {number(d.noise_floor)} {unit}"
     if d.out_of_date:

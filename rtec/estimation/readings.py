@@ -20,7 +20,7 @@ from rtec.estimation.smoothing import Windows, smoothed
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
-from rtec.parallel import MANY, each
+from rtec.parallel import each
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -288,6 +288,8 @@ def _check(measurements: Sequence[Measurement]) -> None:
         raise MeasurementError("\n".join(faults))
 
 
+LOOK = 2500
+"""So many readings pick candidates as well as all do; what is picked is fitted to all."""
 RUNS = 40
 """Whole runs are taken where there are at least so many; else single readings, evenly."""
 
@@ -295,11 +297,11 @@ RUNS = 40
 def looked_at(readings: Readings) -> NDArray[np.bool_]:
     """Which readings a first look takes, (m,): all where they are not many."""
     keep = np.ones(len(readings), dtype=bool)
-    if len(readings) <= MANY:
+    if len(readings) <= LOOK:
         return keep
     # Drawn, not every so-and-so many: the runs of a campaign have patterns (there and back, fast and slow).
     rng = np.random.default_rng(0)
-    share = MANY / len(readings)
+    share = LOOK / len(readings)
     for s in readings.series:
         runs = int(s.run[-1]) + 1
         if runs >= RUNS:

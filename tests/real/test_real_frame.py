@@ -11,6 +11,7 @@ import pytest
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.diagnosis.extend.add import add
 from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from tests.support.frame_thermal import COMPONENT, recorded
@@ -56,6 +57,20 @@ def test_a_refit_of_two_temperatures_stays_what_it_was(name: str, least_squares_
     assert made.before.as_given is not None
     assert made.after.inside <= made.before.as_given
     assert any("weighted least squares" in n for n in made.notes)
+
+
+def test_a_wrong_law_of_a_sensor_is_a_curve_over_it_and_the_right_one_is_not() -> None:
+    """While the bed is hot: README of the data, T⁴ is needed with the wrong law, nothing is missing with the right."""
+    said = {}
+    for name in ("wrong_thermistor", "right_thermistor"):
+        m = recorded(name, hot=True)
+        said[name] = diagnose(fitted(m, FRAME).model, [m], draws=50)
+    wrong, right = said["wrong_thermistor"], said["right_thermistor"]
+    assert wrong.verdict == "unknown_effect"
+    assert wrong.unknown is not None
+    assert wrong.unknown.channels == ("T_frame",)
+    assert "it rises with time in this record" in wrong.sentence
+    assert right.verdict == "nothing_missing"
 
 
 def test_the_fit_is_not_bent_by_failed_homings() -> None:

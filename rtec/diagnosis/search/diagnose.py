@@ -336,10 +336,12 @@ class _Search:
         )
 
     def _unknown(self, top: Shaped) -> Unknown:
+        by_time = "time_s" in top.shape.variables
         top = without_idle(top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.left_out)
         self._top_shape, shape = top, top.shape
         period = None
         if shape.period is not None:
             period = Number(shape.period, None, words.unit_of_channel(shape.variables[0]))
         chance = math.exp(-min(top.log_evidence, 50.0))
-        return Unknown(shape.group, shape.variables, shape.kind, period, chance, top.drop)
+        by_time &= "time_s" not in top.shape.variables and top.shape.variables[0] in self.model.machine.sensor_names
+        return Unknown(shape.group, shape.variables, shape.kind, period, chance, top.drop, with_time=by_time)

@@ -83,16 +83,17 @@ def best_shapes(
 
 
 def _picked(looks: Sequence[Sequence[Weighed]]) -> list[Weighed]:
-    """The best of each look.
+    """The best of each look that are likelier than nothing there.
 
     Rich ones win where the drift is supposed to be small, and lose again with the noise found anew: the lean get their
     chance.
     """
     picked: dict[tuple[str, tuple[str, ...], str, int], Weighed] = {}
     for weighed in looks:
+        likely = [w for w in weighed if w.log_evidence > 0.0]
         for most, few in ((RICH, SHAPES), (LEAN, SHAPES // 2), (PLAIN, SHAPES // 2)):
             fresh = 0
-            for w in (w for w in weighed if w.count <= most):
+            for w in (w for w in likely if w.count <= most):
                 form = w.shape.place.form if w.shape.place is not None else w.shape.kind
                 key = (w.shape.group, w.shape.variables, form, _richness(w))
                 if fresh == few:
@@ -128,9 +129,9 @@ def without_idle(
         base: columns of the current model, (m, p).
         fit, left_out: as for `best_shapes`.
     """
-    if len(top.shape.variables) < 2:
-        return top
     ground = Ground(readings)
+    if len(top.shape.variables) < 2:
+        return _instead_of_time(top, ground, base, fit, left_out)
     alone = [t for t in others if t.shape.group == top.shape.group and len(t.shape.variables) == 1]
     found = [t for t in alone if t.shape.variables[0] in top.shape.variables]
     for name in top.shape.over:
@@ -139,7 +140,44 @@ def without_idle(
         made = fit(np.concatenate([base, columns], axis=1))
         found.append(Shaped(shape, columns, made, top.log_evidence, *left_out(made.whitener, columns)))
     best = max(found, key=lambda t: t.drop)
-    return best if 1.0 - best.drop <= (1.0 + LOSES) * (1.0 - top.drop) else top
+    if 1.0 - best.drop > (1.0 + LOSES) * (1.0 - top.drop):
+        return top
+    return _instead_of_time(best, ground, base, fit, left_out)
+
+
+RISES, AS_GOOD = 0.9, 0.6
+"""Rank correlation with time from which on a temperature rises with it; and the share of the gain in log likelihood
+that it must bring to be named in its place."""
+
+
+def _instead_of_time(
+    top: Shaped,
+    ground: Ground,
+    base: Floats,
+    fit: Callable[[Floats], Fit],
+    left_out: Callable[[Whitener, Floats], tuple[float, float]],
+) -> Shaped:
+    """A temperature that rises with time in place of time itself, where it explains about as much: time causes nothing.
+
+    In a record that only warms up the two cannot be told apart.
+    """
+    if top.shape.variables != ("time_s",) or top.shape.period is not None:
+        return top
+    from scipy.stats import spearmanr
+
+    without = fit(base).log_likelihood
+    found = [top]
+    for name in ground.readings.machine.sensor_names:
+        if name not in ground.known:
+            continue
+        if abs(float(spearmanr(ground.known[name], ground.known["time_s"])[0])) < RISES:
+            continue
+        shape = Shape(top.shape.group, (name,), top.shape.fine)
+        columns = ground.columns(shape)
+        made = fit(np.concatenate([base, columns], axis=1))
+        if made.log_likelihood - without > AS_GOOD * (top.fit.log_likelihood - without):
+            found.append(Shaped(shape, columns, made, top.log_evidence, *left_out(made.whitener, columns)))
+    return max(found[1:], key=lambda t: t.fit.log_likelihood, default=top)
 
 
 def adequacy(columns: Floats, tops: Sequence[Shaped], base: Floats, readings: Readings) -> float:
