@@ -31,14 +31,18 @@ NEEDED = ("linuxcnc", "halcmd", "halsampler", "unshare", "mount", PYTHON)
 NAMESPACES = ("--ipc", "--net", "--pid", "--fork", "--mount", "--mount-proc", "--kill-child")
 NOBODY = 65534
 
-# The folder stays where it is, although /tmp around it becomes another one.
+# The session's folder and the project stay where they are, although /tmp around them becomes another one.
 INIT = """\
 set -e
-mount --bind {folder} /mnt
+mount -t tmpfs tmpfs /mnt
+mkdir /mnt/folder /mnt/root
+mount --bind {folder} /mnt/folder
+mount --bind {root} /mnt/root
 mount -t tmpfs tmpfs /tmp
-mkdir -p {folder}
-mount --bind /mnt {folder}
-python3 -c 'import fcntl, socket, struct
+mkdir -p {folder} {root}
+mount --bind /mnt/folder {folder}
+mount --bind /mnt/root {root}
+/usr/bin/python3 -c 'import fcntl, socket, struct
 s = socket.socket(); fcntl.ioctl(s, 0x8914, struct.pack("16sh14x", b"lo", 0x49))'
 export HOME={folder} RTAPI_FIFO_PATH=/tmp/rtapi_fifo RTAPI_UID={uid} PYTHONPATH=/usr/lib/python3/dist-packages
 cd {folder}
@@ -154,7 +158,7 @@ class Session:
 
     def _start(self) -> None:
         uid = NOBODY if os.getuid() == 0 else os.getuid()
-        text = INIT.format(folder=self.folder, ini=f"{self.name}.ini", uid=uid)
+        text = INIT.format(folder=self.folder, root=ROOT, ini=f"{self.name}.ini", uid=uid)
         self._log = (self.folder / "linuxcnc.log").open("ab")
         self._process = subprocess.Popen(
             ["unshare", *NAMESPACES, "bash", "-c", text],

@@ -1,0 +1,81 @@
+"""External offsets: LinuxCNC counts them from enable, and forgets them when the machine goes off; rtec says so."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.support.linuxcnc_loop import LoopThread
+from tests.support.linuxcnc_session import Session, why_not
+
+pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
+
+AXES = ("x", "z")
+PLACES = ("G0 X-60 Z60", "G0 X60 Z-60")
+STEP_UM = 0.3
+"""Largest change of the error in one servo period that is no jump, µm: rtec's slew limit, and the plant's own errors
+in rapid motion."""
+
+HALF_PLAY_UM = 1.6
+"""An offset that moves an axis back by some micrometres may leave it inside its play, 3 µm in Z."""
+
+
+@pytest.fixture(scope="module")
+def lathe() -> Iterator[Session]:
+    with Session("lathe") as session:
+        session.state("estop_reset")
+        session.state("on")
+        session.home()
+        yield session
+
+
+def errors_um(lathe: Session) -> list[float]:
+    """Errors of the tool now, µm."""
+    return [1e3 * (lathe.gets(f"{a}-tip") - lathe.gets(f"{a}-commanded")) for a in AXES]
+
+
+def small(lathe: Session) -> bool:
+    """Below a twentieth of what they were, both?"""
+    return max(map(abs, errors_um(lathe))) < 0.5
+
+
+def test_they_correct_and_what_machine_off_clears_is_said(lathe: Session) -> None:
+    """Oracle: LinuxCNC's own pins and sampler.
+
+    Without rtec 10 µm and more; with it a twentieth. Machine off: LinuxCNC's offset is zero, its joints have not moved,
+    the loop waits; the order to resume makes it right again. No jump in all of that.
+    """
+    before = 0.0
+    for place in PLACES:
+        lathe.mdi(place)
+        before = max(before, *map(abs, errors_um(lathe)))
+    assert before > 10.0
+    lathe.record(1, "offsets.txt")
+    with LoopThread(lathe) as thread:
+        for place in (*PLACES, *PLACES):
+            lathe.mdi(place)
+            lathe.until(lambda: small(lathe))
+        stands_at, offset = lathe.position(), lathe.gets("x-offset")
+        assert abs(offset) > 1e-3
+        lathe.state("off")
+        lathe.state("on")
+        lathe.until(lambda: "cleared the external offsets" in thread.loop.stats.last_error)
+        assert thread.loop.waits
+        assert lathe.gets("x-offset") == 0.0
+        assert np.allclose(lathe.position(), stands_at, atol=1e-5)
+        thread.loop.order_resume()
+        lathe.until(lambda: small(lathe))
+        lathe.joints(True)
+        lathe.joints(False)
+        lathe.jog(0, 50.0, 5.0)
+        lathe.until(lambda: max(map(abs, errors_um(lathe))) < HALF_PLAY_UM)
+    lathe.stop_record(1)
+    rows = lathe.recorded("offsets.txt")
+    n = len(AXES)
+    error_um = 1e3 * (rows[:, 1 + n : 1 + 2 * n] - rows[:, 1 : 1 + n])
+    tip_um, following = 1e3 * rows[:, 1 + n : 1 + 2 * n], np.diff(rows[:, 0]) == 1
+    jumps = np.abs(np.diff(error_um, axis=0))
+    cleared = (
+        jumps > STEP_UM
+    )  # the offset is LinuxCNC's own number: where it is cleared, nominal changes and the tip not
+    assert (np.abs(np.diff(tip_um, axis=0))[following][cleared[following]] < STEP_UM).all()
