@@ -13,8 +13,7 @@ pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.skipif(bool(why
 AXES = ("x", "z")
 PLACES = ("G0 X-60 Z60", "G0 X60 Z-60")
 STEP_UM = 0.3
-"""Largest change of the error in one servo period that is no jump, µm: rtec's slew limit, and the plant's own errors
-in rapid motion."""
+"""So much further than commanded may the tool move in one servo period, µm: rtec's slew limit, and the plant errors."""
 
 HALF_PLAY_UM = 1.6
 """An offset that moves an axis back by some micrometres may leave it inside its play, 3 µm in Z."""
@@ -56,14 +55,16 @@ def test_they_correct_and_what_machine_off_clears_is_said(lathe: Session) -> Non
             lathe.mdi(place)
             lathe.until(lambda: small(lathe))
         stands_at, offset = lathe.position(), lathe.gets("x-offset")
-        assert abs(offset) > 1e-3
+        assert abs(offset) > 1e-2
         lathe.state("off")
         lathe.state("on")
         lathe.until(lambda: "cleared the external offsets" in thread.loop.stats.last_error)
         assert thread.loop.waits
         assert lathe.gets("x-offset") == 0.0
-        assert np.allclose(lathe.position(), stands_at, atol=1e-5)
+        assert np.allclose(lathe.position(), stands_at, atol=3e-3)  # the last moment's correction
         thread.loop.order_resume()
+        lathe.until(lambda: not thread.loop.waits)
+        lathe.mdi(PLACES[0])  # the offset itself, coming back, may move an axis across its play
         lathe.until(lambda: small(lathe))
         lathe.joints(True)
         lathe.joints(False)
@@ -72,10 +73,6 @@ def test_they_correct_and_what_machine_off_clears_is_said(lathe: Session) -> Non
     lathe.stop_record(1)
     rows = lathe.recorded("offsets.txt")
     n = len(AXES)
-    error_um = 1e3 * (rows[:, 1 + n : 1 + 2 * n] - rows[:, 1 : 1 + n])
-    tip_um, following = 1e3 * rows[:, 1 + n : 1 + 2 * n], np.diff(rows[:, 0]) == 1
-    jumps = np.abs(np.diff(error_um, axis=0))
-    cleared = (
-        jumps > STEP_UM
-    )  # the offset is LinuxCNC's own number: where it is cleared, nominal changes and the tip not
-    assert (np.abs(np.diff(tip_um, axis=0))[following][cleared[following]] < STEP_UM).all()
+    following = np.diff(rows[:, 0]) == 1
+    commanded_um, tip_um = (np.abs(1e3 * np.diff(rows[:, 1 + k : 1 + k + n], axis=0))[following] for k in (0, n))
+    assert (tip_um < commanded_um + STEP_UM).all()
