@@ -162,5 +162,5 @@ def test_a_restart_of_linuxcnc_waits_for_an_order(mill: Session) -> None:
         mill.mdi("G0 X40 Y40 Z40")
         mill.until(lambda: "LinuxCNC restarted" in thread.loop.stats.last_error)
         assert mill.gets("z-correction") == 0.0
-        thread.loop.order_resume()
+        thread.order_resume()
         mill.until(lambda: settled(mill))

@@ -59,7 +59,7 @@ def test_they_correct_and_what_machine_off_clears_is_said(lathe: Session) -> Non
         assert thread.loop.waits
         assert lathe.gets("x-offset") == 0.0
         assert np.allclose(lathe.position(), stands_at, atol=3e-3)  # the last moment's correction
-        thread.loop.order_resume()
+        thread.order_resume()
         lathe.until(lambda: not thread.loop.waits)
         lathe.mdi(PLACES[0])
         lathe.until(lambda: small(lathe))

@@ -16,6 +16,7 @@ from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.records import MODE_ON, Commands, Samples
 from rtec.loop.run_file import load_setup
 from rtec.loop.step import Step
+from tests.support.conformance import soon
 from tests.support.linuxcnc_session import CONFIGS, Session
 
 Floats = NDArray[np.float64]
@@ -43,7 +44,7 @@ class LoopThread:
             text = text.replace(old, new)
         path.write_text(text)
         self._path: Path = path
-        self._stack, self._ends = ExitStack(), threading.Event()
+        self._stack, self._ends, self._resume = ExitStack(), threading.Event(), threading.Event()
         self.output: NDArray[np.int64] = np.zeros(0, np.int64)
 
     def __enter__(self) -> Self:
@@ -65,8 +66,16 @@ class LoopThread:
         self._thread.join()
         self._stack.close()
 
+    def order_resume(self) -> None:
+        """Order it in the loop's own thread, and wait until that is done."""
+        self._resume.set()
+        soon(RealClock(), lambda: not self._resume.is_set())
+
     def _goes_on(self, row: Row) -> bool:
         self.output = row.output.copy()
+        if self._resume.is_set():
+            self.loop.order_resume()
+            self._resume.clear()
         return not self._ends.is_set()
 
 

@@ -82,7 +82,7 @@ unit_um = 0.01
         self._stuck = StuckWatch(options.stuck_after_s)
         self._session = ""
         self._must_resume = ""
-        self._degc_ns: dict[str, int] = {}
+        self._resuming = False
 
     def __enter__(self) -> Self:
         """Connect. Starting a run is an order to resume.
@@ -120,6 +120,7 @@ unit_um = 0.01
             self._session = link.hello.session
             if link.state is not None and link.state.cleared_um is not None:
                 link.send(None)
+                self._resuming = True  # states from before the bridge took the order still say "cleared"
 
     def read_counts(self, counts: IntArray) -> int:
         """Fill in the joints' positions as counts; give the instant of latching, ns.
@@ -240,7 +241,9 @@ unit_um = 0.01
             self._reopener.lost(str(e))
             raise
         state = self._link.state
-        if state is not None and state.cleared_um is not None and not self._must_resume:
+        if state is not None and state.cleared_um is None:
+            self._resuming = False
+        elif state is not None and state.cleared_um is not None and not (self._must_resume or self._resuming):
             self._must_resume = self._cleared(state.cleared_um)
         return self._link
 
