@@ -23,6 +23,7 @@ from rtec.tomlfile import validated
 from rtec_drivers.box.driver import SerialBoxDriver
 from rtec_drivers.box.options import BoxOptions
 from tests.bench.table import Row
+from tests.support.gateware import line_times, missing
 from tests.support.machines import turning_centre
 
 CYCLES = 5000
@@ -49,7 +50,7 @@ def rows() -> list[Row]:
             echo.append(_echo())
             box.append(_box())
     theirs, ours = np.concatenate(echo), np.concatenate(box)
-    return [
+    link = [
         Row(
             f"counts to command over the serial box link at 1 kHz, 2 axes, {name}",
             f"{np.percentile(ours, percent):.0f} µs",
@@ -59,6 +60,21 @@ def rows() -> list[Row]:
             True,
         )
         for name, percent in (("p50", 50), ("p99", 99))
+    ]
+    return [*link, *_gateware(float(np.percentile(ours, 50)))]
+
+
+def _gateware(software_us: float) -> list[Row]:
+    """The simulated gateware by its own clocks: the line and the chip, without a computer at the other end."""
+    if why := missing():
+        return [Row("gateware of the encoder box", "not simulated", None, why, "", True)]
+    read_us, command_us, lost = line_times()
+    beside = f"round trip of the box in software: {software_us:.0f} µs"
+    name = "gateware at 3 Mbaud, 3 axes,"
+    return [
+        Row(f"{name} READ to the end of its answer", f"{read_us:.0f} µs", read_us / software_us, beside, "", True),
+        Row(f"{name} COMMAND to its first count", f"{command_us:.0f} µs", command_us / software_us, beside, "", True),
+        Row(f"{name} latches lost at 4 kHz", f"{lost}", None, "400 cycles of 250 µs", "0", lost == 0),
     ]
 
 

@@ -11,18 +11,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from rtec_drivers.box.simulator import BoxSimulator, StillPlant, crc32, stuff, unstuff
-from tests.support.gateware import GatewareBox, missing
+from rtec_drivers.box.simulator import BoxSimulator, StillPlant, crc32, unstuff
+from tests.support.gateware import Chip, GatewareBox, frame, line_times, missing
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 MS = 1_000_000
 HELLO, READ, COMMAND, RESUME = 1, 2, 3, 4
-
-
-def frame(kind: int, number: int, payload: bytes = b"", version: int = 1) -> bytes:
-    """A frame on the wire."""
-    body = bytes((version, kind)) + number.to_bytes(2, "little") + payload
-    return b"\0" + stuff(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
 def command(number: int, boot: int, *targets: int) -> bytes:
@@ -136,3 +130,46 @@ def test_counters_wrap_at_their_width(bits: int) -> None:
     both.tell(frame(HELLO, 1))
     both.tell(frame(READ, 2))
     both.hard.close()
+
+
+def test_at_4_khz_no_latch_of_three_axes_is_lost() -> None:
+    """READ and COMMAND every 250 µs at 12 MHz and 3 Mbaud. Oracle: the numbers asked, and axes that move as one."""
+    read_us, command_us, lost = line_times()
+    assert lost == 0
+    # 11 bytes out and 43 in, of 10 bits, and what the chip thinks; 24 bytes out and the way through the pipeline.
+    assert 180.0 < read_us < 250.0
+    assert 80.0 < command_us < 100.0
+
+
+def test_the_limit_holds_whatever_is_asked(both: Both) -> None:
+    """Oracle: the limit that the board ties, here 10 counts either way."""
+    chip = both.hard.chip
+    chip.settings(boot=7, limit=10)
+    both.hard.receive(frame(RESUME, 1, (7).to_bytes(2, "little")), both.now_ns)
+    for targets, has in (((50, -50), [10, -10]), ((2**31 - 1, -(2**31)), [10, -10]), ((3, -4), [3, -4])):
+        both.hard.receive(command(2, 7, *targets), both.now_ns)
+        chip.run(20_000, [0, 0])
+        assert [chip.ledger(i).inserted for i in range(2)] == has
+
+
+def test_spi_carries_the_same_frames_and_each_start_has_its_number() -> None:
+    """Oracle: INFO and STATE as docs/rtec-box-link.md says; the number of the start is boot.v's own."""
+    chip = Chip(2, SPI=1)
+    numbers = []
+    for wait in (1000, 3456):
+        chip.reset()
+        chip.run(wait, [0, 0])
+        answers = bodies(chip.spi(frame(HELLO, 9)) + chip.spi(bytes(60)))
+        assert [a[1] for a in answers] == [0x81]
+        assert answers[0][6:10] == (42).to_bytes(4, "little")
+        numbers.append(answers[0][4:6])
+    assert numbers[0] != numbers[1]
+    chip.run(2000, [123, -45])
+    chip.spi(frame(RESUME, 10, numbers[1]))
+    chip.spi(bytes(60))
+    (state,) = bodies(chip.spi(frame(READ, 11)) + chip.spi(bytes(60)))
+    assert struct.unpack("<iiii", state[13:29])[::2] == (123, -45)
+    chip.spi(command(12, int.from_bytes(numbers[1], "little"), 4, -4))
+    chip.run(20_000, [123, -45])
+    assert [chip.ledger(i).inserted for i in range(2)] == [4, -4]
+    chip.close()

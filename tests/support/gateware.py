@@ -7,6 +7,7 @@ against the gateware, its UART included. What the controller has is decoded from
 import ctypes
 import os
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec_drivers.box.simulator import Plant
+from rtec_drivers.box.simulator import Plant, crc32, stuff, unstuff
 
 FOLDER: Final = Path(__file__).parents[2] / "drivers" / "box"
 CLK_HZ: Final = 4_000_000
@@ -37,10 +38,10 @@ def library(**settings: int) -> ctypes.CDLL:
     """Build the simulation, once for each set of sizes, and load it.
 
     Args:
-        settings: AXES, CLK_HZ, BAUD, SEPARATION, COVERAGE; see `drivers/box/Makefile`.
+        settings: AXES, CLK_HZ, BAUD, SEPARATION, SPI, COVERAGE; see `drivers/box/Makefile`.
     """
-    sizes = {"AXES": 2, "CLK_HZ": CLK_HZ, "BAUD": BAUD, "SEPARATION": SEPARATION} | settings
-    name = "chip-" + "-".join(str(sizes[k]) for k in ("AXES", "CLK_HZ", "BAUD", "SEPARATION"))
+    sizes = {"AXES": 2, "CLK_HZ": CLK_HZ, "BAUD": BAUD, "SEPARATION": SEPARATION, "SPI": 0} | settings
+    name = "chip-" + "-".join(str(sizes[k]) for k in ("AXES", "CLK_HZ", "BAUD", "SEPARATION", "SPI"))
     name += "-coverage" if sizes.get("COVERAGE") else ""
     lib = _built("sim", name, sizes)
     lib.chip_new.restype = ctypes.c_void_p
@@ -57,6 +58,7 @@ def library(**settings: int) -> ctypes.CDLL:
         "run",
         "lines",
         "ledger",
+        "spi",
     ):
         getattr(lib, f"chip_{call}").argtypes = _ARGUMENTS[call]
     return lib
@@ -120,6 +122,7 @@ _ARGUMENTS: Final[dict[str, list[Any]]] = {
     "run": [ctypes.c_void_p, ctypes.c_int64, ctypes.POINTER(ctypes.c_int64), ctypes.c_int],
     "lines": [ctypes.c_void_p, ctypes.c_int, ctypes.c_int64, *[ctypes.c_void_p] * 6],
     "ledger": [ctypes.c_void_p, ctypes.c_int, ctypes.POINTER(ctypes.c_int64)],
+    "spi": [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_int],
 }
 
 
@@ -204,11 +207,71 @@ class Chip:
         n = self._lib.chip_receive(self._chip, room, len(room))
         return room.raw[:n]
 
+    def spi(self, data: bytes, half: int = 4) -> bytes:
+        """Clock bytes out and in as an SPI master does, `half` clocks of the chip for half a clock of the line."""
+        came = ctypes.create_string_buffer(len(data))
+        self._lib.chip_spi(self._chip, data, came, len(data), half)
+        return came.raw
+
     def ledger(self, axis: int) -> "Ledger":
         """Counts of one axis."""
         out = (ctypes.c_int64 * 6)()
         self._lib.chip_ledger(self._chip, axis, out)
         return Ledger(*out)
+
+
+def line_times(cycles: int = 400) -> tuple[float, float, int]:
+    """What the box link takes with three axes, at 12 MHz and 3 Mbaud, by the chip's own clocks.
+
+    Args:
+        cycles: of 250 µs, with a READ and a COMMAND in each.
+
+    Returns:
+        µs from the first bit of a READ to the last of its answer, from the first bit of a COMMAND to its first inserted
+        count, and how many of the latches at 4 kHz were lost.
+    """
+    chip = Chip(3, CLK_HZ=12_000_000, BAUD=3_000_000, SEPARATION=16)
+    try:
+        chip.settings(interval=12, counts_per_s=1_000_000)
+        chip.send(frame(4, 1, (1).to_bytes(2, "little")))
+        chip.run(6000, [0, 0, 0])
+        chip.received()
+        chip.send(frame(2, 2))
+        read_us = 0
+        answer = b""
+        while answer.count(0) < 2:
+            chip.run(12, [0, 0, 0])
+            answer += chip.received()
+            read_us += 1
+        chip.send(frame(3, 3, struct.pack("<H3i", 1, 5, 5, 5)))
+        command_us = 0
+        while not chip.ledger(0).inserted:
+            chip.run(12, [0, 0, 0])
+            command_us += 1
+        came, places = b"", 0
+        for n in range(cycles):
+            chip.send(frame(2, n) + frame(3, n, struct.pack("<H3i", 1, n % 7, -n % 5, n % 3)))
+            places += 50
+            chip.run(3000, [places, places, places])
+            came += chip.received()
+        chip.run(3000, [places, places, places])
+        answers = [unstuff(block) for block in (came + chip.received()).split(b"\0") if block]
+        good = {int.from_bytes(a[2:4], "little") for a in answers if _at_one_instant(a)}
+        return float(read_us), float(command_us), cycles - len(good)
+    finally:
+        chip.close()
+
+
+def frame(kind: int, number: int, payload: bytes = b"", version: int = 1) -> bytes:
+    """A frame of the box link, as it goes over the wire."""
+    body = bytes((version, kind)) + number.to_bytes(2, "little") + payload
+    return b"\0" + stuff(body + crc32(body).to_bytes(4, "little")) + b"\0"
+
+
+def _at_one_instant(state: bytes) -> bool:
+    """Is this a whole STATE of three axes that move as one, latched together?"""
+    raw = {state[13 + 8 * i : 17 + 8 * i] for i in range(3)}
+    return crc32(state[:-4]) == int.from_bytes(state[-4:], "little") and state[1] == 0x82 and len(raw) == 1
 
 
 class Ledger:

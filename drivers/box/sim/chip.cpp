@@ -50,6 +50,7 @@ struct Chip {
   int sending = 0, send_wait = 0, send_bits = 0;
   std::vector<uint8_t> from_box;
   int got = 0, got_wait = 0, got_bits = 0;
+  bool spi = false;  // the line is SPI's: nothing goes by itself
 
   Chip(int axes_, int divisor_) : top(new Vchip(&context)), axes(axes_), divisor(divisor_), position(axes_, 0),
                                   controller(axes_) {}
@@ -57,13 +58,13 @@ struct Chip {
   int line(const uint32_t mask, int axis) const { return (mask >> axis) & 1; }
 
   void clock() {
-    drive_line();
+    if (!spi) drive_line();
     top->clk = 0;
     top->eval();
     top->clk = 1;
     top->eval();
     ++clocks;
-    read_line();
+    if (!spi) read_line();
     if (!top->rst)
       for (int i = 0; i < axes; ++i) controller[i].see(line(top->a_out, i) | line(top->b_out, i) << 1);
   }
@@ -154,6 +155,30 @@ int chip_receive(Chip* chip, uint8_t* data, int most) {
   std::memcpy(data, chip->from_box.data(), n);
   chip->from_box.erase(chip->from_box.begin(), chip->from_box.begin() + n);
   return n;
+}
+
+// SPI, mode 0, as a master drives it: n bytes out and in, `half` clocks of ours for half a clock of the line.
+void chip_spi(Chip* chip, const uint8_t* out, uint8_t* in, int n, int half) {
+  Vchip& t = *chip->top;
+  chip->spi = true;
+  auto wait = [&] { for (int i = 0; i < half; ++i) chip->clock(); };
+  t.sck = 0;
+  t.ss_n = 0;
+  wait();
+  for (int i = 0; i < n; ++i) {
+    in[i] = 0;
+    for (int bit = 7; bit >= 0; --bit) {
+      t.rx = (out[i] >> bit) & 1;
+      wait();
+      in[i] |= t.tx << bit;
+      t.sck = 1;
+      wait();
+      t.sck = 0;
+    }
+  }
+  wait();
+  t.ss_n = 1;
+  wait();
 }
 
 // So many clocks; every encoder goes evenly to its place, at most a count in `gap` clocks. Gives the clocks that it took.
