@@ -1,7 +1,7 @@
 """`rtec studio`: the pages in the browser."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -23,11 +23,20 @@ def studio(
         Path | None, typer.Option(metavar="FILE", help="Certificate for TLS (PEM).", show_default=False)
     ] = None,
     tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Its key (PEM).", show_default=False)] = None,
+    attach: Annotated[
+        Path | None,
+        typer.Option(metavar="CONFIG", help="Run file of a running daemon, to show it live.", show_default=False),
+    ] = None,
+    role: Annotated[
+        Literal["read", "operate"], typer.Option(help="With --attach: read shows it; operate has the buttons, too.")
+    ] = "read",
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")] = True,
 ) -> None:
     """Opens the pages in the browser: compare, diagnose, add an effect, and watch the error fall.
 
-    Example: `rtec studio out/tutorial`
+    Examples: `rtec studio out/tutorial`
+
+    `rtec studio --attach configs/turning-centre-sim.toml --role operate`
 
     Reads and writes files in FOLDER only, and listens on this computer only. Another address needs TLS or a key of
     your own. Needs `pip install rtec[studio]`.
@@ -57,7 +66,14 @@ def studio(
 
             webbrowser.open(address)
 
-    serve(folder, Address(host, port, token or new_token(), tls_cert, tls_key), opened)
+    live = None
+    if attach is not None:
+        from rtec.studio.live import LiveLink
+
+        if not attach.is_file():
+            raise RtecError(f"{attach}: no such file; --attach takes the run file of a running daemon")
+        live = LiveLink(attach, role)
+    serve(folder, Address(host, port, token or new_token(), tls_cert, tls_key), opened, live)
 
 
 def _check_installed() -> None:

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from rtec.control.facts import held, um_text
-from rtec.control.messages import RequestError, may_be_text, read_answer, request
+from rtec.control.messages import RequestError, Role, may_be_text, read_answer, request
 from rtec.control.places import all_of, answers, of_config
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock
@@ -149,6 +149,15 @@ class Client:
             RtecError: it does not answer.
         """
         return self._ask("status")
+
+    def lower(self, name: str, role: Role) -> None:
+        """Take a name for the events, and no more rights than those of a role, for as long as the connection lasts.
+
+        Raises:
+            OrderRefused: the daemon grants less.
+            RtecError: it does not answer.
+        """
+        self._ask("as", name=name, role=role)
 
     def order(self, order: Order, text: str = "") -> str:
         """Give an order; give the daemon's answer.

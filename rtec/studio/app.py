@@ -17,6 +17,7 @@ from rtec.errors import RtecError
 from rtec.studio import jobs
 from rtec.studio.folder import Folder
 from rtec.studio.guard import Guard
+from rtec.studio.live import LiveLink
 from rtec.studio.parts import Words, button
 from rtec.studio.session import TabSession
 from rtec.text import clean
@@ -27,8 +28,14 @@ PAGES: Final = {
     "compare": "Compare",
     "diagnose": "Diagnose",
     "add": "Add and watch",
+    "explore": "Explore",
+    "live": "Live",
+    "report": "Report",
 }
+BESIDE: Final = ("import",)
+"""Pages that another page leads to."""
 MOST_TABS: Final = 32
+MODULES: Final = {"import": "importing"}
 STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
 
 
@@ -54,10 +61,11 @@ class Studio:
 
     Args:
         folder: that is opened.
+        live: the daemon that is attached; None: none.
     """
 
-    def __init__(self, folder: Folder) -> None:
-        self._folder = folder
+    def __init__(self, folder: Folder, live: LiveLink | None) -> None:
+        self._folder, self._live = folder, live
         self._sessions: dict[str, TabSession] = {}
 
     def session(self, tab: str) -> TabSession:
@@ -67,11 +75,12 @@ class Studio:
                 oldest = self._sessions.pop(next(iter(self._sessions)))
                 if oldest.job is not None:
                     oldest.job.cancel()
-            self._sessions[tab] = TabSession(self._folder)
+            self._sessions[tab] = TabSession(self._folder, live=self._live)
         return self._sessions[tab]
 
-    async def page(self, name: str = "measurements") -> None:
+    async def page(self, name: str = "") -> None:
         """One page of one tab."""
+        name = name or ("live" if self._live is not None else "measurements")
         ui.add_css(STYLE.read_text(encoding="utf-8"))
         ui.colors(primary="#005a94")
         dark = ui.dark_mode(None)
@@ -80,7 +89,7 @@ class Studio:
         session = self.session(str(ui.context.client.tab_id))
         session.look()
         with shell:
-            _Frame(session, name if name in PAGES else "measurements", dark)
+            _Frame(session, name if name in (*PAGES, *BESIDE) else "measurements", dark)
 
 
 class _Frame:
@@ -128,7 +137,9 @@ class _Frame:
             here = key == self._name
             link.classes(add="here" if here else "", remove="" if here else "here")
             link.props('aria-current="page"' if here else "", remove="" if here else "aria-current")
-        build: Callable[[TabSession], None] = import_module(f"rtec.studio.pages.{self._name}").build
+        build: Callable[[TabSession], None] = import_module(
+            f"rtec.studio.pages.{MODULES.get(self._name, self._name)}"
+        ).build
         with self._client:
             self._main.clear()
             with self._main:
@@ -156,13 +167,14 @@ class _Frame:
                 button("Cancel", job.cancel, bad=True)
 
 
-def serve(folder: Path, address: Address, opened: Callable[[str], None]) -> None:
+def serve(folder: Path, address: Address, opened: Callable[[str], None], live: LiveLink | None = None) -> None:
     """Serve the pages until the process is interrupted.
 
     Args:
         folder: that is opened.
         address: where.
         opened: called with the whole address, key included, once the server answers.
+        live: the daemon that is attached; None: none.
 
     Raises:
         RtecError: the folder or the address cannot be used.
@@ -171,7 +183,7 @@ def serve(folder: Path, address: Address, opened: Callable[[str], None]) -> None
         raise RtecError(f"{folder}: is no folder; make it first, or name another")
     listening = _listen(address.host, address.port)
     port = int(listening.getsockname()[1])
-    studio = Studio(Folder(folder))
+    studio = Studio(Folder(folder), live)
     outer = FastAPI(openapi_url=None)
     ui.page("/", title="rtec studio")(studio.page)
     ui.page("/{name}", title="rtec studio")(studio.page)
@@ -199,7 +211,14 @@ def serve(folder: Path, address: Address, opened: Callable[[str], None]) -> None
     host = f"[{address.host}]" if ":" in address.host else address.host
     server = _Server(config, lambda: opened(f"{scheme}://{host}:{port}/?token={address.token}"))
     jobs.warm_up()
-    asyncio.run(server.serve(sockets=[listening]))
+
+    async def both() -> None:
+        following = asyncio.create_task(live.follow()) if live is not None else None
+        await server.serve(sockets=[listening])
+        if following is not None:
+            following.cancel()
+
+    asyncio.run(both())
 
 
 FAVICON: Final = (

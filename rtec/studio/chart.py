@@ -34,6 +34,6 @@ class Chart(Element, component="chart.js", esm={"nicegui-plotly": PLOTLY}):
         """Move the points to those of another figure with as many of them."""
         self.run_method("morph", figure, ms)
 
-    def append(self, x: list[list[float]], y: list[list[float]], most: int) -> None:
+    def append(self, x: list[list[float]], y: list[list[float | None]], most: int) -> None:
         """Add points at the end of each trace, and take off the oldest beyond so many."""
         self.run_method("append", x, y, most)

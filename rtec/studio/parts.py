@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from nicegui import events, ui
+from nicegui.element import Element
 from nicegui.elements.mixins.text_element import TextElement
 
 from rtec.errors import RtecError
@@ -121,6 +122,12 @@ def button(text: str, action: Callable[[], Any], *, main: bool = False, off: str
         made.disable()
         made.tooltip(clean_lines(off))
     return made
+
+
+def label(element: Element, text: str) -> Element:
+    """Name an element for those who cannot see it."""
+    element.props["aria-label"] = clean_lines(text)
+    return element
 
 
 def tiles(numbers: Sequence[tuple[str, str]]) -> None:

@@ -14,7 +14,8 @@ from rtec.studio.jobs import Cancelled, Job, Reporter
 
 if TYPE_CHECKING:
     from rtec.model import Model
-    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, Summary
+    from rtec.studio.live import LiveLink
+    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, ImportView, ReportFiles, Summary
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
@@ -41,6 +42,23 @@ class ModelStep:
 
 
 @dataclass
+class ForeignFile:
+    """A file of another program on its way to a measurement.
+
+    Attributes:
+        name: of the file.
+        answers: to what it does not say, by key of the question.
+        edited: columns of the map as they were changed; None: as they are proposed.
+        looked: what it would become; None before it was looked at.
+    """
+
+    name: str
+    answers: dict[str, str] = field(default_factory=dict)
+    edited: dict[str, dict[str, Any]] | None = None
+    looked: ImportView | None = None
+
+
+@dataclass
 class TabSession:
     """One tab.
 
@@ -57,7 +75,10 @@ class TabSession:
         improved: why the last improvement ended.
         question: what the work asks now, with the answer that it waits for.
         rank: candidate that is shown.
-        view: what Compare draws over what, by name of the plot's setting.
+        view: texts of fields and settings of plots, by name.
+        foreign: the file of another program that is being imported; None: none.
+        live: the daemon that is attached; None: none.
+        report: the last one, and the step that it is of.
     """
 
     folder: Folder
@@ -75,6 +96,9 @@ class TabSession:
     question: tuple[Any, asyncio.Future[Any]] | None = None
     rank: int = 1
     view: dict[str, str] = field(default_factory=dict)
+    foreign: ForeignFile | None = None
+    live: LiveLink | None = None
+    report: tuple[ModelStep, ReportFiles] | None = None
     on_progress: Callable[[], None] = lambda: None
     on_change: Callable[[], None] = lambda: None
     on_names: Callable[[], None] = lambda: None

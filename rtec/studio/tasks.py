@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rtec.diagnosis.extend.improve import ProposedStep
     from rtec.diagnosis.result import Diagnosis, Finding
     from rtec.estimation.readings import Readings, Series
+    from rtec.machine import Machine
+    from rtec.metrology.importing import ImportProposal
     from rtec.model import Model
     from rtec.report.evidence import Evidence
     from rtec.report.page import Page
@@ -134,7 +136,7 @@ class DiagnosisView:
     """A diagnosis.
 
     Attributes:
-        found: the diagnosis, without what only its figures need.
+        found: the diagnosis, without the readings.
         page: in sentences and tables, without figures.
         curves: by rank, what shows the candidate in the residual; 0 is the shape without a name.
     """
@@ -286,7 +288,7 @@ def diagnose(line: Reporter, model: "Model", files: Sequence[Path], named: Path,
 
 def _diagnosed(found: "Diagnosis", files: Sequence[Path], machine: Path) -> DiagnosisView:
     page = _page(replace(found, machine_file=Path(machine.name)), files)
-    return DiagnosisView(replace(found, judged=None, picture=None), page, _curves(found))
+    return DiagnosisView(replace(found, judged=None), page, _curves(found))
 
 
 SHOWN = 8
@@ -470,3 +472,121 @@ def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path
     return Preview(
         evidence(p), f"With these parameters it {fall} of the mean square of the residual of these readings."
     )
+
+
+@dataclass(frozen=True)
+class ImportView:
+    """What a file of another program would become.
+
+    Attributes:
+        proposal: its map, and what is not known yet.
+        title, place, readings: what is drawn: title of the horizontal axis, (n,), and the readings by name, (n,) each.
+        rows: of the measurement; 0 before the questions are answered.
+        notes: on the import, in words.
+        trouble: why it cannot be imported like that; empty where it can.
+    """
+
+    proposal: "ImportProposal"
+    title: str = ""
+    place: Floats = field(default_factory=lambda: np.zeros(0))
+    readings: Mapping[str, Floats] = field(default_factory=dict)
+    rows: int = 0
+    notes: tuple[str, ...] = ()
+    trouble: str = ""
+
+
+def look_at_foreign(
+    line: Reporter,
+    path: Path,
+    machine: Path | None,
+    answers: Mapping[str, str],
+    edited: Mapping[str, Mapping[str, Any]] | None,
+) -> ImportView:
+    """Propose a map for a file, and import it in memory where everything is known.
+
+    Args:
+        line: reported to.
+        path: of the file.
+        machine: file of the machine; None: not chosen yet.
+        answers: to its questions, by key.
+        edited: columns of the map as a person changed them; None: as they are proposed.
+
+    Raises:
+        RtecError: the file cannot be read.
+    """
+    from rtec.metrology.importing import import_measurement
+
+    line.stage("reading the file", 0, 0)
+    known = rtec.load_machine(machine) if machine is not None else None
+    proposal = with_columns(_proposed(path, known, dict(answers)), edited)
+    if proposal.open or known is None:
+        return ImportView(proposal)
+    try:
+        m = import_measurement(path, proposal.import_map(), known)
+    except RtecError as e:
+        return ImportView(proposal, trouble=str(e))
+    moved = max(known.axes, key=lambda a: float(np.ptp(m.channels.get(a.channel, np.zeros(1)))))
+    place = m.channels.get(moved.channel)
+    title, over = ("time, h", m.time_s / 3600.0) if place is None else (f"{moved.name}, mm", place)
+    return ImportView(proposal, title, over, dict(m.readings), len(m), m.notes)
+
+
+def _proposed(path: Path, machine: "Machine | None", answers: dict[str, str]) -> "ImportProposal":
+    """The proposal; an answer to a question that another answer took away is forgotten."""
+    from rtec.metrology.importing import propose
+
+    first = propose(path, machine)
+    for key, value in answers.items():
+        if key in {q.key for q in first.questions}:
+            first = first.answered({key: value})
+    return first
+
+
+def with_columns(proposal: "ImportProposal", edited: Mapping[str, Mapping[str, Any]] | None) -> "ImportProposal":
+    """The proposal with the columns that a person gave it; None leaves it as it is."""
+    if edited is None:
+        return proposal
+    becomes = {str(c["from"]): target for target, c in edited.items()}
+    changed = tuple(
+        c if becomes.get(c.name, "") == c.becomes else replace(c, becomes=becomes.get(c.name, ""), reason="given")
+        for c in proposal.columns
+    )
+    return replace(proposal, content={**proposal.content, "column": dict(edited)}, columns=changed)
+
+
+def import_foreign(line: Reporter, path: Path, proposal: "ImportProposal", out: Path) -> tuple[str, ...]:
+    """Write a file of another program as a measurement, with the map that made it; give the notes on it."""
+    line.stage("importing", 0, 0)
+    return rtec.import_table(path, proposal, out).notes
+
+
+@dataclass(frozen=True)
+class ReportFiles:
+    """A report, as one self-contained HTML file and as a PDF."""
+
+    html: bytes
+    pdf: bytes
+
+
+def report(
+    line: Reporter, model: "Model", files: Sequence[Path], named: Path, diagnosed: "Diagnosis | None"
+) -> ReportFiles:
+    """Draw the report of a step: comparison, diagnosis where there is one, history; with their figures."""
+    from rtec.report.history import history_sections
+    from rtec.report.page import Page, render
+    from rtec.studio.pdf import pdf_of
+
+    names = tuple(Path(f.name) for f in (named, *files))
+    compared = replace(rtec.compare(model, files, progress=line.stage), files=names).page()
+    line.stage("drawing the report", 0, 0)
+    sections = list(compared.sections)
+    lead = compared.lead
+    if diagnosed is not None:
+        found = diagnosed.page()
+        lead = f"{lead}\n{found.lead}"
+        sections += found.sections
+    page = Page(
+        f"{model.name} on {', '.join(f.stem for f in names[1:])}", lead, compared.numbers,
+        [*sections, *history_sections(model, True)], compared.foot,
+    )  # fmt: skip
+    return ReportFiles(render(page).encode(), pdf_of(page))

@@ -1,5 +1,6 @@
 """A studio in a process of its own, a headless Chromium, and two lasers of a machine with a hidden backlash."""
 
+import csv
 import os
 import re
 import shutil
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import pytest
@@ -86,11 +88,12 @@ def chromium() -> Iterator["Browser"]:
 
 @dataclass
 class Watched:
-    """A tab, and what it asked for and complained of."""
+    """A tab, what it asked for and complained of, and the commands that its pages showed."""
 
     page: "Page"
     requests: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
+    commands: list[str] = field(default_factory=list)
 
 
 def tab(browser: "Browser", address: str, width: int = 1440, height: int = 1000) -> Watched:
@@ -126,3 +129,23 @@ def simulated(folder: Path, name: str, seed: int, *more: str) -> Path:
     ]
     assert status(made) == 0
     return folder / f"{name}.csv"
+
+
+def foreign(folder: Path, name: str, seed: int, *more: str) -> Path:
+    """The same as a German program writes it: other names, semicolons, decimal commas."""
+    with TemporaryDirectory() as other:
+        table = simulated(Path(other), name, seed, *more)
+        with table.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    names = {
+        "run": "Lauf",
+        "time_s": "Zeit [s]",
+        "x_mm": "X Soll [mm]",
+        "dir_x": "Richtung",
+        "reading_um": "Abweichung [um]",
+        "T_x_nut_degc": "T_x_nut [degC]",
+    }
+    lines = [";".join(names.values()), *(";".join(row[n].replace(".", ",") for n in names) for row in rows)]
+    made = folder / f"{name}.csv"
+    made.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return made

@@ -14,7 +14,7 @@ from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
 from rtec.studio.pages.compare import worst
 from rtec.studio.pages.expression import own_expression
-from rtec.studio.parts import Words, button, command, draft, heading, lacking, section, trouble
+from rtec.studio.parts import Area, Words, button, command, draft, heading, lacking, section, trouble
 from rtec.studio.session import ModelStep, TabSession
 from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
 from rtec.wording import number, percent, probability
@@ -199,15 +199,11 @@ def _save(session: TabSession) -> None:
         if kept:
             Words("p", f"Saved as {kept}.", "lead").props('role="status"')
         name = draft(session, f"save_{session.at}", "File for the model", kept or _free_name(session))
-        shown = ui.element("div").style("display: grid; gap: .5rem")
 
         def show() -> None:
-            shown.clear()
-            with shown:
-                lines = commands(session, name.value or "better.toml")
-                Words("p", "The same on the command line, in this folder:", "small")
-                for line in lines:
-                    command(line)
+            Words("p", "The same on the command line, in this folder:", "small")
+            for line in commands(session, name.value or "better.toml"):
+                command(line)
 
         def save() -> None:
             try:
@@ -215,9 +211,9 @@ def _save(session: TabSession) -> None:
             except RtecError as e:
                 name.error = str(e)
 
-        name.on_value_change(show)
-        show()
+        # Above what grows and shrinks with the name, so that nothing jumps away under the pointer.
         button("Save", save, main=True)
+        name.on_value_change(Area(show).redo)
 
 
 def keep(session: TabSession, name: str) -> None:

@@ -7,11 +7,12 @@ from shlex import quote
 
 from nicegui import events, ui
 
+from rtec.commission.example import SHIPPED
 from rtec.errors import RtecError
 from rtec.studio import tasks
 from rtec.studio.jobs import Job
-from rtec.studio.parts import Area, Words, button, command, draft, heading, trouble
-from rtec.studio.session import TabSession
+from rtec.studio.parts import Area, Words, button, command, draft, heading, label, trouble
+from rtec.studio.session import ForeignFile, TabSession
 from rtec.studio.tasks import Summary
 from rtec.text import clean
 from rtec.wording import counted
@@ -83,6 +84,12 @@ def _drop(session: TabSession) -> None:
     ).props('flat aria-label="Drop files"')
 
 
+def _import(session: TabSession, name: str) -> None:
+    if session.foreign is None or session.foreign.name != name:
+        session.foreign = ForeignFile(name)
+    session.go("import")
+
+
 async def _look(session: TabSession, listed: Area) -> None:
     """Read what has not been read yet."""
     known = {s.file for s in session.summaries.values()}
@@ -113,7 +120,9 @@ def _measurements(session: TabSession, used: Callable[[], None]) -> None:
     if there.foreign:
         Words("h2", "Tables of other programs")
         for name in there.foreign:
-            Words("p", name)
+            with ui.element("div").classes("row"):
+                Words("span", name).style("min-width: 16rem; overflow-wrap: anywhere")
+                label(button("Import", partial(_import, session, name), main=not there.measurements), f"Import {name}")
     if there.more:
         Words("p", f"{counted(there.more, 'more file')} in the folder; only the first are listed.", "small")
 
@@ -172,15 +181,27 @@ def _machine(session: TabSession) -> None:
         session.forget()
         session.on_change()
 
+    def take(event: events.ValueChangeEventArguments[str | None]) -> None:
+        name = str(event.value)
+        try:
+            session.folder.write(name, (SHIPPED / "machines" / name).read_bytes())
+        except RtecError as e:
+            session.trouble = str(e)
+        session.look()
+        session.machine = name if name in session.listing.machines else session.machine
+        session.on_change()
+
     with ui.element("div").classes("card"):
         Words("h2", "Machine")
-        if not session.listing.machines:
-            Words("p", "No machine file in the folder; drop one above.", "small")
-            return
-        names = {n: clean(n) for n in session.listing.machines}
-        ui.select(names, value=session.machine or None, label="Machine file", on_change=choose).props(
-            "outlined options-html=false"
-        )
+        with ui.element("div").classes("row"):
+            if session.listing.machines:
+                names = {n: clean(n) for n in session.listing.machines}
+                made = ui.select(names, value=session.machine or None, label="Machine file", on_change=choose)
+            else:
+                Words("p", "No machine file in the folder. Drop one above, or begin with one that comes with rtec:")
+                shipped = sorted(p.name for p in (SHIPPED / "machines").glob("*.toml"))
+                made = ui.select(shipped, label="Machine that comes with rtec", on_change=take)
+            made.props("outlined").style("min-width: 18rem")
 
 
 class _ModelCard:
@@ -200,8 +221,8 @@ class _ModelCard:
             self._effects = draft(
                 session, "fit_effects", "Effects (empty: chosen on held-out runs)", "", "scale,backlash"
             )
-            self._command = Area(self._show_command)
             button("Fit", self._fit, main=not there)
+            self._command = Area(self._show_command)
         self._next = Area(self._show_next)
         for field in (self._name, self._effects):
             field.on_value_change(self._command.redo)

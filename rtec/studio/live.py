@@ -1,0 +1,127 @@
+"""A running daemon as the pages see it: asked again and again over its socket, whoever looks; never by the loop.
+
+One connection serves all tabs. Five times a second while somebody looks, else once a second, for the sparklines.
+"""
+
+import asyncio
+import tomllib
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rtec.control.client import Client, Outcome, carry_out, find
+from rtec.control.messages import Role
+from rtec.errors import RtecError
+from rtec.loop.clock import RealClock
+from rtec.loop.orders import order_named
+
+LOOKED_S, ALONE_S, AGAIN_S = 0.2, 1.0, 1.0
+NAME: Final = "studio"
+SECOND, MINUTE = 1.0, 60.0
+MINUTES, HOURS = 600, 1440
+"""Points that are kept of every second, and of every minute."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One point of the sparklines: time since the daemon's first row, s; applied correction, µm; temperatures, °C."""
+
+    time_s: float
+    applied_um: dict[str, float | None]
+    degc: dict[str, float | None]
+
+
+class LiveLink:
+    """The connection to a daemon.
+
+    Attributes:
+        config: its run file; `role` is what the pages may.
+        status: its newest answer; None before the first, or while it does not answer (`trouble` says why).
+        minutes, hours: what the sparklines show.
+
+    Args:
+        config: see above.
+        role: see above.
+    """
+
+    def __init__(self, config: Path, role: Role) -> None:
+        self.config, self.role = config, role
+        self.status: dict[str, Any] | None = None
+        self.trouble = "not asked yet"
+        self.minutes: deque[Moment] = deque(maxlen=MINUTES)
+        self.hours: deque[Moment] = deque(maxlen=HOURS)
+        self._looking: dict[int, Callable[[], None]] = {}
+        self._client: Client | None = None
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """By axis: correction beyond which it is flagged, and beyond which it is not followed, µm."""
+        try:
+            tables = tomllib.loads(self.config.read_text(encoding="utf-8")).get("limits", {})
+            return {axis: (float(t["warning_um"]), float(t["stop_um"])) for axis, t in tables.items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return {}
+
+    def look(self, key: int, changed: Callable[[], None]) -> None:
+        """Call a page whenever there is a newer status."""
+        self._looking[key] = changed
+
+    def leave(self, key: int) -> None:
+        """Call it no more."""
+        self._looking.pop(key, None)
+
+    async def follow(self) -> None:
+        """Ask, for as long as the pages are served."""
+        while True:
+            try:
+                self.status, self.trouble = await asyncio.to_thread(self._ask), ""
+                self._note(self.status)
+            except RtecError as e:
+                self.status, self.trouble = None, str(e)
+                self._hang_up()
+            for changed in list(self._looking.values()):
+                changed()
+            await asyncio.sleep(AGAIN_S if self.status is None else LOOKED_S if self._looking else ALONE_S)
+
+    async def order(self, name: str, text: str = "") -> Outcome:
+        """Give an order, and wait until it is carried out.
+
+        Raises:
+            RtecError: it is not taken, or the daemon does not answer.
+        """
+        return await asyncio.to_thread(self._order, name, text)
+
+    def _order(self, name: str, text: str) -> Outcome:
+        with self._connected() as client:
+            return carry_out(client, order_named(name), text, RealClock())
+
+    def _ask(self) -> dict[str, Any]:
+        if self._client is None:
+            self._client = self._connected()
+        return self._client.status()
+
+    def _connected(self) -> Client:
+        client = Client(find(self.config, None, None))
+        try:
+            client.lower(NAME, self.role)
+        except RtecError:
+            client.close()
+            raise
+        return client
+
+    def _hang_up(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    def _note(self, found: dict[str, Any]) -> None:
+        s = found["status"]
+        if not s["cycles"]:
+            return
+        now = Moment(s["time_s"], s["applied_um"], s["degc"])
+        for kept, every in ((self.minutes, SECOND), (self.hours, MINUTE)):
+            if kept and now.time_s < kept[-1].time_s:
+                kept.clear()  # the daemon was restarted
+            if not kept or now.time_s - kept[-1].time_s >= every:
+                kept.append(now)

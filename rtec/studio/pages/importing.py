@@ -1,0 +1,263 @@
+"""Import: what a file of another program would become, and what only people know of it."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from nicegui import events, ui
+
+from rtec.errors import RtecError
+from rtec.studio import figures, tasks
+from rtec.studio.chart import Chart
+from rtec.studio.parts import Area, Words, button, command, draft, heading, label, trouble
+from rtec.studio.session import ForeignFile, TabSession
+from rtec.studio.tasks import ImportView
+from rtec.text import clean
+from rtec.wording import counted
+
+if TYPE_CHECKING:
+    from rtec.metrology.importing import ForeignColumn
+
+NOT_USED: Final = ""
+UNITS: Final = ("", "mm", "um", "nm", "m", "in", "s", "ms", "min", "h", "degC", "degF", "K", "urad", "arcsec", "deg",
+                "rpm", "mm/min", "mm/s", "kg")  # fmt: skip
+OTHERS: Final = ("reading_um", "reading_urad", "reading_x_um", "reading_y_um", "reading_z_um", "angle_deg",
+                 "spindle_rpm", "feed_mm_min", "load_kg")  # fmt: skip
+
+
+def build(session: TabSession) -> None:
+    """The page."""
+    file = session.foreign
+    heading(f"Import {clean(file.name)}" if file is not None else "Import")
+    trouble(session)
+    if file is None:
+        Words("p", "Choose a table of another program on the page Measurements.")
+        button("Measurements", partial(session.go, "measurements"), main=True)
+        return
+    if file.looked is None:
+        Words("p", "The file is being read.", "lead")
+        if not session.trouble:
+            ui.timer(0.05, partial(_look, session, file), once=True)
+        return
+    _page(session, file, file.looked)
+
+
+async def _look(session: TabSession, file: ForeignFile) -> None:
+    machine = session.machine_path if session.machine else None
+    path = session.folder.existing(file.name)
+    found = await session.work("Reading", tasks.look_at_foreign, path, machine, file.answers, file.edited)
+    if found is not None:
+        file.looked = found
+        session.on_change()
+
+
+def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
+    p = view.proposal
+    if not session.machine:
+        with ui.element("div").classes("card bad"):
+            Words(
+                "p",
+                "Choose the machine on the page Measurements first: its axes and sensors are looked for in the file.",
+            )
+            button("Measurements", partial(session.go, "measurements"), main=True)
+    with ui.element("div").classes("card"):
+        Words("h2", f"Read as {p.reader}: {counted(p.rows, 'row')}{'' if p.whole else ' looked at'}, "
+                    f"{counted(len(p.columns), 'column')}")  # fmt: skip
+        for line in (*p.notes, *p.conclusions):
+            Words("p", line, "small")
+    if p.questions or file.answers:
+        _questions(session, file, view)
+    _columns(session, file, view)
+    _preview(view)
+    _finish(session, file, view)
+
+
+def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None:
+    def answer(key: str, event: events.ValueChangeEventArguments[str | None]) -> None:
+        file.answers[key] = str(event.value or "")
+        _again(session, file)
+
+    def text(key: str, field: ui.input) -> None:
+        if field.value:
+            file.answers[key] = field.value
+            _again(session, file)
+
+    with ui.element("div").classes("card"):
+        Words("h2", "What the file does not say")
+        with ui.element("div").classes("cards"):
+            for q in view.proposal.questions:
+                with ui.element("div").style("display: grid; gap: .3rem"):
+                    Words("p", q.text)
+                    if q.choices:
+                        shown = {c: clean(c) for c in q.choices}
+                        field: Any = ui.select(shown, value=q.default, on_change=partial(answer, q.key))
+                    else:
+                        field = ui.input(value=q.default or "", placeholder=q.hint)
+                        field.on("keydown.enter", partial(text, q.key, field)).on("blur", partial(text, q.key, field))
+                    label(field.props("outlined"), q.text)
+                    Words("p", "must be answered" if q.default is None else "assumed, unless you say otherwise",
+                          "small trouble" if q.default is None else "small")  # fmt: skip
+        if file.answers:
+            given = "; ".join(f"{k}: {v}" for k, v in file.answers.items())
+            with ui.element("div").classes("row"):
+                Words("p", f"Answered: {given}", "small")
+                button("Ask again", partial(_forget_answers, session, file))
+
+
+def _forget_answers(session: TabSession, file: ForeignFile) -> None:
+    file.answers, file.edited = {}, None
+    _again(session, file)
+
+
+def _again(session: TabSession, file: ForeignFile) -> None:
+    file.looked, session.trouble = None, ""
+    session.on_change()
+
+
+def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
+    p = view.proposal
+    used: Mapping[str, Mapping[str, Any]] = p.content.get("column", {})
+    target_of = {str(c["from"]): t for t, c in used.items()}
+    with ui.element("div").classes("card"):
+        Words("h2", "The columns, and what they become")
+        with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
+            with ui.element("thead"), ui.element("tr"):
+                for name in ("Column", "First values", "Becomes", "Unit", "Sign", "Why"):
+                    Words("th", name, "words").props("scope=col")
+            with ui.element("tbody"):
+                for c in p.columns:
+                    target = target_of.get(c.name, NOT_USED)
+                    with ui.element("tr").classes("picked" if target or c.becomes else ""):
+                        Words("td", c.name, "words")
+                        Words("td", "  ".join(v[:20] for v in c.first[:3]), "words")
+                        _choices(session, file, view, c, target)
+                        Words("td", c.reason, "words small")
+
+
+def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "ForeignColumn", target: str) -> None:
+    """What a column becomes, its unit and sign, to be clicked; time and run have tables of their own in the map."""
+    name = column.name
+    if column.becomes and not target:
+        Words("td", column.becomes, "words")
+        Words("td", "")
+        Words("td", "")
+        return
+    entry = view.proposal.content.get("column", {}).get(target, {})
+
+    def change(key: str, event: events.ValueChangeEventArguments[Any]) -> None:
+        edit(file, view, name, {key: event.value})
+        _again(session, file)
+
+    machine = view.proposal.machine
+    axes = [f"{a.name.lower()}_mm" for a in machine.axes] if machine else []
+    ways = [f"dir_{a.name.lower()}" for a in machine.axes] if machine else []
+    sensors = [f"{s}_degc" for s in machine.sensor_names] if machine else []
+    options = list(dict.fromkeys([*([target] if target else []), *OTHERS[:2], *axes, *ways, *sensors, *OTHERS[2:]]))
+    with ui.element("td").classes("words"):
+        shown = {NOT_USED: "not used", **{o: o for o in options}}
+        label(
+            ui.select(shown, value=target, on_change=partial(change, "target")).props("outlined dense"),
+            f"{name} becomes",
+        )
+    with ui.element("td").classes("words"):
+        unit = str(entry.get("unit") or "")
+        units = {
+            u: u or (f"{column.unit}, as it says" if column.unit else "not said") for u in dict.fromkeys([unit, *UNITS])
+        }
+        if target:
+            label(
+                ui.select(units, value=unit, on_change=partial(change, "unit")).props("outlined dense"),
+                f"unit of {name}",
+            )
+    with ui.element("td").classes("words"):
+        if target:
+            signs = ui.toggle({1: "+", -1: "−"}, value=int(entry.get("sign", 1)), on_change=partial(change, "sign"))
+            label(signs.props("no-caps unelevated toggle-color=primary"), f"sign of {name}")
+
+
+def edit(file: ForeignFile, view: ImportView, name: str, changed: Mapping[str, Any]) -> None:
+    """Change what a column becomes (`target`), its `unit` or its `sign`, in the map that is proposed."""
+    columns = {t: dict(c) for t, c in view.proposal.content.get("column", {}).items()}
+    old = next((t for t, c in columns.items() if c["from"] == name), NOT_USED)
+    entry = columns.pop(old, {"from": name})
+    target = changed.get("target", old)
+    for key in ("unit", "sign"):
+        if key in changed:
+            entry[key] = changed[key]
+    entry = {k: v for k, v in entry.items() if v not in ("", None) and (k, v) != ("sign", 1)}
+    if target:
+        columns[str(target)] = entry
+    file.edited = columns
+
+
+def _preview(view: ImportView) -> None:
+    if view.trouble:
+        with ui.element("div").classes("card bad").props('role="alert"'):
+            Words("h2", "Like that it cannot be imported")
+            Words("p", view.trouble, "trouble")
+    if not view.rows:
+        return
+    with ui.element("div").classes("card"):
+        Words("h2", f"What it becomes: {counted(view.rows, 'reading')}")
+        Chart(_figure(view), "The readings as they would be imported")
+        for note in view.notes:
+            Words("p", note, "small")
+
+
+def _figure(view: ImportView) -> dict[str, Any]:
+    rows = np.arange(len(view.place))[:: max(1, len(view.place) // 6000)]
+    traces = [
+        {"type": "scattergl", "mode": "markers", "name": figures.text(name), "x": figures.numbers(view.place[rows]),
+         "y": figures.numbers(values[rows]), "marker": {"size": 6, "color": figures.PALETTE[(2 + k) % 8]}}
+        for k, (name, values) in enumerate(view.readings.items())
+    ]  # fmt: skip
+    up = "reading, µrad" if all(n.endswith("urad") for n in view.readings) else "reading, µm"
+    return {
+        "data": traces,
+        "layout": figures.layout(xaxis=figures.axis(view.title), yaxis=figures.axis(up), dragmode="zoom"),
+    }
+
+
+def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
+    stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in Path(file.name).stem) or "imported"
+    with ui.element("div").classes("card"):
+        name = draft(session, f"import_{file.name}", "Name of the measurement", f"{stem}-imported")
+
+        def show() -> None:
+            command(typed(session, file, name.value or ""), "The same on the command line, in this folder:")
+
+        async def run() -> None:
+            try:
+                out = session.folder.path(f"{(name.value or '').removesuffix('.csv')}.csv")
+                for path in (out, out.with_suffix(".toml"), out.with_name(f"{out.stem}-map.toml")):
+                    if path.exists():
+                        raise RtecError(f"{path.name}: is in the folder already; give the measurement another name")
+                view.proposal.import_map()
+            except RtecError as e:
+                name.error = str(e)
+                return
+            path = session.folder.existing(file.name)
+            title = f"Importing {file.name}"
+            if await session.work(title, tasks.import_foreign, path, view.proposal, out) is None:
+                return
+            session.foreign = None
+            session.look()
+            session.chosen = (*session.chosen, out.name)
+            session.forget()
+            session.go("measurements")
+
+        with ui.element("div").classes("row"):
+            button("Import", run, main=True)
+            button("Back", partial(session.go, "measurements"))
+        name.on_value_change(Area(show).redo)
+
+
+def typed(session: TabSession, file: ForeignFile, out: str) -> str:
+    """What imports it on the command line; columns that were changed by hand are in the map."""
+    machine = ["--machine", session.machine] if session.machine else []
+    answers = [w for k, v in file.answers.items() for w in ("--answer", f"{k}={v}")]
+    how = ["--map", f"{out}-map.toml"] if file.edited is not None else answers
+    return " ".join(quote(w) for w in ["rtec", "import", file.name, *how, *machine, "-o", out])

@@ -1,0 +1,232 @@
+"""Live: what a running daemon requests and applies, whether it follows the model, and why it does not."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Final
+
+from nicegui import ui
+
+from rtec.control.facts import axis_rows, footer, held, input_rows, troubles, um_text
+from rtec.errors import RtecError
+from rtec.report.page import Table
+from rtec.studio import figures
+from rtec.studio.chart import Chart
+from rtec.studio.live import MINUTES, LiveLink, Moment
+from rtec.studio.parts import Area, Words, button, heading, table
+from rtec.studio.session import TabSession
+
+ORDERS: Final = {
+    "enable": ("Enable", "Let the correction follow the model, from its present value, within its limits?"),
+    "hold": ("Hold", "Hold the correction at its present value? It is no emergency stop."),
+    "fade": ("Fade", "Fade the correction to zero at its slew limit?"),
+}
+BARS: Final = (("requested", "requested_um"), ("applied", "applied_um"))
+EVERY: Final = 5
+"""Tables are drawn at every so many answers, bars at each."""
+
+
+def build(session: TabSession) -> None:
+    """The page."""
+    heading("Live")
+    if session.live is None:
+        Words("p", "No daemon is attached. Start the studio with `rtec studio --attach CONFIG`; CONFIG is the run file "
+                   "of the daemon.", "lead")  # fmt: skip
+        return
+    _LivePage(session, session.live).build()
+
+
+def state_of(found: dict[str, Any] | None, trouble: str) -> tuple[str, str]:
+    """The state in one word with its reason, and the class of its colour."""
+    if found is None:
+        return f"no answer: {trouble}", "off"
+    status = found["status"]
+    if why := held(status):
+        return f"held: {why}", "held"
+    words = {"on": "on", "hold": "held: ordered by an operator", "off": "off", "": "starting"}
+    return words.get(status["mode"], status["mode"]), "on" if status["mode"] == "on" else "held"
+
+
+class _LivePage:
+    def __init__(self, session: TabSession, link: LiveLink) -> None:
+        self._session, self._link = session, link
+        self._count, self._newest = 0, link.minutes[-1].time_s if link.minutes else 0.0
+        self._tracks: dict[tuple[str, str], tuple[ui.element, Words]] = {}
+        self._axes: tuple[str, ...] = ()
+        self._limits: dict[str, tuple[float, float]] = {}
+
+    def build(self) -> None:
+        link = self._link
+        self._state = Words("p", "", "state").props('role="status" aria-live="polite"')
+        self._lead = Words("p", "", "small")
+        if link.role == "operate":
+            with ui.element("div").classes("row"):
+                for name, (text, question) in ORDERS.items():
+                    button(text, partial(self._ask, name, text, question), main=name == "hold")
+                self._mark = ui.input("Mark: a text beside the log").props("outlined dense")
+                button("Mark", self._set_mark)
+        else:
+            Words("p", "This studio only looks: start it with --role operate for the buttons.", "small")
+        self._said = Words("p", "", "lead").props('role="status" aria-live="polite"')
+        self._bars = Area(self._make_bars)
+        with ui.element("div").classes("plots"):
+            self._minutes = self._spark("Applied correction, last 10 minutes", link.minutes, temperatures=False)
+            self._warm = self._spark("Temperatures, last 10 minutes", link.minutes, temperatures=True)
+            self._spark("Applied correction, last 24 hours", link.hours, temperatures=False)
+            self._spark("Temperatures, last 24 hours", link.hours, temperatures=True)
+        self._tables = Area(self._make_tables)
+        key = id(self)
+        link.look(key, self._changed)
+        self._key = key
+        self._changed()
+
+    def _changed(self) -> None:
+        if self._state.is_deleted:
+            self._link.leave(self._key)
+            return
+        found = self._link.status
+        text, kind = state_of(found, self._link.trouble)
+        self._state.set_text(text)
+        self._state.classes(add=kind, remove=" ".join({"on", "held", "off"} - {kind}))
+        if found is None:
+            self._lead.set_text("It is asked again every second.")
+            return
+        self._lead.set_text(f"{found['machine']}, model {found['model']}, {found['config']}")
+        if tuple(found["status"]["applied_um"]) != self._axes:
+            self._bars.redo()
+        self._move_bars(found)
+        self._count += 1
+        if self._count % EVERY == 1:
+            self._tables.redo()
+            self._append()
+
+    def _make_bars(self) -> None:
+        found = self._link.status
+        self._tracks = {}
+        self._axes = tuple(found["status"]["applied_um"]) if found is not None else ()
+        self._limits = self._link.limits()
+        with ui.element("div").classes("cards"):
+            for axis in self._axes:
+                warning, stop = self._limits.get(axis, (0.0, 0.0))
+                with ui.element("div").classes("card"):
+                    Words("h2", f"Axis {axis}")
+                    for name, _ in (*BARS, ("residual", "")):
+                        self._bar(axis, name, warning, stop)
+                    if stop:
+                        Words("p", f"Flagged beyond ±{warning:g} µm, not followed beyond ±{stop:g} µm.", "small")
+
+    def _bar(self, axis: str, name: str, warning: float, stop: float) -> None:
+        with ui.element("div").classes("bar"):
+            Words("span", name)
+            with ui.element("div").classes("track"):
+                fill = ui.element("div").classes(f"fill {name}")
+                ui.element("div").classes("zero")
+                for side in (-1.0, 1.0) if stop else ():
+                    ui.element("div").classes("limit").style(f"left: {50.0 * (1.0 + side * warning / stop):.2f}%")
+            self._tracks[axis, name] = fill, Words("b", "")
+
+    def _move_bars(self, found: dict[str, Any]) -> None:
+        status = found["status"]
+        for axis in self._axes:
+            residual = found["left"]["axes"].get(axis, {}).get("rms_um")
+            values = {name: status[key][axis] for name, key in BARS} | {"residual": residual}
+            stop = self._limits.get(axis, (0.0, 0.0))[1] or max(abs(v or 0.0) for v in values.values()) or 1.0
+            for name, value in values.items():
+                fill, words = self._tracks[axis, name]
+                share = max(min((value or 0.0) / stop, 1.0), -1.0)
+                fill.style(f"left: {50.0 + min(50.0 * share, 0.0):.2f}%; width: {50.0 * abs(share):.2f}%")
+                unit = "" if value is None else " µm"
+                words.set_text(f"{um_text(value)}{unit}" if name != "residual" or value is None else f"{value:.2f} µm")
+
+    def _spark(self, title: str, kept: Sequence[Moment], *, temperatures: bool) -> Chart:
+        names = self._names(temperatures)
+        data = [
+            {"type": "scatter", "mode": "lines", "name": figures.text(n), "x": [m.time_s / 60.0 for m in kept],
+             "y": [_of(m, n, temperatures) for m in kept], "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2}}
+            for k, n in enumerate(names)
+        ]  # fmt: skip
+        up = figures.axis("°C" if temperatures else "µm")
+        layout = figures.layout(
+            xaxis=figures.axis("minutes since the daemon began"), yaxis=up, dragmode="zoom", showlegend=True
+        )
+        with ui.element("div").classes("card"):
+            Words("h2", title)
+            return Chart({"data": data, "layout": layout}, title).classes("low")
+
+    def _names(self, temperatures: bool) -> list[str]:
+        found = self._link.status
+        return list(found["status"]["degc" if temperatures else "applied_um"]) if found is not None else []
+
+    def _append(self) -> None:
+        now = self._link.minutes[-1] if self._link.minutes else None
+        if now is None or now.time_s == self._newest:
+            return
+        if now.time_s < self._newest:
+            self._session.on_change()  # the daemon was restarted: its time begins again
+            return
+        self._newest = now.time_s
+        for chart, temperatures in ((self._minutes, False), (self._warm, True)):
+            values = [_of(now, n, temperatures) for n in self._names(temperatures)]
+            chart.append([[now.time_s / 60.0]] * len(values), [[v] for v in values], MINUTES)
+
+    def _make_tables(self) -> None:
+        found = self._link.status
+        if found is None:
+            return
+        with ui.element("div").classes("cards"):
+            wrong = troubles(found) + [f"why: {r}" for r in found["status"]["reasons"]]
+            if wrong:
+                with ui.element("div").classes("card bad").props('role="alert"'):
+                    Words("h2", "What is wrong")
+                    for line in wrong:
+                        Words("p", line, "trouble")
+            with ui.element("div").classes("card"):
+                Words("h2", "Axes")
+                table(
+                    Table(
+                        ("axis", "requested, µm", "applied, µm", "residual, µm", "output, units", "counts"),
+                        axis_rows(found),
+                    )
+                )
+                for line in footer(found):
+                    Words("p", line, "small")
+            with ui.element("div").classes("card"):
+                Words("h2", "Inputs and their ages")
+                table(Table(("input", "value", "age"), input_rows(found) if found["status"]["cycles"] else []))
+            with ui.element("div").classes("card"):
+                Words("h2", "Events, newest first")
+                rows = [
+                    [e["utc"][:19].replace("T", " "), e["what"], e["text"], e["who"]] for e in reversed(found["events"])
+                ]
+                table(Table(("UTC", "what", "text", "by"), rows, words=(0, 1, 2, 3)))
+
+    def _ask(self, name: str, text: str, question: str) -> None:
+        with ui.dialog() as dialog, ui.element("div").classes("card").props('role="alertdialog"'):
+            Words("h2", question)
+
+            async def go() -> None:
+                dialog.close()
+                await self._give(name, "")
+
+            with ui.element("div").classes("row"):
+                button(text, go, main=True)
+                button("Cancel", dialog.close)
+        dialog.open()
+
+    async def _set_mark(self) -> None:
+        if not (self._mark.value or "").strip():
+            self._mark.error = "write a text first, for example: new tool"
+            return
+        await self._give("mark", self._mark.value.strip())
+        self._mark.value = ""
+
+    async def _give(self, name: str, text: str) -> None:
+        try:
+            outcome = await self._link.order(name, text)
+            self._said.set_text(outcome.text)
+        except RtecError as e:
+            self._said.set_text(str(e))
+
+
+def _of(moment: Moment, name: str, temperatures: bool) -> float | None:
+    value = (moment.degc if temperatures else moment.applied_um).get(name)
+    return None if value is None else round(value, 3)

@@ -1,0 +1,117 @@
+"""A report as a PDF: sentences, tables and figures below each other on pages of A4, by matplotlib alone."""
+
+from io import BytesIO
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Final
+
+from rtec.report.page import Page, Section, Table
+from rtec.text import clean_lines
+
+if TYPE_CHECKING:
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure as MplFigure
+
+WIDE_IN, HIGH_IN, EDGE_IN = 8.27, 11.69, 0.8
+LEAD, HEAD, TEXT, CELL = 14.0, 13.0, 10.0, 8.0
+"""Sizes of type, points."""
+LINE: Final = 1.35
+"""Distance of lines, in their size."""
+POINTS_PER_IN, WORDS_WIDE, MONO_WIDE = 72.0, 0.52, 0.602
+"""Mean width of a letter, and width of a monospaced one, in its size."""
+
+
+def pdf_of(page: Page) -> bytes:
+    """Give a report as a PDF; the same report gives the same bytes."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    out = BytesIO()
+    # Names from files are no formulas.
+    style: Any = {"pdf.fonttype": 42, "text.parse_math": False}
+    with rc_context(style), PdfPages(out, metadata={"CreationDate": None, "Title": page.title}) as pages:
+        _Sheet(pages).fill(page)
+    return out.getvalue()
+
+
+class _Sheet:
+    """The page that is being filled; full, the next one begins."""
+
+    def __init__(self, pages: "PdfPages") -> None:
+        self._pages, self._figure, self._left = pages, self._new(), HIGH_IN - 2.0 * EDGE_IN
+
+    def fill(self, page: Page) -> None:
+        """Put everything on pages."""
+        self._text(page.title, 18.0, weight="bold")
+        self._text(page.lead, LEAD)
+        for value, meaning in page.numbers:
+            self._text(f"{value}   {meaning}", TEXT)
+        for section in page.sections:
+            self._section(section)
+        for line in page.foot:
+            self._text(line, CELL)
+        self._pages.savefig(self._figure)  # type: ignore[no-untyped-call]
+
+    def _section(self, section: Section) -> None:
+        self._need(2.0 * LINE * HEAD / POINTS_PER_IN + 0.5)
+        self._left -= 0.15
+        self._text(section.heading, HEAD, weight="bold")
+        for sentence in section.text:
+            self._text(sentence, TEXT)
+        if section.table is not None:
+            self._table(section.table)
+        if section.figure is not None:
+            self._image(section.figure.png)
+
+    def _new(self) -> "MplFigure":
+        from matplotlib.figure import Figure
+
+        return Figure(figsize=(WIDE_IN, HIGH_IN))
+
+    def _need(self, inches: float) -> None:
+        if self._left < inches:
+            self._pages.savefig(self._figure)  # type: ignore[no-untyped-call]
+            self._figure, self._left = self._new(), HIGH_IN - 2.0 * EDGE_IN
+
+    def _text(self, words: str, size: float, **style: Any) -> None:
+        most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (WORDS_WIDE * size))
+        for paragraph in clean_lines(words).split("\n"):
+            for line in wrap(paragraph, most) or [""]:
+                self._line(line, size, **style)
+
+    def _line(self, words: str, size: float, **style: Any) -> None:
+        high = LINE * size / POINTS_PER_IN
+        self._need(high)
+        self._left -= high
+        y = (self._left + EDGE_IN) / HIGH_IN
+        self._figure.text(EDGE_IN / WIDE_IN, y, words, fontsize=size, va="bottom", **style)
+
+    def _table(self, table: Table) -> None:
+        """In monospaced letters; columns of words are cut where the table is too wide."""
+        rows = [[clean_lines(c).replace("\n", " ") for c in row] for row in (table.head, *table.rows)]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(table.head))]
+        most = int((WIDE_IN - 2.0 * EDGE_IN) * POINTS_PER_IN / (MONO_WIDE * CELL))
+        while sum(widths) + 2 * len(widths) > most and max(widths) > 8:
+            widths[widths.index(max(widths))] -= 1
+        for row in rows:
+            cells = [_cut(c, w).ljust(w) if k in table.words else _cut(c, w).rjust(w)
+                     for k, (c, w) in enumerate(zip(row, widths, strict=True))]  # fmt: skip
+            self._line("  ".join(cells), CELL, family="monospace")
+        if table.caption:
+            self._text(table.caption, CELL)
+
+    def _image(self, png: bytes) -> None:
+        from matplotlib.image import imread
+
+        picture = imread(BytesIO(png), format="png")
+        wide = WIDE_IN - 2.0 * EDGE_IN
+        high = min(wide * picture.shape[0] / picture.shape[1], HIGH_IN - 2.0 * EDGE_IN)
+        self._need(high)
+        self._left -= high
+        place = (EDGE_IN / WIDE_IN, (self._left + EDGE_IN) / HIGH_IN, wide / WIDE_IN, high / HIGH_IN)
+        axes = self._figure.add_axes(place)
+        axes.imshow(picture, aspect="equal", interpolation="lanczos")
+        axes.set_axis_off()
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: width - 1]}…"
