@@ -111,7 +111,7 @@ class _Frame:
                 link = Words("a", title).props(f'href="/{key}"')
                 link.on("click.prevent", lambda key=key: self.go(key))
                 self._links[key] = link
-        self._main = ui.element("main").classes("page")
+        self._main = ui.element("div").classes("page")
         session.on_progress, session.on_change, session.go = self._show_progress, self._build, self.go
         session.on_names = self._show_names
         self._build()

@@ -4,6 +4,7 @@ import csv
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +17,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 from rtec.cli.main import status
+from rtec.control.client import Client, DaemonPlace
+from rtec.control.places import of_config
+from rtec.errors import RtecError
+from rtec.loop.clock import RealClock
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -25,6 +30,7 @@ MACHINE = ROOT / "configs" / "machines" / "turning-centre.toml"
 CHROMIUM = shutil.which("chromium")
 TOKEN = "a-token-for-tests-only"  # noqa: S105
 WAIT_MS = 90_000
+START_NS = 60_000_000_000
 HIDDEN = ("scale,component=EXX,axis=X,k=12", "backlash,component=EXX,axis=X,B=4")
 
 needs_browser = pytest.mark.skipif(
@@ -149,3 +155,46 @@ def foreign(folder: Path, name: str, seed: int, *more: str) -> Path:
     made = folder / f"{name}.csv"
     made.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return made
+
+
+def live_config(folder: Path) -> Path:
+    """The shipped run file at 50 Hz, with counts that may be late: a busy computer is no fault here."""
+    for kind in ("models", "machines", "sim"):
+        shutil.copytree(ROOT / "configs" / kind, folder / kind)
+    made = folder / "run.toml"
+    text = (ROOT / "configs" / "turning-centre-sim.toml").read_text(encoding="utf-8")
+    text = text.replace('"../logs"', '"logs"').replace("rate_hz = 1000", "rate_hz = 50")
+    made.write_text(text.replace("counts_max_age_s = 0.005", "counts_max_age_s = 5.0"), encoding="utf-8")
+    return made
+
+
+@contextmanager
+def running_daemon(config: Path) -> Iterator[None]:
+    """A daemon that has made its first rows."""
+    command = [sys.executable, "-m", "rtec.cli.main", "run", config.name]
+    process = subprocess.Popen(command, cwd=config.parent, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        _wait_for_rows(config)
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+
+
+def _wait_for_rows(config: Path) -> None:
+    clock = RealClock()
+    last = clock.now_ns() + START_NS
+    while clock.now_ns() < last:
+        for path in of_config(config):
+            if path.exists() and _cycles(path):
+                return
+        clock.sleep_until_ns(clock.now_ns() + 100_000_000)
+    raise AssertionError("the daemon made no row")
+
+
+def _cycles(path: Path) -> int:
+    try:
+        with Client(DaemonPlace(path)) as client:
+            return int(client.status()["status"]["cycles"])
+    except RtecError:
+        return 0

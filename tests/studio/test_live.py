@@ -1,69 +1,25 @@
 """The live page against a real daemon of the simulated machine. Oracle: the daemon's own status over its socket."""
 
-import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from rtec.control.client import Client, DaemonPlace
 from rtec.control.places import of_config
-from rtec.loop.clock import RealClock
-from tests.studio.studio_rig import ROOT, Watched, chromium, needs_browser, running_studio, tab
+from tests.studio.studio_rig import Watched, chromium, live_config, needs_browser, running_daemon, running_studio, tab
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
-START_NS = 60_000_000_000
 
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The shipped run file at 50 Hz, with counts that may be late: a busy computer is no fault here."""
-    folder = tmp_path_factory.mktemp("live")
-    text = (ROOT / "configs" / "turning-centre-sim.toml").read_text(encoding="utf-8")
-    for kind in ("models", "machines", "sim"):
-        shutil.copytree(ROOT / "configs" / kind, folder / kind)
-    made = folder / "run.toml"
-    text = text.replace('"../logs"', '"logs"').replace("rate_hz = 1000", "rate_hz = 50")
-    made.write_text(text.replace("counts_max_age_s = 0.005", "counts_max_age_s = 5.0"), encoding="utf-8")
-    return made
-
-
-@contextmanager
-def daemon(config: Path) -> Iterator[None]:
-    """A daemon that has made its first rows."""
-    command = [sys.executable, "-m", "rtec.cli.main", "run", config.name]
-    process = subprocess.Popen(command, cwd=config.parent, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        _wait_for_rows(config)
-        yield
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(30)
-
-
-def _wait_for_rows(config: Path) -> None:
-    clock = RealClock()
-    last = clock.now_ns() + START_NS
-    while clock.now_ns() < last:
-        for path in of_config(config):
-            if path.exists() and _cycles(path):
-                return
-        clock.sleep_until_ns(clock.now_ns() + 100_000_000)
-    raise AssertionError("the daemon made no row")
-
-
-def _cycles(path: Path) -> int:
-    from rtec.errors import RtecError
-
-    try:
-        with Client(DaemonPlace(path)) as client:
-            return int(client.status()["status"]["cycles"])
-    except RtecError:
-        return 0
+    return live_config(tmp_path_factory.mktemp("live") / "run")
 
 
 def _mode(config: Path) -> str:
@@ -73,10 +29,16 @@ def _mode(config: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def watched(config: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
+def browser() -> Iterator["Browser"]:
+    with chromium() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def watched(browser: "Browser", config: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Watched]:
     """A page of a studio that may operate; the daemon is not running yet."""
     folder = tmp_path_factory.mktemp("studio")
-    with running_studio(folder, "--attach", str(config), "--role", "operate") as studio, chromium() as browser:
+    with running_studio(folder, "--attach", str(config), "--role", "operate") as studio:
         yield tab(browser, studio.address)
 
 
@@ -84,7 +46,7 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
     """It waits for the daemon; holds it by a button that asks once; shows why it holds by itself after a restart."""
     page = watched.page
     page.get_by_text("no answer: no daemon runs").wait_for()
-    with daemon(config):
+    with running_daemon(config):
         page.locator(".state.on").wait_for()
         assert page.locator(".state").inner_text() == "on"
         page.get_by_role("button", name="Hold", exact=True).click()
@@ -97,7 +59,7 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
     page.get_by_text("no answer").wait_for()
     text = config.read_text(encoding="utf-8").replace("counts_max_age_s = 5.0", "counts_max_age_s = 0.000001")
     config.write_text(text, encoding="utf-8")
-    with daemon(config):
+    with running_daemon(config):
         page.locator(".state.held").wait_for()
         page.get_by_role("button", name="Enable", exact=True).click()
         page.get_by_role("alertdialog").get_by_role("button", name="Enable", exact=True).click()
@@ -105,9 +67,9 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
     assert watched.complaints == []
 
 
-def test_without_the_role_there_are_no_buttons(config: Path, tmp_path: Path) -> None:
+def test_without_the_role_there_are_no_buttons(browser: "Browser", config: Path, tmp_path: Path) -> None:
     """Oracle: the page's buttons, and the sentence that says how to get them."""
-    with running_studio(tmp_path, "--attach", str(config)) as studio, chromium() as browser:
+    with running_studio(tmp_path, "--attach", str(config)) as studio:
         page = tab(browser, studio.address).page
         page.get_by_text("--role operate").wait_for()
         assert page.get_by_role("button", name="Hold").count() == 0

@@ -10,6 +10,7 @@ import numpy as np
 from nicegui import events, ui
 
 from rtec.errors import RtecError
+from rtec.machine import Machine
 from rtec.model import Model
 from rtec.model.at import state_at
 from rtec.studio import actions, figures
@@ -23,6 +24,8 @@ from rtec.wording import significant
 PLACES: Final = 5
 """Of each axis on the volumetric map."""
 SPEED_RPM, DEGC = 6000.0, 25.0
+THIN, ROOM = 0.3, 0.65
+"""Least extent of the room, as a share of its largest; half of its width over that of the machine."""
 MAGNIFIED: Final = (0.0, 5.0)
 """Powers of ten."""
 
@@ -58,86 +61,86 @@ class _Explorer:
         machine = model.machine
         self._state: dict[str, float] = {a.name: 0.5 * sum(a.travel_mm) for a in machine.axes}
         self._state |= {f"dir_{a.name}": 1.0 for a in machine.axes}
-        self._state |= {s: model.reference_degc for s in machine.sensor_names if s in model.channels}
+        for sensor in (s for s in machine.sensor_names if s in model.channels):
+            low, high = model.valid_range.get(sensor, (model.reference_degc,) * 2)
+            self._state[sensor] = min(max(model.reference_degc, low), high)
         self._others = [c for c in ("spindle_rpm", "load_kg", "force_n") if c in model.channels]
         self._state |= dict.fromkeys(self._others, 0.0)
         self._off: set[int] = set()
         self._power = 4.0
-        self._words: dict[str, Words] = {}
 
     def build(self) -> None:
         self._headline = Words("p", "", "lead").props('role="status" aria-live="polite"')
+        scene, volume, bars = self._figures()
         with ui.element("div").classes("split"):
             with ui.element("div").style("display: grid; gap: 1rem; min-width: 0"):
                 with ui.element("div").classes("card"):
                     Words("h2", "The machine, its error magnified")
-                    self._scene = Chart(_scene({}, 1.0, 0), "The machine's links: nominal, and moved by their errors")
-                    self._scene.classes("tall")
+                    self._scene = Chart(scene, "The machine's links: nominal, and moved by their errors").classes(
+                        "tall"
+                    )
                 with ui.element("div").classes("card"):
                     Words("h2", "Error at the tool tip over the whole travel")
-                    self._map = Chart(_scene({}, 1.0, 0), "Nominal places and where the tool tip really is, magnified")
-                    self._map.classes("tall")
+                    self._map = Chart(volume, "Nominal places and where the tool tip is, magnified").classes("tall")
             with ui.element("div").style("display: grid; gap: 1rem; min-width: 0"):
                 self._controls()
                 with ui.element("div").classes("card"):
                     Words("h2", "Component errors here")
-                    empty = {"data": [], "layout": figures.layout()}
-                    self._bars = Chart(empty, "Component errors at this place")
-        self._redraw()
+                    self._bars = Chart(bars, "Component errors at this place")
 
     def _controls(self) -> None:
         machine, model = self._model.machine, self._model
         with ui.element("div").classes("card"):
             Words("h2", "Where, and in what state")
-            self._slider("magnified", *MAGNIFIED, self._power, lambda v: f"{significant(10.0**v, 2)} times", "magnify")
+            self._slider("", "magnified, times", *MAGNIFIED, self._power)
             for a in machine.axes:
-                self._slider(a.name, *a.travel_mm, self._state[a.name], lambda v: f"{shown(v, 1)} mm", a.name)
+                self._slider(a.name, f"{a.name}, mm", *a.travel_mm, self._state[a.name])
             for a in machine.axes:
                 if a.direction_channel in model.channels:
                     with ui.element("div").classes("row"):
-                        Words("span", f"{a.name} last moved")
+                        Words("span", f"{a.name} moved last")
                         signs = {1: "+", -1: "−"}
                         toggle = ui.toggle(signs, value=1, on_change=partial(self._set, f"dir_{a.name}"))
                         label(toggle.props("no-caps unelevated toggle-color=primary"), f"direction of {a.name}")
             for sensor in (s for s in machine.sensor_names if s in model.channels):
                 low, high = model.valid_range.get(sensor, (model.reference_degc - DEGC, model.reference_degc + DEGC))
-                start = min(max(model.reference_degc, low), high)
-                self._state[sensor] = start
-                self._slider(sensor, low, high, start, lambda v: f"{shown(v, 1)} °C", sensor)
+                self._slider(sensor, f"{sensor}, °C", low, high, self._state[sensor])
             for name in self._others:
                 low, high = model.valid_range.get(name, (0.0, SPEED_RPM if name == "spindle_rpm" else 1000.0))
-                self._slider(name, min(low, 0.0), high, 0.0, lambda v: shown(v, 0), name)
+                self._slider(name, name, min(low, 0.0), high, 0.0)
         with ui.element("div").classes("card"):
             Words("h2", "Effects")
             for k, f in enumerate(model.effects):
-                ui.checkbox(f.label, value=True, on_change=partial(self._toggle, k))
+                label(ui.checkbox(f.label, value=True, on_change=partial(self._toggle, k)), f.label)
 
-    def _slider(self, key: str, low: float, high: float, value: float, say: Any, name: str) -> None:
-        """A slider with a field beside it that takes numbers in German and in English."""
+    def _slider(self, key: str, name: str, low: float, high: float, value: float) -> None:
+        """A slider, beside it a field for numbers in German and in English; without a key it is the magnification."""
+
+        def said(v: float) -> str:
+            return shown(v, 1) if key else significant(10.0**v, 2)
+
         with ui.element("div").classes("setting"):
             Words("span", name)
             slider = ui.slider(min=low, max=high, step=(high - low) / 200.0 or 1.0, value=value)
             label(slider.props("throttle=0.15"), name)
-            words = Words("span", say(value), "small")
-            field = ui.input(value=shown(value if key != "magnified" else 10.0**value, 1))
+            field = ui.input(value=said(value)).props("dense outlined")
             label(field, f"{name}, number")
-            field.props("dense outlined").style("width: 6.5rem")
 
         def moved(event: events.ValueChangeEventArguments[float | None]) -> None:
             now = float(event.value or 0.0)
-            words.set_text(say(now))
-            if key == "magnified":
-                self._power = now
-            else:
+            field.value = said(now)
+            if key:
                 self._state[key] = now
+            else:
+                self._power = now
             self._redraw()
 
         def typed() -> None:
             try:
                 given = number(field.value or "")
-                inner = float(np.log10(given)) if key == "magnified" and given > 0.0 else given
+                inner = given if key else float(np.log10(max(given, 1e-9)))
                 if not low - 1e-9 <= inner <= high + 1e-9:
-                    ends = (10.0**low, 10.0**high) if key == "magnified" else (low, high)
+                    ends = (low, high) if key else (10.0**low, 10.0**high)
                     raise RtecError(f"from {significant(ends[0])} to {significant(ends[1])}")
             except RtecError as e:
                 field.error = str(e)
@@ -157,20 +160,24 @@ class _Explorer:
         self._redraw()
 
     def _redraw(self) -> None:
+        for chart, figure in zip((self._scene, self._map, self._bars), self._figures(), strict=True):
+            chart.show(figure)
+
+    def _figures(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        """Machine, volumetric map and bars; and the headline of this place."""
         model = replace(self._model, effects=tuple(f for k, f in enumerate(self._model.effects) if k not in self._off))
+        machine = model.machine
         error = model.predict(dict(self._state))
-        state, _ = state_at(model, dict(self._state), {})
-        values = model.components(state)[0]
-        components = dict(zip(model.machine.components, values.tolist(), strict=True))
+        values = model.components(state_at(model, dict(self._state), {})[0])[0]
+        components = dict(zip(machine.components, values.tolist(), strict=True))
         tip = ", ".join(f"{axis} {shown(float(e), 2, sign=True)}" for axis, e in zip("XYZ", error, strict=True))
         self._headline.set_text(f"Here the tool tip is off by {tip} µm. {_part(model, self._state)}")
-        pose = {a.name: self._state[a.name] for a in model.machine.axes}
-        sides = {side: nodes(model.machine, components, pose, side) for side in ("tool", "work")}
+        pose = {a.name: self._state[a.name] for a in machine.axes}
+        sides = {side: nodes(machine, components, pose, side) for side in ("tool", "work")}
         magnified = 10.0**self._power
-        self._scene.show(_scene(sides, magnified, 1))
-        self._map.show(_volume(model, self._state, magnified))
         fed = {c: components[c] for c in model.fed}
-        self._bars.show(_bars(fed) if fed else {"data": [], "layout": figures.layout()})
+        bars = _bars(fed) if fed else {"data": [], "layout": figures.layout()}
+        return _scene(machine, sides, magnified), _volume(model, self._state, magnified), bars
 
 
 def _part(model: Model, state: Mapping[str, float]) -> str:
@@ -199,27 +206,48 @@ def _axis3(title: str) -> dict[str, Any]:
     return {"title": {"text": title}, "gridcolor": "@grid", "color": "@ink", "backgroundcolor": "@paper"}
 
 
-def _layout3() -> dict[str, Any]:
-    scene = {"xaxis": _axis3("X, mm"), "yaxis": _axis3("Y, mm"), "zaxis": _axis3("Z, mm"), "aspectmode": "data",
-             "uirevision": "kept"}  # fmt: skip
+def _layout3(machine: Machine) -> dict[str, Any]:
+    """A room that holds the machine at both ends of its travels, and stays as it is while something moves in it."""
+    zero = np.zeros((1, 3))
+    ends = [{a.name: a.travel_mm[end] for a in machine.axes} for end in (0, 1)]
+    places = [zero, *(nodes(machine, {}, pose, side).place_mm for pose in ends for side in ("tool", "work"))]
+    low, high = (f(np.concatenate(places), axis=0) for f in (np.min, np.max))
+    size = np.maximum(high - low, THIN * float((high - low).max()))
+    middle = 0.5 * (low + high)
+    ranges = np.stack([middle - ROOM * size, middle + ROOM * size], axis=1)
+    ratio = size / float(size.max())
+    scene: dict[str, Any] = {
+        f"{axis}axis": _axis3(f"{axis.upper()}, mm") | {"range": ranges[k].tolist()} for k, axis in enumerate("xyz")
+    }
+    scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (1.2 * ratio).tolist(), strict=True))}
+    scene |= {"uirevision": "kept", "camera": {"eye": {"x": 1.1, "y": -1.7, "z": 0.8}}}
     return figures.layout(scene=scene, dragmode="orbit", margin={"l": 0, "r": 0, "t": 40, "b": 0})
 
 
-def _scene(sides: Mapping[str, ChainNodes], magnified: float, tip: int) -> dict[str, Any]:
+def _scene(machine: Machine, sides: Mapping[str, ChainNodes], magnified: float) -> dict[str, Any]:
     data = []
     for side, n in sides.items():
         for moved, tint in ((0.0, "@muted"), (magnified, {"tool": "@c2", "work": "@c3"}[side])):
             at = n.place_mm + 1e-3 * moved * n.moved_um
-            name = f"{side} side, {'with its errors' if moved else 'nominal'}"
+            name = f"{side} side, with its errors" if moved else "nominal"
             data.append({
                 "type": "scatter3d", "mode": "lines+markers+text" if moved else "lines", "name": name,
+                "showlegend": bool(moved) or side == "tool",
                 "x": figures.numbers(at[:, 0]), "y": figures.numbers(at[:, 1]), "z": figures.numbers(at[:, 2]),
-                "text": [figures.text(v) for v in n.names], "line": {"color": tint, "width": 10 if moved else 4},
-                "marker": {"size": 5, "color": tint}, "textfont": {"size": 13, "color": "@ink"},
-                "hoverinfo": "text",
+                "text": _names_at(n), "line": {"color": tint, "width": 10 if moved else 4},
+                "marker": {"size": 5, "color": tint}, "textfont": {"size": 13, "color": "@ink"}, "hoverinfo": "text",
             })  # fmt: skip
-    del tip
-    return {"data": data, "layout": _layout3()}
+    return {"data": data, "layout": _layout3(machine)}
+
+
+def _names_at(n: ChainNodes) -> list[str]:
+    """Names of the links; those at one place are written once, together."""
+    out = [""] * len(n.names)
+    for k in range(len(n.names)):
+        here = [m for m in range(len(n.names)) if np.allclose(n.place_mm[m], n.place_mm[k])]
+        if here[0] == k:
+            out[k] = figures.text(", ".join(n.names[m] for m in here))
+    return out
 
 
 def _volume(model: Model, state: Mapping[str, float], magnified: float) -> dict[str, Any]:
@@ -244,4 +272,4 @@ def _volume(model: Model, state: Mapping[str, float], magnified: float) -> dict[
          "y": figures.numbers(real[:, 1]), "z": figures.numbers(real[:, 2]), "marker": marker,
          "text": [f"{v:.2f} µm" for v in size], "hoverinfo": "text"},
     ]  # fmt: skip
-    return {"data": data, "layout": _layout3()}
+    return {"data": data, "layout": _layout3(machine)}

@@ -67,7 +67,7 @@ class _LivePage:
         else:
             Words("p", "This studio only looks: start it with --role operate for the buttons.", "small")
         self._said = Words("p", "", "lead").props('role="status" aria-live="polite"')
-        self._bars = Area(self._make_bars)
+        self._make_bars()
         with ui.element("div").classes("plots"):
             self._minutes = self._spark("Applied correction, last 10 minutes", link.minutes, temperatures=False)
             self._warm = self._spark("Temperatures, last 10 minutes", link.minutes, temperatures=True)
@@ -92,7 +92,8 @@ class _LivePage:
             return
         self._lead.set_text(f"{found['machine']}, model {found['model']}, {found['config']}")
         if tuple(found["status"]["applied_um"]) != self._axes:
-            self._bars.redo()
+            self._session.on_change()  # it answers for the first time, or another machine's daemon does
+            return
         self._move_bars(found)
         self._count += 1
         if self._count % EVERY == 1:

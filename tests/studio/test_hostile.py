@@ -1,0 +1,113 @@
+"""Names and cells of files are text. Oracles: the page's own text and elements, and dialogs, of which none may open."""
+
+import shutil
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.studio.studio_rig import MACHINE, RunningStudio, Watched, chromium, needs_browser, running_studio, tab
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
+ATTACK = "<img src=x onerror=alert(1)>"
+HEADER = f'Zeit [s];X Soll [mm];"<b>Abweichung</b> [um]";"{ATTACK}"'
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator["Browser"]:
+    with chromium() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningStudio]:
+    """Of a folder with hostile names and cells, made by somebody else."""
+    folder = tmp_path_factory.mktemp("hostile")
+    shutil.copy(MACHINE, folder)
+    rows = "\n".join(f"{k};{20 * (k % 8)};{k % 3},5;{ATTACK}" for k in range(40))
+    (folder / f"{ATTACK}.csv").write_text(f"{HEADER}\n{rows}\n", encoding="utf-8")
+    (folder / "a\x1b[2Jb\u202e.csv").write_text("1;2\n", encoding="utf-8")
+    (folder / "{{ 7*7 }}.toml").write_bytes(MACHINE.read_bytes())
+    with running_studio(folder) as made:
+        yield made
+
+
+def test_names_and_cells_are_shown_as_text(browser: "Browser", studio: RunningStudio) -> None:
+    """No element is made of them, nothing runs, and control characters are shown as escapes."""
+    watched: Watched = tab(browser, studio.address)
+    page, dialogs = watched.page, list[str]()
+    page.on("dialog", lambda d: dialogs.append(d.message))
+    page.get_by_text(f"{ATTACK}.csv").first.wait_for()
+    page.get_by_text("a\\u001b[2Jb\\u202e.csv").first.wait_for()
+    page.get_by_label("Machine file").click()
+    page.get_by_role("option", name="{{ 7*7 }}.toml").wait_for()
+    page.get_by_role("option", name="turning-centre.toml").click()
+    page.locator("header", has_text="turning-centre.toml").wait_for()
+    page.wait_for_timeout(500)
+    page.get_by_role("button", name=f"Import {ATTACK}.csv").click()
+    page.get_by_role("cell", name="<b>Abweichung</b> [um]").first.wait_for()
+    assert page.locator("img").count() == 0
+    assert page.locator("td b").count() == 0
+    assert dialogs == []
+    assert [c for c in watched.complaints if "Security" in c or "onerror" in c] == []
+
+
+def test_a_page_without_the_key_shows_nothing(browser: "Browser", studio: RunningStudio) -> None:
+    """Oracle: status 403 and the sentence, in a browser that was never let in."""
+    page = browser.new_context().new_page()
+    answer = page.goto(f"{studio.origin}/compare")
+    assert answer is not None
+    assert answer.status == 403
+    assert "rtec studio" in page.inner_text("body")
+    assert ATTACK not in page.content()
+
+
+def test_narrow_and_wide_screens_show_all_of_it(browser: "Browser", studio: RunningStudio) -> None:
+    """Oracle: nothing reaches beyond the right edge, on a tablet and at 2560 px."""
+    for width in (820, 1280, 2560):
+        page = tab(browser, studio.address, width).page
+        page.get_by_text("Measurements in the folder").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.context.close()
+
+
+def test_the_pages_can_be_used_by_keyboard(browser: "Browser", studio: RunningStudio) -> None:
+    """Oracle: the page that Tab and Enter lead to, and an outline on whatever has the focus."""
+    page = tab(browser, studio.address).page
+    page.get_by_text("Measurements in the folder").wait_for()
+    page.get_by_role("link", name="Compare").focus()
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != ""
+    page.keyboard.press("Enter")
+    page.locator("h1", has_text="Compare").wait_for()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_text_has_contrast(browser: "Browser", studio: RunningStudio, theme: str) -> None:
+    """Oracle: WCAG's formula of contrast, 4.5 for every text that is shown, against the ground that it is on."""
+    page = tab(browser, studio.address).page
+    page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
+    page.get_by_text("Measurements in the folder").wait_for()
+    page.wait_for_timeout(500)
+    low = page.evaluate(CONTRAST)
+    assert low == []
+
+
+CONTRAST = """() => {
+  const parse = (c) => { const m = c.match(/[\\d.]+/g).map(Number); return m.length < 4 ? [...m, 1] : m; };
+  const part = (v) => v <= .03928 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4;
+  const light = ([r, g, b]) => { const f = (v) => part(v / 255);
+    return .2126 * f(r) + .7152 * f(g) + .0722 * f(b); };
+  const ground = (e) => { for (; e; e = e.parentElement) { const c = parse(getComputedStyle(e).backgroundColor);
+    if (c[3] > .99) return c; } return [255, 255, 255, 1]; };
+  const out = [];
+  for (const e of document.querySelectorAll("main *, header *, nav *")) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+    if (!own || !e.offsetParent || e.classList.contains("q-icon")) continue;
+    const [a, b] = [light(parse(getComputedStyle(e).color)), light(ground(e))].sort((x, y) => y - x);
+    if ((a + .05) / (b + .05) < 4.5) out.push(e.textContent.slice(0, 40));
+  }
+  return out;
+}"""
