@@ -78,6 +78,7 @@ figures: $(STAMP)  ## the figures of the documentation, made by the demo and by 
 	$(BIN)/python -m tests.tutorial.tutorial docs/figures
 	$(BIN)/python -m tests.notebooks.run
 	$(BIN)/python -m tests.tutorial.campaign docs/figures
+	$(BIN)/python -m tests.studio.screens docs/figures
 
 studio: $(STAMP)  ## compare, diagnose and improve in the browser; opens out/studio
 	@mkdir -p out/studio

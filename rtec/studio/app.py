@@ -194,7 +194,7 @@ def serve(folder: Path, address: Address, opened: Callable[[str], None], live: L
         dark=None,
         tailwind=False,
         gzip_middleware_factory=None,
-        reconnect_timeout=10.0,
+        reconnect_timeout=30.0,
         show_welcome_message=False,
         binding_refresh_interval=None,
         favicon=FAVICON,

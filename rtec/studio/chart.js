@@ -35,11 +35,11 @@ export default {
     if (this.Plotly) this.Plotly.purge(this.$el);
   },
   watch: {
-    options() { if (this.Plotly) this.draw(); },
+    options() { this.moved = null; if (this.Plotly) this.draw(); },
   },
   methods: {
     styled() {
-      const { data, layout } = colours(this.options, getComputedStyle(document.body));
+      const { data, layout } = colours(this.moved ?? this.options, getComputedStyle(document.body));
       return { data, layout, config: { displaylogo: false, responsive: false, scrollZoom: false,
         modeBarButtonsToRemove: ["toImage", "autoScale2d"] } };
     },
@@ -83,6 +83,7 @@ export default {
     // Moves every trace of the same length from where it is to where it will be, and leaves the rest as it is.
     morph(options, ms) {
       this.$el.dataset.moved = "no";
+      this.moved = options; // what a change of the theme draws
       const target = colours(options, getComputedStyle(document.body));
       const from = this.$el.data.map((t) => Array.from(t.y ?? []));
       const moving = target.data.map((t, k) => k).filter((k) => from[k]?.length && from[k].length === target.data[k].y.length);
@@ -100,6 +101,10 @@ export default {
       requestAnimationFrame(step);
     },
     append(x, y, most) {
+      this.options.data.forEach((trace, k) => {
+        trace.x = [...trace.x, ...x[k]].slice(-most);
+        trace.y = [...trace.y, ...y[k]].slice(-most);
+      });
       if (!this.Plotly || !this.$el.data) return;
       this.Plotly.extendTraces(this.$el, { x, y }, x.map((_, k) => k), most);
     },

@@ -14,7 +14,7 @@ from rtec.text import clean
 
 if TYPE_CHECKING:
     from rtec.report.evidence import Evidence
-    from rtec.studio.tasks import SeriesView
+    from rtec.studio.tasks import OutlierView, SeriesView
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -56,7 +56,15 @@ def text(words: str) -> str:
 
 def numbers(values: Floats) -> list[float | None]:
     """Numbers for the page, with as many digits as an eye sees; what is not finite is a gap."""
-    return [float(f"{v:.{DIGITS}g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=np.float64)]
+    v = np.asarray(values, dtype=np.float64)
+    good = np.isfinite(v)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = np.where(good & (v != 0.0), DIGITS - 1 - np.floor(np.log10(np.abs(v))), 0.0)
+    scale = 10.0 ** np.clip(power, -15.0, 15.0)
+    out: list[float | None] = (np.round(np.where(good, v, 0.0) * scale) / scale).tolist()
+    for k in np.flatnonzero(~good):
+        out[int(k)] = None
+    return out
 
 
 def layout(**more: Any) -> Figure:
@@ -128,7 +136,12 @@ def ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str]]:
 
 
 def residual_over(
-    s: "SeriesView", over: str, colour: str = "", wanted: Ints | None = None, what: str = "residual"
+    s: "SeriesView",
+    over: str,
+    colour: str = "",
+    wanted: Ints | None = None,
+    what: str = "residual",
+    wrong: "Sequence[OutlierView]" = (),
 ) -> Figure:
     """The residual, or what was measured and predicted, over a channel.
 
@@ -138,6 +151,7 @@ def residual_over(
         colour: title of the channel that colours it; empty: by direction.
         wanted: readings that are drawn.
         what: "residual", or "measured" for the error with the prediction.
+        wrong: readings that were excluded, drawn where they are as far off as they are.
     """
     x = s.channels[over]
     rows = drawn(s, x) if wanted is None else wanted
@@ -157,6 +171,13 @@ def residual_over(
             traces.append(_points(s, some, x, y, f"{what}{name}", color=tint, symbol=symbol))
     if what != "residual":
         traces += _predicted(s, x)
+    elif there := [o for o in wrong if over in o.channels]:
+        traces.append({
+            "type": "scattergl", "mode": "markers", "name": "wrong, excluded", "y": [o.off for o in there],
+            "x": [o.channels[over] for o in there], "marker": {"symbol": "x", "size": 12, "color": "@c6"},
+            "text": [f"{text(o.measurement)}, row {o.row}: off by {o.off:+.2f}" for o in there],
+            "hovertemplate": "%{text}<extra></extra>",
+        })  # fmt: skip
     title = f"{what}, {s.unit}" if what == "residual" else f"error, {s.unit}"
     legend = not colour or what != "residual"
     return {

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rtec.diagnosis.extend.add import Added
     from rtec.diagnosis.extend.improve import ProposedStep
     from rtec.diagnosis.result import Diagnosis, Finding
+    from rtec.estimation.outliers import WrongReading
     from rtec.estimation.readings import Readings, Series
     from rtec.machine import Machine
     from rtec.metrology.importing import ImportProposal
@@ -104,7 +105,7 @@ class SeriesView:
 
 @dataclass(frozen=True)
 class OutlierView:
-    """A reading that was excluded as wrong: where it is, how far off, and in which unit."""
+    """A reading that was excluded as wrong: where it is, how far off, in which unit; and its channels, by title."""
 
     measurement: str
     column: str
@@ -112,6 +113,7 @@ class OutlierView:
     run: int
     off: float
     unit: str
+    channels: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -213,10 +215,26 @@ def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) 
 
 
 def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
-    wrong = [OutlierView(w.measurement, w.column, w.row + 1, w.run, w.off, w.unit) for w in c.judged.given.wrong]
+    wrong = [
+        OutlierView(w.measurement, w.column, w.row + 1, w.run, w.off, w.unit, _channels_at(c, w))
+        for w in c.judged.given.wrong
+    ]
     items = zip(c.traces.readings.series, c.items, strict=True)
     series = tuple(_series(c, s, item.floor, item.left.rms) for s, item in items)
     return CompareView(_page(c, files), series, tuple(wrong), c.to_dict())
+
+
+def _channels_at(c: "Comparison", w: "WrongReading") -> dict[str, float]:
+    """Every channel at a wrong reading, by title."""
+    readings = c.traces.readings
+    s = next((s for s in readings.series if readings.measurements[s.source].name == w.measurement), None)
+    if s is None:
+        return {}
+    first = readings.measurements[s.source].time_s[s.row[0]]
+    here = replace(s, row=np.array([w.row]), time_s=readings.measurements[s.source].time_s[[w.row]], run=np.array([0]))
+    titles, _, _ = _channels(readings, here, axes_of=s)
+    out = {title: float(values[0]) for title, values in titles.items()}
+    return out | {TIME: float(here.time_s[0] - first) / 3600.0, "run": float(w.run)}
 
 
 def _page(result: "Result", files: Sequence[Path]) -> "Page":
@@ -251,22 +269,27 @@ def _series(c: "Comparison", s: "Series", floor: float, residual: float) -> Seri
     )
 
 
-def _channels(readings: "Readings", s: "Series") -> tuple[dict[str, Floats], tuple[str, ...], Floats]:
+TIME = "time since the first reading, h"
+
+
+def _channels(
+    readings: "Readings", s: "Series", axes_of: "Series | None" = None
+) -> tuple[dict[str, Floats], tuple[str, ...], Floats]:
     """What a reading column can be drawn over; which of it are temperatures; the direction along the first axis."""
     from rtec.diagnosis.words import titled
 
     state, machine = readings.states[s.source], readings.machine
     out: dict[str, Floats] = {}
     direction: Floats = np.zeros(len(s))
-    axes = sorted(machine.axes, key=lambda a: -float(np.ptp(state.value(a.channel)[s.row])))
+    axes = sorted(machine.axes, key=lambda a: -float(np.ptp(state.value(a.channel)[(axes_of or s).row])))
     for axis in axes:
         place = state.value(axis.channel)[s.row]
-        if float(np.ptp(place)) > 0.0:
+        if axes_of is not None or float(np.ptp(place)) > 0.0:
             if not out:
                 direction = np.sign(np.asarray(state.value(axis.direction_channel), dtype=np.float64)[s.row])
             out[titled(axis.channel)] = place
     hours = (s.time_s - s.time_s[0]) / 3600.0
-    out["time since the first reading, h"] = hours
+    out[TIME] = hours
     warm = [n for n in machine.sensor_names if n in state.channels]
     out |= {titled(n, "degC"): state.channels[n][s.row] for n in warm}
     own = {a.channel for a in machine.axes} | {a.direction_channel for a in machine.axes} | set(warm)

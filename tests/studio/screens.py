@@ -54,6 +54,7 @@ def _story(page: "Page", folder: Path, out: Path) -> None:
     page.get_by_text("What it becomes").wait_for()
     shoot(page, out, "import")
     page.get_by_role("link", name="Compare").click()
+    page.get_by_role("button", name="Diagnose: which effect is missing?").wait_for()
     page.wait_for_selector(".chart[data-drawn=yes]")
     shoot(page, out, "compare")
     page.get_by_role("link", name="Diagnose").click()

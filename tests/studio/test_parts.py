@@ -58,3 +58,11 @@ def test_zoomed_in_every_reading_there_is_drawn() -> None:
 def test_a_text_from_a_file_is_no_markup() -> None:
     """Plotly reads some HTML in its texts; a name from a file is shown as it is."""
     assert figures.text('<a href="javascript:x">&\x1b') == '&lt;a href="javascript:x"&gt;&amp;\\u001b'
+
+
+def test_numbers_for_the_page_have_few_digits() -> None:
+    """Oracle: Python's own rounding to five significant digits; what is not finite is a gap."""
+    values = np.concatenate([np.random.default_rng(2).normal(0.0, 300.0, 500), [0.0, 1e-4, 123456.7, 3e-12]])
+    assert figures.numbers(values) == [pytest.approx(float(f"{v:.5g}"), rel=1e-9) for v in values]
+    assert figures.numbers(np.array([np.nan, np.inf, 2.0])) == [None, None, 2.0]
+    assert max(len(repr(v)) for v in figures.numbers(values[:500])) <= 9

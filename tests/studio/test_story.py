@@ -137,6 +137,24 @@ def test_undo_and_redo_move_along_the_staircase(story: Watched) -> None:
     page.get_by_text("Saved as better.toml.").wait_for()
 
 
+def test_improve_asks_at_each_step_and_saves_what_the_command_line_saves(
+    story: Watched, studio: RunningStudio, tmp_path: Path
+) -> None:
+    """Oracle: `rtec improve --yes` on the same files."""
+    page = story.page
+    page.get_by_role("button", name="Undo").click()
+    page.get_by_role("button", name="Improve step by step").click()
+    page.get_by_text("Step 1: add backlash(EXX, X)?").wait_for()
+    page.get_by_role("button", name="Add backlash(EXX, X) (").click()
+    page.get_by_text("It ended because").wait_for()
+    page.get_by_label("File for the model").fill("improved.toml")
+    page.get_by_role("button", name="Save", exact=True).click()
+    page.get_by_text("Saved as improved.toml.").wait_for()
+    files = [str(studio.folder / n) for n in ("laser-a.csv", "laser-b.csv")]
+    assert status(["improve", str(studio.folder / "model.toml"), *files, "--yes", "-o", str(tmp_path / "i.toml")]) == 0
+    assert (studio.folder / "improved.toml").read_bytes() == (tmp_path / "i.toml").read_bytes()
+
+
 def test_another_tab_begins_by_itself(story: Watched, browser: "Browser", studio: RunningStudio) -> None:
     """Oracle: the measurements that are chosen: two in the first tab, none in a new one."""
     other = tab(browser, studio.address)
@@ -149,7 +167,7 @@ def test_another_tab_begins_by_itself(story: Watched, browser: "Browser", studio
 def test_a_reload_loses_nothing(story: Watched) -> None:
     """Oracle: the page before the reload."""
     story.page.reload()
-    story.page.get_by_text("Saved as better.toml.").wait_for()
+    story.page.get_by_text("Saved as improved.toml.").wait_for()
     assert "2 measurements" in story.page.locator("header").inner_text()
 
 

@@ -76,7 +76,7 @@ class _Plots:
             "div", "Point at a reading to see its row. Drag over readings to mark them in every plot.", "reading card"
         ).props('role="status" aria-live="polite"')
         with ui.element("div").classes("plots"):
-            self._add("residual", "The residual", lambda w: figures.residual_over(s, self._over, self._colour, w))
+            self._add("residual", "The residual", self._residual)
             self._add(
                 "measured", "Measured and predicted", lambda w: figures.residual_over(s, self._over, "", w, "measured")
             )
@@ -96,6 +96,11 @@ class _Plots:
                 "to see those that are there. All of them count in the numbers.",
                 "small",
             )
+
+    def _residual(self, rows: Any) -> dict[str, Any]:
+        own = self._series.name.partition(", ")[0]
+        wrong = [o for o in self._view.outliers if o.measurement == own]
+        return figures.residual_over(self._series, self._over, self._colour, rows, wrong=wrong)
 
     def _choice(self, key: str, label: str, options: dict[str, str], value: str, *, rebuild: bool = False) -> None:
         def choose(event: events.ValueChangeEventArguments[str]) -> None:
@@ -123,7 +128,7 @@ class _Plots:
 
     def _redraw(self) -> None:
         s = self._series
-        self._charts["residual"].show(figures.residual_over(s, self._over, self._colour))
+        self._charts["residual"].show(self._residual(None))
         self._charts["measured"].show(figures.residual_over(s, self._over, "", None, "measured"))
 
     def _point(self, number_of_all: int) -> None:

@@ -220,7 +220,7 @@ def _layout3(machine: Machine) -> dict[str, Any]:
         f"{axis}axis": _axis3(f"{axis.upper()}, mm") | {"range": ranges[k].tolist()} for k, axis in enumerate("xyz")
     }
     scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (1.2 * ratio).tolist(), strict=True))}
-    scene |= {"uirevision": "kept", "camera": {"eye": {"x": 1.1, "y": -1.7, "z": 0.8}}}
+    scene |= {"uirevision": "kept", "camera": {"eye": {"x": 0.9, "y": -1.35, "z": 0.6}}}
     return figures.layout(scene=scene, dragmode="orbit", margin={"l": 0, "r": 0, "t": 40, "b": 0})
 
 
@@ -234,17 +234,18 @@ def _scene(machine: Machine, sides: Mapping[str, ChainNodes], magnified: float) 
                 "type": "scatter3d", "mode": "lines+markers+text" if moved else "lines", "name": name,
                 "showlegend": bool(moved) or side == "tool",
                 "x": figures.numbers(at[:, 0]), "y": figures.numbers(at[:, 1]), "z": figures.numbers(at[:, 2]),
-                "text": _names_at(n), "line": {"color": tint, "width": 10 if moved else 4},
+                "text": _names_at(n, base=side == "work"), "line": {"color": tint, "width": 10 if moved else 4},
                 "marker": {"size": 5, "color": tint}, "textfont": {"size": 13, "color": "@ink"}, "hoverinfo": "text",
             })  # fmt: skip
     return {"data": data, "layout": _layout3(machine)}
 
 
-def _names_at(n: ChainNodes) -> list[str]:
-    """Names of the links; those at one place are written once, together."""
+def _names_at(n: ChainNodes, *, base: bool) -> list[str]:
+    """Names of the links, those at one place together; the base, which both sides have, where it is wanted."""
     out = [""] * len(n.names)
-    for k in range(len(n.names)):
-        here = [m for m in range(len(n.names)) if np.allclose(n.place_mm[m], n.place_mm[k])]
+    first = 0 if base else 1
+    for k in range(first, len(n.names)):
+        here = [m for m in range(first, len(n.names)) if np.allclose(n.place_mm[m], n.place_mm[k])]
         if here[0] == k:
             out[k] = figures.text(", ".join(n.names[m] for m in here))
     return out

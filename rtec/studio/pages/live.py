@@ -21,7 +21,7 @@ ORDERS: Final = {
     "fade": ("Fade", "Fade the correction to zero at its slew limit?"),
 }
 BARS: Final = (("requested", "requested_um"), ("applied", "applied_um"))
-EVERY: Final = 5
+EVERY: Final = 10
 """Tables are drawn at every so many answers, bars at each."""
 
 
@@ -147,7 +147,7 @@ class _LivePage:
         ]  # fmt: skip
         up = figures.axis("°C" if temperatures else "µm")
         layout = figures.layout(
-            xaxis=figures.axis("minutes since the daemon began"), yaxis=up, dragmode="zoom", showlegend=True
+            xaxis=figures.axis("minutes since the daemon began", nticks=6), yaxis=up, dragmode="zoom", showlegend=True
         )
         with ui.element("div").classes("card"):
             Words("h2", title)

@@ -1,0 +1,88 @@
+"""Work in a process of its own. Oracles: what the task returns, raises, asks; and the process table."""
+
+import asyncio
+import os
+import signal
+import threading
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from rtec.errors import RtecError
+from rtec.studio.jobs import Cancelled, Job, Reporter
+
+pytestmark = pytest.mark.xdist_group("studio")
+
+
+def _double(line: Reporter, value: int) -> int:
+    line.stage("half way", 1, 2)
+    return 2 * value
+
+
+def _asks(line: Reporter) -> str:
+    return f"answered {line.ask('how many?')}"
+
+
+def _refuses(_: Reporter) -> None:
+    raise RtecError("laser.csv: line 3: no number")
+
+
+def _breaks(_: Reporter) -> None:
+    raise ZeroDivisionError("by zero")
+
+
+def _ends(_: Reporter) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _waits(line: Reporter) -> None:
+    line.stage(str(os.getpid()), 0, 0)
+    threading.Event().wait()
+
+
+def _run(work: Callable[[], Awaitable[Any]]) -> Any:
+    async def main() -> Any:
+        return await work()
+
+    return asyncio.run(main())
+
+
+def test_work_reports_and_gives_its_result() -> None:
+    """The stage is seen before the end."""
+    seen: list[tuple[str, int, int]] = []
+    job = Job("doubling", lambda: seen.append((job.what, job.done, job.total)))
+    assert _run(lambda: job.run(_double, 21)) == 42
+    assert seen == [("half way", 1, 2)]
+
+
+def test_work_asks_and_gets_an_answer() -> None:
+    """The question arrives, the answer goes back."""
+
+    def answered(question: Any) -> asyncio.Future[Any]:
+        made: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        made.set_result(7 if question == "how many?" else 0)
+        return made
+
+    assert _run(lambda: Job("asking", lambda: None, answered).run(_asks)) == "answered 7"
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [(_refuses, "line 3: no number"), (_breaks, "a fault of rtec itself: ZeroDivisionError"), (_ends, "process")],
+)
+def test_what_goes_wrong_is_one_error_with_a_sentence(task: Callable[[Reporter], None], said: str) -> None:
+    """An error of the input as it is; a fault of ours, and a process that was killed, in words."""
+    with pytest.raises(RtecError, match=said):
+        _run(lambda: Job("failing", lambda: None).run(task))
+
+
+def test_cancelled_work_ends_at_once_and_its_process_is_gone() -> None:
+    """Oracle: the process table."""
+    job = Job("waiting", lambda: job.cancel())  # noqa: PLW0108 - it is made by the same line
+    with pytest.raises(Cancelled):
+        _run(lambda: job.run(_waits))
+    process = job._process
+    assert process is not None
+    process.join(10)
+    assert not process.is_alive()

@@ -1,0 +1,67 @@
+"""What a worker gives the pages. Oracles: the public functions of rtec on the same files; the wrong readings put in."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtec
+from rtec.cli.main import status
+from rtec.studio import tasks
+from tests.studio.studio_rig import MACHINE, simulated
+
+
+class Silent:
+    """Takes reports, and has no answer."""
+
+    def stage(self, what: str, done: int, total: int) -> None:
+        """Nothing is shown."""
+
+    def ask(self, question: object) -> None:
+        """Nobody is asked."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("tasks")
+    simulated(made, "laser", 5, "--cycles", "3", "--outliers", "0.01")
+    assert status(["fit", str(MACHINE), str(made / "laser.csv"), "--effects", "scale", "-o", str(made / "m.toml")]) == 0
+    return made
+
+
+def test_a_view_of_a_comparison_is_the_comparison(folder: Path) -> None:
+    """Residuals, floor and facts are those of `rtec.compare`; every wrong reading is where its row is in the table."""
+    model, file = rtec.load_model(folder / "m.toml", MACHINE), folder / "laser.csv"
+    view = tasks.compare(Silent(), model, [file], folder / "m.toml")
+    known = rtec.compare(model, [file])
+    assert view.facts == known.to_dict()
+    (series,) = view.series
+    assert np.array_equal(series.left, known.traces.left)
+    assert series.floor == known.items[0].floor
+    assert len(view.outliers) > 0
+    table = rtec.load_measurement(file, MACHINE)
+    for o in view.outliers:
+        assert o.channels["X, mm"] == table.channels["x"][o.row - 1]
+        assert o.row not in series.row
+
+
+def test_a_measurement_that_cannot_be_read_says_why_in_the_list(folder: Path, tmp_path: Path) -> None:
+    """The others are listed all the same. Oracle: the numbers of the simulation."""
+    for end in (".csv", ".toml"):
+        (tmp_path / f"good{end}").write_bytes((folder / f"laser{end}").read_bytes())
+        (tmp_path / f"bad{end}").write_bytes((folder / f"laser{end}").read_bytes().replace(b"time_s", b"tyme_s"))
+    good, bad = tasks.summaries(Silent(), tmp_path, ["good.csv", "bad.csv"], MACHINE)
+    assert (good.instrument, good.axis, good.runs, good.trouble) == ("laser_linear", "X", 27, "")
+    assert good.span["X"][1] - good.span["X"][0] == pytest.approx(186.4, abs=30.0)
+    assert "time_s" in bad.trouble
+
+
+def test_a_preview_takes_what_the_expression_explains(folder: Path) -> None:
+    """Oracle: the hidden play, of which `B*d_x` is the exact shape; and a sentence for what cannot be read."""
+    model = rtec.load_model(folder / "m.toml", MACHINE)
+    wanted = tasks.Wanted("", "EXX", (), "B*d_x", ())
+    shown = tasks.preview(Silent(), model, wanted, [folder / "laser.csv"])
+    removed = float(shown.words.split("removes ")[1].split(" %")[0])
+    assert removed > 90.0
+    with pytest.raises(rtec.RtecError, match="nonsense"):
+        tasks.preview(Silent(), model, tasks.Wanted("", "EXX", (), "A*nonsense(x)", ()), [folder / "laser.csv"])
