@@ -143,6 +143,7 @@ def test_improve_asks_at_each_step_and_saves_what_the_command_line_saves(
     """Oracle: `rtec improve --yes` on the same files."""
     page = story.page
     page.get_by_role("button", name="Undo").click()
+    page.get_by_role("button", name="Save", exact=True).wait_for(state="detached")
     page.get_by_role("button", name="Improve step by step").click()
     page.get_by_text("Step 1: add backlash(EXX, X)?").wait_for()
     page.get_by_role("button", name="Add backlash(EXX, X) (").click()
