@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.choose import TermChoice
-from rtec.characterise.estimate import Estimate
-from rtec.characterise.noise import Outlier
 from rtec.characterise.result import Characterisation, Coefficient, Correlated, MeasurementFit, SearchStep
 from rtec.characterise.screen import Screened
 from rtec.characterise.warnings import all_warnings, outlier_warnings
+from rtec.estimation.gram.fit import Estimate
+from rtec.estimation.gram.weights import Outlier
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import Clean
 from rtec.metrology.measurement import Measurement

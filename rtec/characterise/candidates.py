@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from rtec.characterise.coverage import followed, highest_degree, places_mm, several_speeds
-from rtec.characterise.source import Source, both_ways, gone_along, lags_s, reads, speed_varies
-from rtec.characterise.stream import Term
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.estimation.candidates import library
+from rtec.estimation.gram.source import Source, both_ways, gone_along, lags_s, reads, speed_varies
+from rtec.estimation.gram.stream import Term
 from rtec.estimation.readings import read
 from rtec.estimation.visible import VisibleComponent
 from rtec.machine.chain import component_unit
@@ -44,12 +44,14 @@ class TermCandidate:
             "other".
         feature: what drives it: sensors or speed, and how they are lagged; empty for geometry.
         channels: sensors, or the speed, or the axis, that drive it.
+        direct: the readings show its component as it is, not only through a lever arm.
     """
 
     term: Term
     kind: str
     feature: str = ""
     channels: tuple[str, ...] = ()
+    direct: bool = True
 
     @property
     def component(self) -> str:

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.candidates import TermCandidate
-from rtec.characterise.normal import NOTHING, Normal, solve, squares_left
 from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
-from rtec.characterise.stream import Progress
+from rtec.estimation.gram.normal import NOTHING, Normal, solve, squares_left
+from rtec.estimation.gram.stream import Progress
 
 Floats = NDArray[np.float64]
 
@@ -285,10 +285,7 @@ def _forward(
         if not tried:
             break
         errors = np.array([table.held_out([*path[-1], i]) for i in tried])
-        near = np.flatnonzero(errors <= errors.min() * (1 + SIMPLER))
-        # The first of equals: rounding decides nothing, so the order of the candidates does.
-        ranks = [(*_complexity(table, tried[k]), round(errors[k] / errors.min(), 6), tried[k]) for k in near]
-        pick = min(ranks)[-1]
+        pick = _simplest(table, tried, errors)
         path.append([*path[-1], pick])
         steps.append(_step(table, path[-1], table.candidates[pick].label))
         now = table.held_out(path[-1])
@@ -299,9 +296,21 @@ def _forward(
     return path, steps
 
 
-def _complexity(table: HeldOutTable, i: int) -> tuple[int, int, int]:
+def _simplest(table: HeldOutTable, tried: Sequence[int], errors: Floats) -> int:
+    """Of the candidates that are as good as the best, the simplest.
+
+    What the readings show as it is comes before what reaches them through a lever arm: an instrument that stands at
+    one arm cannot distinguish an angle from a shift, and on the rest of the machine they are not the same.
+    """
+    near = np.flatnonzero(errors <= errors.min() * (1 + SIMPLER)).tolist()
+    # The first of equals: rounding decides nothing, so the order of the candidates does.
+    ranks = [(*_complexity(table, tried[k]), round(errors[k] / errors.min(), 6), tried[k]) for k in near]
+    return min(ranks)[-1]
+
+
+def _complexity(table: HeldOutTable, i: int) -> tuple[bool, int, int, int]:
     candidate = table.candidates[i]
-    return len(table.columns[i]), KINDS.index(candidate.kind), len(candidate.term.theta)
+    return not candidate.direct, len(table.columns[i]), KINDS.index(candidate.kind), len(candidate.term.theta)
 
 
 def _step(table: HeldOutTable, chosen: Sequence[int], label: str) -> ChoiceStep:
@@ -337,9 +346,11 @@ def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[
             continue
         rest, here = [j for j in now if j != i], table.held_out(now)
         tried = table.shortlist(rest)
-        errors = [table.held_out([*rest, other]) for other in tried]
-        if errors and min(errors) < here * (1 - PAYS):
-            now, changed = [*rest, tried[int(np.argmin(errors))]], True
+        errors = np.array([table.held_out([*rest, other]) for other in tried])
+        if len(errors) and errors.min() < here * (1 - PAYS):
+            pick = _simplest(table, tried, errors)
+            if errors[tried.index(pick)] < here:
+                now, changed = [*rest, pick], True
     return now if changed else None
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.result import Warn
-from rtec.characterise.source import Source, reads
+from rtec.estimation.gram.source import Source, reads
 from rtec.estimation.visible import moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.grid_encoder import GridEncoder

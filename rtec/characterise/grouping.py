@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from rtec.characterise.stream import Term
 from rtec.effects import Effect
+from rtec.estimation.gram.stream import Term
 
 
 def tidied(terms: Sequence[Term]) -> list[Term]:

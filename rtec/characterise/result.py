@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.noise import Outlier
+from rtec.estimation.gram.weights import Outlier
 from rtec.estimation.judge import Judgement
 from rtec.model import Model
 from rtec.result import Result

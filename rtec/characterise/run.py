@@ -6,23 +6,22 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise import noise
 from rtec.characterise.assemble import assemble
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
-from rtec.characterise.estimate import Estimate, estimate
 from rtec.characterise.grouping import tidied
-from rtec.characterise.identifiable import check_seen, tellable
-from rtec.characterise.noise import Outlier
-from rtec.characterise.projection import starting_terms
 from rtec.characterise.result import Characterisation
 from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
-from rtec.characterise.source import Source, reads, thinned
-from rtec.characterise.stream import Term, gather
 from rtec.effects import Effect
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
+from rtec.estimation.gram.fit import Estimate, estimate
+from rtec.estimation.gram.identifiable import check_seen, tellable
+from rtec.estimation.gram.projection import starting_terms
+from rtec.estimation.gram.source import Source, reads, thinned
+from rtec.estimation.gram.stream import Term, gather
+from rtec.estimation.gram.weights import Outlier, rough_noise
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model.fit import Margin
@@ -112,7 +111,7 @@ def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> Ter
     candidates = screened.candidates
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
-    normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t))
+    normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
     forced = [i for i, c in enumerate(candidates) if wanted is not None and _asked(c.term.effect, c.kind)]
     return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t))
 
@@ -172,7 +171,7 @@ def _scale(fit: Estimate) -> float:
 
 
 def _rough_weights(source: Source) -> Floats:
-    return (source.weight.reshape(-1, source.count) / noise.rough_noise(source)).ravel()
+    return (source.weight.reshape(-1, source.count) / rough_noise(source)).ravel()
 
 
 def _without_wrong(sources: Sequence[Source], given: Clean) -> tuple[list[Source], list[Outlier]]:

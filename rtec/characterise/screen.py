@@ -1,18 +1,19 @@
 """Correlates each component error with every temperature, difference and lag, and keeps those worth a try [G 3.6]."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.candidates import TermCandidate, catalogue, extended, geometry, thermal
-from rtec.characterise.normal import Normal
-from rtec.characterise.source import Source, reads, thinned, varying_sensors
-from rtec.characterise.stream import gather
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind
+from rtec.estimation.gram.normal import Normal
+from rtec.estimation.gram.source import Source, reads, thinned, varying_sensors
+from rtec.estimation.gram.stream import gather
 from rtec.estimation.visible import VisibleComponent, read_directly, visible_components
+from rtec.machine import Machine
 
 Floats = NDArray[np.float64]
 
@@ -83,17 +84,22 @@ def screen(
     seen = visible_components([s.measurement for s in few])
     sensors, unused = varying_sensors(few)
 
-    shapes = [c for s in seen for c in (*geometry(s, few), *extended(s, few))]
+    shown = read_directly([s.measurement for s in few])
+
+    def known_direct(candidates: Iterable[TermCandidate]) -> list[TermCandidate]:
+        return [replace(c, direct=c.component in shown) for c in candidates]
+
+    shapes = known_direct(c for s in seen for c in (*geometry(s, few), *extended(s, few)))
     # Of shapes that are the same to these readings the first is taken: a straight line has its own name first.
     shapes.sort(key=lambda c: c.effect not in STRAIGHT)
-    warm = [c for s in seen for c in thermal(s, few, sensors)]
+    warm = known_direct(c for s in seen for c in thermal(s, few, sensors))
     if allowed is not None:
-        where = _asked_components(allowed, [*shapes, *warm], few)
+        where = _asked_components(allowed, [*shapes, *warm], shown, few[0].measurement.machine)
         shapes, warm = ([c for c in part if c.component in where.get(c.effect, ())] for part in (shapes, warm))
     budget = max(LEAST, (COLUMNS - len(shapes)) // max(len(seen), 1))
     kept: list[TermCandidate] = []
     table: list[Correlation] = []
-    others = catalogue(few, allowed, {c.effect for c in shapes})
+    others = known_direct(catalogue(few, allowed, {c.effect for c in shapes}))
     for component in seen:
         hot = [c for c in warm if c.component == component.name]
         hot += [c for c in others if c.component == component.name and c not in hot]
@@ -109,7 +115,7 @@ def screen(
 
 
 def _asked_components(
-    names: Sequence[str], candidates: Sequence[TermCandidate], sources: Sequence[Source]
+    names: Sequence[str], candidates: Sequence[TermCandidate], shown: Mapping[str, bool], machine: Machine
 ) -> dict[str, set[str]]:
     """Components for which an effect that was asked for by its name alone is a candidate.
 
@@ -118,8 +124,6 @@ def _asked_components(
     and where there is none either, all. So `scale,backlash` is no model of every deviation across the axes, nor of
     every angle that reaches the reading through an arm.
     """
-    measurements = [s.measurement for s in sources]
-    machine, shown = measurements[0].machine, read_directly(measurements)
     out = {}
     for name in names:
         mine = [c for c in candidates if c.effect == name]
@@ -139,7 +143,7 @@ def _simple(candidate: TermCandidate) -> bool:
 def _correlate(
     sources: Sequence[Source], base: Sequence[TermCandidate], hot: Sequence[TermCandidate]
 ) -> list[Correlation]:
-    normal = gather(sources, [c.term for c in (*base, *hot)])
+    normal = gather(sources, [c.term for c in (*base, *hot)], by_fold=True)
     first = int(np.searchsorted(normal.owner, len(base)))
     shown = np.flatnonzero(normal.share_left()[:first] > VISIBLE)
     d, e, left = residual_parts(normal, shown)

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from rtec.characterise.choose import NEAR
-from rtec.characterise.estimate import Estimate
-from rtec.characterise.normal import Normal
+from rtec.estimation.gram.fit import Estimate
+from rtec.estimation.gram.normal import Normal
 
 CHANCE = 0.05
 """A term that chance would bring forth among so many candidates with this probability, or more, is not sure."""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.coverage import cover_warnings, places_mm
-from rtec.characterise.estimate import Estimate
-from rtec.characterise.identifiable import label
-from rtec.characterise.noise import Outlier, rough_noise
 from rtec.characterise.result import UndecidedTerm, Warn
-from rtec.characterise.source import Source, reads
+from rtec.estimation.gram.fit import Estimate
+from rtec.estimation.gram.identifiable import label
+from rtec.estimation.gram.source import Source, reads
+from rtec.estimation.gram.weights import Outlier, rough_noise
 from rtec.estimation.kinds import neighbour_noise
 from rtec.estimation.visible import axis_of, moves
 from rtec.machine import Axis

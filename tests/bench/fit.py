@@ -8,10 +8,10 @@ from timeit import default_timer
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.estimate import estimate
-from rtec.characterise.source import Source
-from rtec.characterise.stream import Term
 from rtec.effects import Effect, effect_class
+from rtec.estimation.gram.fit import estimate
+from rtec.estimation.gram.source import Source
+from rtec.estimation.gram.stream import Term
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import one_blas_thread

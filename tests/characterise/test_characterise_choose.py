@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.choose import one_standard_error
 from rtec.characterise.grouping import tidied
-from rtec.characterise.stream import Term
 from rtec.diagnosis.extend.add import add
 from rtec.errors import MeasurementError, ModelError
+from rtec.estimation.gram.stream import Term
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model.file import tables

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import characterise
-from rtec.characterise.estimate import estimate
-from rtec.characterise.source import Source
-from rtec.characterise.stream import Term
+from rtec.estimation.gram.fit import estimate
+from rtec.estimation.gram.source import Source
+from rtec.estimation.gram.stream import Term
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.instruments.registry import make_instrument

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from rtec.characterise.stream import Walk
 from rtec.effects import State
 from rtec.effects.derived import (
     FAR_MM,
@@ -26,6 +25,7 @@ from rtec.effects.expression import Expression
 from rtec.effects.geometry import Scale
 from rtec.effects.state import Channels, Value
 from rtec.errors import ConfigError, ModelError
+from rtec.estimation.gram.stream import Walk
 from rtec.jit import as_written
 from rtec.machine import Machine, machine_from
 from rtec.metrology.files.load import load_measurement, save_measurement

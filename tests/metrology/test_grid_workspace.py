@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.candidates import extended
-from rtec.characterise.source import Source
+from rtec.estimation.gram.source import Source
 from rtec.estimation.visible import visible_components
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtec.characterise.normal import NOTHING, UNSEEN, Normal
-from rtec.characterise.stream import Term
 from rtec.errors import ModelError
+from rtec.estimation.gram.normal import NOTHING, UNSEEN, Normal
+from rtec.estimation.gram.stream import Term
 from rtec.model import FittedEffect
 
 NAMED = 0.05

@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.normal import Normal
-from rtec.characterise.source import Source
-from rtec.characterise.stream import Progress, Slope, Term, gather
 from rtec.effects import Effect, Parameter
+from rtec.estimation.gram.normal import Normal
+from rtec.estimation.gram.source import Source
+from rtec.estimation.gram.stream import Progress, Slope, Term, gather
 from rtec.machine import Machine
 from rtec.model.fit import SearchScale
 
@@ -71,7 +71,7 @@ def starting_terms(effects: Sequence[Effect], sources: Sequence[Source]) -> list
     if all(len(c) == 1 for c in choices):
         return [c[0] for c in choices]
     everything = [t for c in choices for t in c]
-    normal = gather(sources, everything)
+    normal = gather(sources, everything, by_fold=True)
     first = np.concatenate([[0], np.cumsum([len(c) for c in choices])])
     columns = [np.flatnonzero(normal.owner == i) for i in range(len(everything))]
     chosen = [len(c) // 2 for c in choices]

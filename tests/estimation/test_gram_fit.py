@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from rtec.characterise import characterise
 from rtec.characterise.effect_list import AskedEffects
-from rtec.characterise.estimate import Estimate, estimate
-from rtec.characterise.projection import starting_terms
-from rtec.characterise.source import Source, thinned
-from rtec.characterise.stream import Term
 from rtec.errors import ModelError
+from rtec.estimation.gram.fit import Estimate, estimate
+from rtec.estimation.gram.projection import starting_terms
+from rtec.estimation.gram.source import Source, thinned
+from rtec.estimation.gram.stream import Term
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect
 from tests.support.characterise_examples import MACHINE, Probe, ProbeSetup, Tip, effect, measurement, runs

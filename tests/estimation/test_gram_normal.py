@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rtec.characterise import stream
-from rtec.characterise.normal import Normal, solve
-from rtec.characterise.source import Source
-from rtec.characterise.stream import Term, Walk, gather, predict
 from rtec.effects.state import State
+from rtec.estimation.gram import stream
+from rtec.estimation.gram.normal import Normal, solve
+from rtec.estimation.gram.source import Source
+from rtec.estimation.gram.stream import Term, Walk, gather, predict
 from rtec.metrology.measurement import Measurement
 from tests.support.characterise_examples import MACHINE, Probe, ProbeSetup, Tip, effect, measurement, runs
 

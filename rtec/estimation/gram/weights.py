@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.source import Source, project
+from rtec.estimation.gram.source import Source, project
+from rtec.estimation.kinds import SIGMA_PER_MAD
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-SIGMA_PER_MAD = 1.4826
 FAR = 6.0
 """Residuals beyond so many robust standard deviations count less."""
 FEW = 0.03
@@ -55,7 +55,7 @@ def rough_noise(source: Source) -> Floats:
     return out
 
 
-def residuals(source: Source, predicted: Floats, explicit: Sequence[tuple[Floats, float]] = ()) -> Floats:
+def residuals_of(source: Source, predicted: Floats, explicit: Sequence[tuple[Floats, float]] = ()) -> Floats:
     """Readings minus prediction minus each run's nuisances, unweighted, (readings, n); NaN where none or left out.
 
     Args:
@@ -72,7 +72,7 @@ def residuals(source: Source, predicted: Floats, explicit: Sequence[tuple[Floats
     return plain.reshape(-1, source.count).T
 
 
-def weights(residual: Floats, run: NDArray[np.int64]) -> Floats:
+def huber_weights(residual: Floats, run: NDArray[np.int64]) -> Floats:
     """Weights by the residuals of a fit, (readings, n): below one for the few that are far off (Huber)."""
     out = np.ones(residual.shape)
     for j, left in enumerate(from_run_medians(residual, run)):

@@ -7,14 +7,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise import noise
-from rtec.characterise.identifiable import check_seen
-from rtec.characterise.noise import Outlier
-from rtec.characterise.normal import Normal
-from rtec.characterise.projection import Polished, polish
-from rtec.characterise.source import Source, flat, thinned
-from rtec.characterise.stream import Progress, Term, gather, predict
 from rtec.errors import ModelError
+from rtec.estimation.gram.identifiable import check_seen
+from rtec.estimation.gram.normal import Normal
+from rtec.estimation.gram.projection import Polished, polish
+from rtec.estimation.gram.source import Source, flat, thinned
+from rtec.estimation.gram.stream import Progress, Term, gather, predict
+from rtec.estimation.gram.weights import Outlier, describe, from_run_medians, huber_weights, residuals_of, rough_noise
 from rtec.estimation.kinds import alike, neighbour_noise
 
 Floats = NDArray[np.float64]
@@ -109,7 +108,7 @@ def estimate(
 ) -> Estimate:
     """Fit terms, beginning with the parameters that they have.
 
-    Readings whose residual is far off count less (`noise.weights`); the noise of each reading column is what the fit
+    Readings whose residual is far off count less (`huber_weights`); the noise of each reading column is what the fit
     leaves in it. Both are found again until they stay.
 
     Args:
@@ -142,7 +141,7 @@ def estimate(
 def _first_look(sources: Sequence[Source], terms: Sequence[Term], search: bool) -> tuple[list[Floats], Sequence[Term]]:
     """Noise and parameters to begin with: of a fit to fewer readings where there are very many, else roughly."""
     few = [thinned(s, FEWER // len(sources)) for s in sources]
-    rough = [noise.rough_noise(s) for s in few]
+    rough = [rough_noise(s) for s in few]
     if sum(len(s.weight) for s in sources) < 3 * sum(len(s.weight) for s in few):
         return rough, terms
     try:
@@ -178,7 +177,7 @@ def _residuals(sources: Sequence[Source], found: Polished) -> list[Floats]:
             column[:, extra.rows] = extra.nuisance.values[:, extra.rows]
             explicit.append((flat(column) * source.weight, float(values[k])))
             k += 1
-        out.append(noise.residuals(source, predict(source, found.terms, values), explicit))
+        out.append(residuals_of(source, predict(source, found.terms, values), explicit))
     return out
 
 
@@ -189,10 +188,10 @@ def _judge(
     changed = False
     told.clear()
     for i, (source, left) in enumerate(zip(sources, residuals, strict=True)):
-        weight = noise.weights(left, source.measurement.run)
+        weight = huber_weights(left, source.measurement.run)
         now = np.where(judged[i] > 0, weight.T.ravel(), 0.0)
         changed |= bool(np.any(np.abs(now - judged[i]) > 0.1))
-        for item in noise.describe(source, noise.from_run_medians(left, source.measurement.run), weight):
+        for item in describe(source, from_run_medians(left, source.measurement.run), weight):
             column = source.measurement.instrument.columns().index(item.column)
             told[i, item.row * source.count + column] = item
         judged[i] = now

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.normal import Normal
-from rtec.characterise.source import Explicit, Source, flat, reads
 from rtec.effects import Effect, State
 from rtec.effects.derived import FAR_MM, lag_update
 from rtec.effects.state import Value
+from rtec.estimation.gram.normal import Normal
+from rtec.estimation.gram.source import Explicit, Source, flat, reads
 from rtec.jit import njit
 from rtec.machine import Machine
 from rtec.parallel import one_blas_thread
@@ -237,10 +237,21 @@ class Slope:
 Columns = Sequence[Term | Slope]
 
 
-def gather(sources: Sequence[Source], terms: Columns, progress: Progress | None = None) -> Normal:
-    """Give the normal equations of all sources, block by block, columns in the order of the terms."""
+def gather(
+    sources: Sequence[Source], terms: Columns, progress: Progress | None = None, *, by_fold: bool = False
+) -> Normal:
+    """Give the normal equations of all sources, block by block, columns in the order of the terms.
+
+    Args:
+        sources: measurements.
+        terms: whose columns.
+        progress: told readings done, of how many.
+        by_fold: blocks that are left out together become one, also those of several sources: all that a held-out
+            error needs, in a small part of the memory.
+    """
     with one_blas_thread():
-        return _Gatherer(sources, terms, progress).gather()
+        made = _Gatherer(sources, terms, progress)
+        return made.by_fold() if by_fold else made.gather()
 
 
 def predict(source: Source, terms: Columns, values: Floats) -> Floats:
@@ -289,34 +300,51 @@ class _Gatherer:
 
     def gather(self) -> Normal:
         """Walk through every source; columns of a chunk are worked out while those of the last are summed up."""
-        grams, fold, source_of, readings, lost = [], [], [], [], []
+        keys = [(s, b) for s, source in enumerate(self.sources) for b in range(len(source.blocks.fold))]
+        return self._gathered(keys, [self.sources[s].blocks.fold[b] for s, b in keys], [s for s, _ in keys])
+
+    def by_fold(self) -> Normal:
+        """The same, blocks that are left out together made one."""
+        folds = np.unique(np.concatenate([source.blocks.fold for source in self.sources]))
+        places = {int(f): i for i, f in enumerate(folds)}
+        keys = [(s, b) for s, source in enumerate(self.sources) for b in range(len(source.blocks.fold))]
+        into = [places[int(self.sources[s].blocks.fold[b])] for s, b in keys]
+        return self._gathered(keys, folds.tolist(), [0] * len(folds), into)
+
+    def _gathered(
+        self, keys: Sequence[tuple[int, int]], fold: Sequence[int], source_of: Sequence[int],
+        into: Sequence[int] | None = None,
+    ) -> Normal:  # fmt: skip
+        """Sums of blocks, (source, number), each into a place of its own or into that of `into`."""
+        place = list(into) if into is not None else list(range(len(keys)))
+        gram = np.zeros((len(fold), self.width, self.width))
+        readings, lost = np.zeros(len(fold), dtype=np.int64), np.zeros(len(fold))
+        now, walk, spent = -1, Walk(self.sources[0].state), np.zeros(0)
         with ThreadPoolExecutor(1) as summing:
-            for s, source in enumerate(self.sources):
-                walk, spent = Walk(source.state), source.lost()
+            for (s, b), at in zip(keys, place, strict=True):
+                source = self.sources[s]
+                if s != now:
+                    now, walk, spent = s, Walk(source.state), source.lost()
                 edges, runs = source.blocks.edges, source.blocks.run_edges
-                for b in range(len(edges) - 1):
-                    start, stop = int(edges[b]), int(edges[b + 1])
-                    grams.append(self._block(s, walk, start, stop, summing))
-                    fold.append(int(source.blocks.fold[b]))
-                    source_of.append(s)
-                    readings.append(int(np.count_nonzero(source.weight[start * source.count : stop * source.count])))
-                    inside = (runs[:-1] >= start) & (runs[:-1] < stop)
-                    lost.append(float(spent[inside].sum()))
+                start, stop = int(edges[b]), int(edges[b + 1])
+                self._block(gram[at], s, walk, start, stop, summing)
+                readings[at] += int(np.count_nonzero(source.weight[start * source.count : stop * source.count]))
+                lost[at] += float(spent[(runs[:-1] >= start) & (runs[:-1] < stop)].sum())
             self._wait()
         return Normal(
-            gram=np.stack(grams),
+            gram=gram,
             fold=np.array(fold),
             source=np.array(source_of),
-            readings=np.array(readings),
-            lost=np.array(lost),
+            readings=readings,
+            lost=lost,
             owner=np.array(self.owner, dtype=np.int64),
             raw=self.raw,
             extra=tuple(e.name for _, e in self.extra),
         )
 
-    def _block(self, s: int, walk: Walk, start: int, stop: int, summing: ThreadPoolExecutor) -> Floats:
+    def _block(self, gram: Floats, s: int, walk: Walk, start: int, stop: int, summing: ThreadPoolExecutor) -> None:
         source = self.sources[s]
-        gram, carry = np.zeros((self.width, self.width)), Carry(source)
+        carry = Carry(source)
         step = max(CHUNK // source.count, 1)
         for a in range(start, stop, step):
             b = min(a + step, stop)
@@ -329,7 +357,6 @@ class _Gatherer:
             self.done += (b - a) * source.count
             if self.progress:
                 self.progress(self.done, self.total)
-        return gram
 
     def _wait(self) -> None:
         if self._behind is not None:
