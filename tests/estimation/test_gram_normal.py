@@ -232,3 +232,16 @@ def test_solve_of_a_column_that_is_not_there_is_zero() -> None:
     gram = np.diag([4.0, 0.0, 9.0])
     gram[0, 2] = gram[2, 0] = 2.0
     np.testing.assert_allclose(solve(gram[None])[0], [0.5, 0.0], atol=1e-12)
+
+
+def test_sums_of_a_fold_are_those_of_its_blocks() -> None:
+    """Oracle: the equations block by block of two sources, summed; the held-out squares of both together."""
+    measured = [measurement(runs([30, 22, 41, 35, 28, 30, 44, 25]), noise_um=1.0, seed=s, name=f"{s}") for s in (1, 2)]
+    sources = [Source.of(m) for m in measured]
+    apart, together = gather(sources, TERMS), gather(sources, TERMS, by_fold=True)
+    np.testing.assert_allclose(together.gram, apart.by_fold, rtol=1e-12, atol=1e-9)
+    np.testing.assert_array_equal(together.fold, apart.fold_numbers)
+    assert together.freedom == apart.freedom
+    for mine, parts in zip(together.held_out(), apart.held_out(), strict=True):
+        by_fold = np.bincount([c.fold for c in apart.cells], parts)
+        np.testing.assert_allclose(mine, by_fold, rtol=1e-9)
