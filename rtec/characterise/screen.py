@@ -120,18 +120,20 @@ def _asked_components(
     """Components for which an effect that was asked for by its name alone is a candidate.
 
     Those that a file names, and of those that the readings show directly the ones that the effect usually feeds, of
-    a shape along an axis the positioning before the straightness; where there is none, all that they show directly;
-    and where there is none either, all. So `scale,backlash` is no model of every deviation across the axes, nor of
-    every angle that reaches the reading through an arm.
+    a shape along an axis the positioning before the straightness; where there is none, all that they show directly.
+    So `scale,backlash` is no model of every deviation across the axes, nor of every angle that reaches the reading
+    through an arm. An effect that is only seen through arms (`squareness`) asks for the whole chain: there all
+    components are candidates for all.
     """
+    able = {name: {c.component for c in candidates if c.effect == name} for name in names}
+    if any(found and not found & set(shown) for found in able.values()):
+        return able
     out = {}
     for name in names:
-        mine = [c for c in candidates if c.effect == name]
-        able, usual = {c.component for c in mine}, effect_class(name, "fit").feeds
-        if "positioning" in usual and any(c.kind in ALONG for c in mine):
+        direct, usual = able[name] & set(shown), effect_class(name, "fit").feeds
+        if "positioning" in usual and any(c.kind in ALONG for c in candidates if c.effect == name):
             usual = ("positioning",)
-        first = {c for c in able & set(shown) if shown[c] or component_kind(c, machine) in usual}
-        out[name] = first or able & set(shown) or able
+        out[name] = {c for c in direct if shown[c] or component_kind(c, machine) in usual} or direct
     return out
 
 
