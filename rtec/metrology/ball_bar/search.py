@@ -147,12 +147,14 @@ def judged(work: SearchState, window_deg: float) -> tuple[AngleNoise, AngleNoise
     return find_noise(work.table.circles, columns, work.reading, weight, window_deg)
 
 
-FAMILY = 0.01
-"""How often a machine without any of these causes is told that it has one."""
+FAMILY = 0.001
+"""How often a machine without any of these causes is told that it has one, if the noise is what it is taken for."""
 SMALLEST_UM = 0.05
 """A cause that makes less of a circle than this is none."""
 SURE_SE = 4.0
-"""A cause of so many standard errors would have been found."""
+"""A size of so many standard errors is beyond doubt."""
+FOUND_SE = 5.5
+"""A cause of so many standard errors would have been found: `FAMILY` asks for four and a half, noise may take one."""
 NOISE_ROUNDS = 2
 FINER = 12
 """Steps of the golden section for the way to a spike's top."""
@@ -363,4 +365,4 @@ def _limits(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[No
         se = fitted.sigma * np.sqrt(rows * np.diag(fitted.inverse)[-columns:].max())
         candidate = work.table.tried[i]
         with_ = tuple(x.candidate for x in work.table.left_out if candidate.name in x.twins)
-        yield NotFound(candidate, float(SURE_SE * se), candidate.make(1.0)[0].unit, with_)
+        yield NotFound(candidate, float(FOUND_SE * se), candidate.make(1.0)[0].unit, with_)
