@@ -26,7 +26,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
-(MODULE,), (PYPROJECT,), (COMMANDS,) = blocks("python"), blocks("toml"), blocks("sh")
+(MODULE,), (PYPROJECT,), (COMMANDS,) = blocks("python"), blocks("toml"), blocks("text")
 SAID = {"T_spindle_front": 31.25, "T_bed": 19.5}
 
 

@@ -24,7 +24,8 @@ NAMES = (
     "import map", "campaign", "model", "measurement, laser_linear", "measurement, laser_angular", "measurement, level",
     "measurement, straightness", "measurement, squareness", "measurement, spindle_drift", "measurement, tool_tip",
     "measurement, work_piece", "measurement, ball_bar", "measurement, grid_encoder", "driver sim", "driver serial_box",
-    "driver ascii_lines", "driver modbus", "driver can", "driver can_encoders", "driver can_box", "driver zmq_link",
+    "driver ascii_lines", "driver ascii_offset", "driver modbus", "driver can", "driver can_encoders", "driver can_box",
+    "driver linuxcnc", "driver zmq_link",
 )  # fmt: skip
 
 
