@@ -8,6 +8,7 @@ import pytest
 
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
+from rtec.report.additions import WHY_ENDED
 from tests.tutorial.tutorial import FIGURES, ROOT, TUTORIAL, commands, run_all, take_figures
 
 TEXT = TUTORIAL.read_text(encoding="utf-8")
@@ -56,6 +57,12 @@ def test_what_was_hidden_is_found(done: tuple[Path, list[tuple[str, str]]]) -> N
     errors = {f"{f.label} {n}": f.errors[n] for f in best.effects for n in f.values}
     off = np.array([(found[n] - true[n]) / errors[n] for n in true])
     assert np.abs(off).max() < 4.0, off
+    # What the page says of them, and why it ended.
+    assert (np.abs(off) < 1.0).sum() == 3
+    assert f"{found['scale(EXX, X) k']:.1f} ± {errors['scale(EXX, X) k']:.1f} µm/m instead of 14.0" in TEXT
+    (ended,) = [out for command, out in done[1] if command.startswith("rtec improve")]
+    assert WHY_ENDED["nothing_missing"] in " ".join(ended.split())
+    assert WHY_ENDED["nothing_missing"] in " ".join(TEXT.split())
 
 
 def test_error_falls_to_the_noise(done: tuple[Path, list[tuple[str, str]]]) -> None:
