@@ -49,7 +49,7 @@ def import_(
         return
     if not files:
         raise typer.BadParameter("name a FILE, or ask for --list", param_hint="FILE")
-    if map_ is not None and out is not None:
+    if map_ is not None and out is not None and _is_whole(map_):
         _import(files, map_, out, reader, machine, (drop_bad_rows, missing_code or []), force=force, as_json=as_json)
         return
     proposal = _proposal(files[0], map_, reader, machine, answer or [])
@@ -84,6 +84,14 @@ def _proposal(
             raise typer.BadParameter(f"{text!r}: write KEY=VALUE", param_hint="--answer")
         given[key.strip()] = value.strip()
     return propose(file, load_machine(machine) if machine is not None else None, told, given)
+
+
+def _is_whole(map_: Path) -> bool:
+    """Does a map say all that an import needs? What is missing in another one is proposed."""
+    from rtec.errors import MeasurementError
+    from rtec.tomlfile import read_toml
+
+    return {"measurement", "time", "column"} <= read_toml(map_, MeasurementError).keys()
 
 
 def _somebody_is_there() -> bool:

@@ -345,6 +345,16 @@ def test_on_a_terminal_it_asks_what_the_file_does_not_say(
     assert not any("assumed" in n for n in m.notes)  # all of it was answered
 
 
+def test_what_a_map_does_not_say_is_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the rows of the first way along X, by hand; the rest of the map is the proposal's."""
+    file = put(tmp_path, date_and_time(rows()))
+    some = put(tmp_path, '[rows]\nwhere = "`T_x_nut [F]` < 69"\n', "some.toml")
+    out = ["-o", str(tmp_path / "laser-x")]
+    assert status(["import", str(file), "--map", str(some), "--machine", str(TURNING), *out]) == 0
+    assert "rows left out where not `T_x_nut [F]` < 69" in capsys.readouterr().out
+    assert len(load_measurement(tmp_path / "laser-x.csv", MACHINE)) == 11
+
+
 # --- rows, sums, files
 
 
