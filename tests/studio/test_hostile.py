@@ -70,7 +70,7 @@ def test_narrow_and_wide_screens_show_all_of_it(browser: "Browser", studio: Runn
     for width in (820, 1280, 2560):
         page = tab(browser, studio.address, width).page
         page.get_by_text("Measurements in the folder").wait_for()
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.wait_for_function("width => document.documentElement.scrollWidth <= width", arg=width)
         page.context.close()
 
 

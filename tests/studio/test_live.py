@@ -61,6 +61,7 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
     config.write_text(text, encoding="utf-8")
     with running_daemon(config):
         page.locator(".state.held").wait_for()
+        page.wait_for_timeout(3000)  # the page begins again with the daemon's time, and its questions with it
         page.get_by_role("button", name="Enable", exact=True).click()
         page.get_by_role("alertdialog").get_by_role("button", name="Enable", exact=True).click()
         page.get_by_text("counts are stale").first.wait_for()
