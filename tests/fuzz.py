@@ -25,7 +25,7 @@ from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec.loop.orders import Order
-from rtec.loop.run_file import RunFile, Setup, load_setup
+from rtec.loop.run_file import NO_DEVICES, RunFile, Setup, load_setup
 from rtec.machine import Machine, load_machine
 from rtec.model import FittedEffect, Model, load_model, save_model
 from rtec.tomlfile import read_toml, validated
@@ -206,7 +206,10 @@ def kinds(folder: Path) -> dict[str, tuple[Callable[[bytes], bool], tuple[bytes,
             written(lambda: _not_trouble(Residual(trial).facts(setup.model))),
             (json.dumps(compared).encode(),),
         ),
-        "run files": (written(lambda: validated(RunFile, read_toml(trial), "trial")), files(*sorted(configs))),
+        "run files": (
+            written(lambda: validated(RunFile, {**NO_DEVICES, **read_toml(trial)}, "trial")),
+            files(*sorted(configs)),
+        ),
         "run files, whole": (written(lambda: load_setup(trial)), files(setup.path)),
         "machine files": (written(lambda: load_machine(trial)), files(*sorted(machines))),
         "model files": (written(lambda: load_model(trial, setup.machine)), files(folder / "own.toml")),

@@ -32,6 +32,7 @@ an angle times its arm, as any rigid body has."""
 CROSS_ANGLE = ((1, 1), (2, 1), (1, 2), (2, 2))
 """Of an angle: no rigid body's changes with another axis at all."""
 RAMS = ("w", "ram", "quill")
+_Power = Annotated[int, Field(ge=1, le=2)]
 
 
 class RamSag(AxisEffect):
@@ -93,7 +94,7 @@ class CrossTalk(AxisEffect):
     driven_by: ClassVar[tuple[str, ...]] = ("position", "other axis")
     effect: Literal["cross_talk"] = "cross_talk"
     other: str
-    terms: tuple[tuple[int, int], ...] = ()
+    terms: tuple[tuple[_Power, _Power], ...] = ()
     """Degrees along the axis and in the other; none: all that the equation has."""
 
     @classmethod

@@ -36,7 +36,13 @@ def test_loads(name: Path) -> None:
             validated(Settings, read_toml(path), str(path))
         case ("maps",):
             load_map(path)
-        case ():
+        case ("linuxcnc",) if name.stem.endswith("-machine"):
+            load_machine(path)
+        case ("linuxcnc",) if name.stem.endswith("-model"):
+            load_model(path, load_machine(path.with_name(name.name.replace("-model", "-machine"))))
+        case () if "capture" in read_toml(path):
+            Step(load_setup(path, needs_devices=False).step_settings())
+        case () | ("linuxcnc",):
             setup = load_setup(path)
             if setup.file.device:
                 make_devices(setup, VirtualClock())

@@ -6,11 +6,12 @@ import socket
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
+from rtec.quantities import MicrometresPositive
 from rtec.tomlfile import Strict
 
 MAX_BYTES = 1 << 16
@@ -21,13 +22,13 @@ MAX_MM = 1e6
 class BridgeHello(Strict):
     """First message of the bridge: what it was told by LinuxCNC's HAL file."""
 
-    hello: int
+    hello: Annotated[int, Field(ge=0, le=1000)]
     session: str
     axes: tuple[str, ...]
     sensors: tuple[str, ...]
     wired: tuple[str, ...]
     actuator: str
-    unit_um: float
+    unit_um: MicrometresPositive
     component: str
 
 
