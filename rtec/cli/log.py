@@ -187,13 +187,14 @@ def export(
 ) -> None:
     """Exports a log, or a stretch of time of a folder, as a table: time_s, counts_X, degc_T_spindle, applied_um_X, ...
 
-    The table is written whole or not at all. time_s counts from its first row; every column is a number, as PlotJuggler
-    wants it, but for --utc. Parquet (zstd) keeps the header of the log; CSV has columns only; MCAP (pip install
-    'rtec[mcap]') has a JSON message a row for Foxglove.
+    It is written whole or not at all. time_s counts from its first row.
 
     Example: `rtec log export run.arrows run.parquet`
 
     Example: `rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc`
+
+    Every column but that of --utc is a number, as PlotJuggler wants it. Parquet (zstd) keeps the header of the log; CSV
+    has columns only; MCAP (pip install 'rtec[mcap]') has a JSON message a row, for Foxglove.
     """
     from rtec.cli.common import bar
     from rtec.log.export import export as export_log
