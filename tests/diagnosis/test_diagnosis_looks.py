@@ -8,11 +8,11 @@ from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import SKETCH, sketched
 from rtec.estimation.noise import INEXACT, Noise, find_noise, least_noise
-from rtec.estimation.readings import looked_at, read
+from rtec.estimation.readings import LOOK, looked_at, read
 from rtec.machine import Machine, machine_from
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from rtec.parallel import MANY, each
+from rtec.parallel import each
 from tests.support.characterise_examples import Probe, ProbeSetup
 
 Floats = NDArray[np.float64]
@@ -104,11 +104,11 @@ def test_rows_drawn_together_keep_inner_products() -> None:
 @pytest.mark.parametrize("runs", [1, 400])
 def test_very_many_readings_are_looked_at_in_part(runs: int) -> None:
     """Oracle: counting. Whole runs where there are many, single readings else; few readings are all taken."""
-    n = 4 * MANY
+    n = 4 * LOOK
     time = np.arange(float(n))
     r = read([measured(np.zeros(n), time, runs, T_bed=20.0 + np.sin(time / 500.0))])
     keep = looked_at(r)
-    assert keep.sum() == pytest.approx(MANY, rel=0.05)
+    assert keep.sum() == pytest.approx(LOOK, rel=0.05)
     if runs > 1:
         per_run = keep.reshape(runs, -1).mean(axis=1)
         assert set(np.unique(per_run)) == {0.0, 1.0}

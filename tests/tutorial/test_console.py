@@ -81,8 +81,9 @@ def test_every_block_says_what_it_is(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if any(k == "console" for k, _ in fences(p))], ids=lambda p: p.name)
-def test_every_command_runs(page: Path, tmp_path: Path) -> None:
+def test_every_command_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: exit status; a block of text right below a console block is what its commands print."""
+    monkeypatch.setenv("COLUMNS", "120")  # as wide as the pages
     assert run("rtec init --example", tmp_path)
     printed, blocks = "", fences(page)
     for k, (kind, text) in enumerate(blocks):
