@@ -25,6 +25,7 @@ STATES = {
 }
 MODES = {"manual": linuxcnc.MODE_MANUAL, "auto": linuxcnc.MODE_AUTO, "mdi": linuxcnc.MODE_MDI}
 LOOK_S = 0.005
+THERE_MM = 1e-4
 
 
 class Agent:
@@ -59,9 +60,16 @@ class Agent:
         self.wait(lambda: self.stat.task_state == wanted)
 
     def mode(self, name: str) -> None:
-        """Manual, auto, MDI."""
-        self.command.mode(MODES[name])
-        self.wait(lambda: self.stat.task_mode == MODES[name])
+        """Manual, auto, MDI; ordered again while LinuxCNC ignores it, as it does before the end of a jog."""
+
+        def taken() -> bool:
+            if self.stat.task_mode != MODES[name]:
+                self.command.mode(MODES[name])
+                self.command.wait_complete(1.0)
+                self.stat.poll()
+            return bool(self.stat.task_mode == MODES[name])
+
+        self.wait(taken)
 
     def joints(self, free: bool) -> None:
         """Jog joints (free) or axes (teleop)."""
@@ -113,11 +121,11 @@ class Agent:
         self.idle()
 
     def jog(self, axis: int, velocity: float, distance: float) -> None:
-        """Jog an axis (teleop) or joint (free) by a distance, and wait."""
+        """Jog an axis (teleop) or joint (free) by a distance, and wait until it is there."""
         free = self.stat.motion_mode == linuxcnc.TRAJ_MODE_FREE
+        target = self.stat.joint_position[axis] + distance
         self.command.jog(linuxcnc.JOG_INCREMENT, free, axis, velocity, distance)
-        time.sleep(0.05)
-        self.wait(lambda: self.stat.inpos)
+        self.wait(lambda: self.stat.inpos and abs(self.stat.joint_position[axis] - target) < THERE_MM)
 
     def hal(self, *args: str) -> str:
         """Run halcmd."""
