@@ -13,9 +13,9 @@ def answer(group: str, what: str, seed: int) -> Diagnosis:
     return diagnose(model_of(trial), measurements_of(trial), draws=50)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 303])
 def test_slow_and_unexplained_by_anything_recorded(seed: int) -> None:
-    """A screw grows; no temperature was recorded."""
+    """A screw grows; no temperature was recorded. With seed 303 a bent guide follows some of the runs' slopes."""
     d = answer("unrecorded", "no_sensors", seed)
     assert d.verdict == "undecided"
     assert "slow, and unexplained by anything recorded. Record temperatures of the screw or scale of X" in d.sentence

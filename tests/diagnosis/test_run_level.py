@@ -36,6 +36,17 @@ def test_few_runs_name_nothing_and_do_not_say_that_nothing_is_missing() -> None:
     assert d.facts()["runs_differ"]["count"] == 20
 
 
+def test_what_predicts_held_out_runs_far_better_comes_before_what_a_free_drift_makes_likelier() -> None:
+    """A column leans; another sensor and a drift of hours are likelier, and leave three times its held-out error."""
+    d = answer("run_level", "column_lean", 303)
+    first, second = d.findings[:2]
+    assert first.label == "column_tilt(EB0spindle, T_front, T_back)"
+    assert second.log_evidence > first.log_evidence
+    assert 1.0 - first.heldout_drop < 0.5 * (1.0 - second.heldout_drop)
+    assert d.verdict == "ambiguous"
+    assert any("predicts held-out runs far worse" in a.why for a in first.confused_with)
+
+
 def test_an_angle_times_its_arm_is_no_cross_talk() -> None:
     """A guide bent to a circle, read at four heights."""
     d = answer("lean", "abbe", 1)

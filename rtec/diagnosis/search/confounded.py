@@ -74,6 +74,9 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         how = "on this machine, with these readings, the two are one and the same formula: either describes the error"
     elif cos > SAME:
         how = f"in these readings the two are the same shape (cosine {cos:.3f})"
+    elif log_odds < 0.0:
+        how = "it is likelier beside a slow drift, yet it predicts held-out runs far worse"
+        test = ""
     elif log_odds > 2.0 * WITHIN:
         how = "it is less likely from these data, yet it predicts held-out runs better"
         test = ""

@@ -19,7 +19,7 @@ from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import PERIODS, WITHIN
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, prepare
+from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, far_better, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, without_idle
@@ -147,7 +147,7 @@ class _Search:
         found = screen(readings, self.candidates, projected, lambda d, t: self.stage("weighing candidates", d, t), same)
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
-        tried = self.refits.anew(found, self.refits.second_look())
+        tried = self._led(self.refits.anew(found, self.refits.second_look()))
         best = tried[0] if tried else None
         accepted = best is not None and self._accepts(best, p)
         named, share, unknown = self._adequate(best if accepted else None)
@@ -176,6 +176,19 @@ class _Search:
             )
         )  # fmt: skip
 
+    def _led(self, tried: list[Refitted]) -> list[Refitted]:
+        """The best first: the likeliest, or one that is sure as well and predicts held-out runs far better.
+
+        Slow drift that is free to follow the readings makes up for much that an effect does not explain; of runs
+        that were held out it predicts nothing.
+        """
+        if not tried or not tried[0].holds:
+            return tried
+        first = tried[0]
+        sure = [t for t in tried if t.holds and t.log_evidence - self._prior_odds > SURE and far_better(t, first)]
+        lead = max(sure, key=lambda t: t.log_evidence, default=first)
+        return [lead, *(t for t in tried if t is not lead)]
+
     def _undecided(self, best: Refitted | None, p: float) -> RunsDiffer | None:
         """What the runs differ by where the best candidate may explain it and too few runs decide."""
         if self._doubted or best is None or not best.holds or best.drop < MAY or best.log_evidence < SURE:
@@ -203,8 +216,10 @@ class _Search:
         beyond = best.log_evidence - self._prior_odds
         if self._doubted:
             return False
-        if best.drop < NOTHING_MUCH and unrecorded_heat(self.readings, self.refits.without.whitener) is not None:
-            return False  # heat that no sensor recorded is bent as well as the machine is
+        if unrecorded_heat(self.readings, self.refits.without.whitener) is not None and (
+            best.drop < NOTHING_MUCH or self.refits.beside_slopes(best) - self._prior_odds < SURE
+        ):
+            return False  # heat that no sensor recorded bends and stretches as much
         return best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
 
     @property
@@ -230,7 +245,7 @@ class _Search:
     def _adequate(self, best: Refitted | None) -> tuple[bool, float | None, Unknown | None]:
         """Is the best effect as good as a shape without a name; and if none is, what is there?"""
         self.stage("shapes without a name", 0, 1)
-        tops = self._shapes(best)
+        tops = [t for t in self._shapes(best) if best is None or not far_better(best, t)]
         top = max(tops, key=lambda t: t.log_evidence, default=None)
         self._top_shape = top
         self._tops = tops

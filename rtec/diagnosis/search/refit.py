@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse
 from rtec.diagnosis.search.screen import UNMOVED, Memory, Projected, Screen, orthonormal, screen
 from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
-from rtec.estimation.candidates import EffectCandidate
+from rtec.estimation.candidates import REAL, EffectCandidate
 from rtec.estimation.columns import base_of
 from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out, solve, without_nuisance
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
@@ -140,6 +140,19 @@ class _Search:
         return np.asarray(self.projected.left - white @ solve(white, self.projected.left))
 
 
+def with_slopes(readings: Readings) -> Readings:
+    """The same readings where nobody knows what slope each run has along the axes that move within runs."""
+    series = []
+    for s in readings.series:
+        places = readings.poses_mm[s.source][s.row]
+        slopes = (
+            places - (np.stack([np.bincount(s.run, p) for p in places.T], axis=1) / np.bincount(s.run)[:, None])[s.run]
+        )
+        moving = np.sqrt(np.mean(slopes**2, axis=0)) > REAL["mm"]
+        series.append(replace(s, nuisance=np.concatenate([s.nuisance, slopes[:, moving]], axis=1)))
+    return replace(readings, series=tuple(series))
+
+
 @dataclass(frozen=True)
 class Prepared:
     """Readings that count, the current model's columns, and the noise.
@@ -186,6 +199,23 @@ class Refitted:
     def holds(self) -> bool:
         """Whether runs that were left out get better, whitened and as they stand."""
         return self.gain > 0.0 and self.drop > 0.0
+
+
+FAR = 0.5
+"""Of two that explain the readings, one that leaves less than this share of the other's held-out mean square leads."""
+
+
+class Judged(Protocol):
+    """What was judged by held-out runs; `drop` is the relative fall of their mean square."""
+
+    @property
+    def drop(self) -> float:
+        """Relative fall of the mean square."""
+
+
+def far_better(one: Judged, other: Judged) -> bool:
+    """Whether one predicts held-out runs far better than another."""
+    return 1.0 - one.drop < FAR * (1.0 - other.drop)
 
 
 Stage = Callable[[str, int, int], None]
@@ -374,6 +404,19 @@ class Refits:
                 same.append((i, mine))
                 out.append(i)
         return out
+
+    def beside_slopes(self, t: Refitted) -> float:
+        """Log evidence of a candidate where each run has a slope of its own along what moves in it.
+
+        Heat that no sensor recorded gives it that; what only follows these slopes is no more than heat may be.
+        """
+        base, readings = self.prepared.base, with_slopes(self.readings)
+        noise = find_noise(readings, base, least=self.prepared.whitener.least)
+        without, with_it = (
+            fit_columns(noise, c).log_likelihood for c in (base, np.concatenate([base, t.columns], axis=1))
+        )
+        cost = t.fit.log_likelihood - self.without.log_likelihood - t.log_evidence
+        return with_it - without - cost
 
     def left_out(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""
