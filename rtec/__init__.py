@@ -16,18 +16,25 @@ from rtec.version import __version__
 if TYPE_CHECKING:
     from rtec.api import (
         add,
+        ballbar,
         compare,
         diagnose,
+        drift,
         fit,
+        grid,
+        history,
         import_table,
         improve,
+        iso230,
         load_machine,
         load_measurement,
         load_model,
+        parallelism,
         plan,
         propose_import,
         replay,
         simulate,
+        straightness,
     )
     from rtec.errors import RtecError
 
@@ -35,18 +42,25 @@ __all__ = [
     "RtecError",
     "__version__",
     "add",
+    "ballbar",
     "compare",
     "diagnose",
+    "drift",
     "fit",
+    "grid",
+    "history",
     "import_table",
     "improve",
+    "iso230",
     "load_machine",
     "load_measurement",
     "load_model",
+    "parallelism",
     "plan",
     "propose_import",
     "replay",
     "simulate",
+    "straightness",
 ]
 
 

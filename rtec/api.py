@@ -1,4 +1,4 @@
-"""The public API: load, simulate, fit, compare, diagnose, add, improve, plan, replay; the commands call it too.
+"""The public API, which the commands call too: load, simulate, fit, compare, diagnose, add, improve, plan, evaluate.
 
 Paths are `str` or `Path`. A model, a machine or a measurement is given as its file or as what was loaded from it.
 `progress(stage, done, total)` is called now and then by what takes long: the stage in words, and how much is done.
@@ -25,8 +25,16 @@ if TYPE_CHECKING:
     from rtec.diagnosis.plan.answer import Answer
     from rtec.diagnosis.result import Diagnosis, Finding
     from rtec.effects import Effect
+    from rtec.metrology.ball_bar.design import Centre
+    from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, Choice
+    from rtec.metrology.ball_bar.phase import Phase
     from rtec.metrology.files.toml import Leniency
+    from rtec.metrology.grid.evaluation import GridEvaluation
     from rtec.metrology.importing import Imported, ImportProposal
+    from rtec.metrology.procedures.drift import Drift
+    from rtec.metrology.procedures.iso230_2 import PositioningTests
+    from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
+    from rtec.model.history import History
     from rtec.playback.result import Replayed
     from rtec.sim.campaign.campaign import Simulated
 
@@ -40,18 +48,25 @@ Bounds = tuple[float, float, float]
 
 __all__ = [
     "add",
+    "ballbar",
     "compare",
     "diagnose",
+    "drift",
     "fit",
+    "grid",
+    "history",
     "import_table",
     "improve",
+    "iso230",
     "load_machine",
     "load_measurement",
     "load_model",
+    "parallelism",
     "plan",
     "propose_import",
     "replay",
     "simulate",
+    "straightness",
 ]
 
 
@@ -429,6 +444,22 @@ def improve(
     return _finished(result, written, paths, report, {"model_file": written})
 
 
+def history(model: ModelLike, *, machine: MachineLike | None = None, report: PathLike | None = None) -> "History":
+    """Every change of a model, with the error on held-out runs before and after it.
+
+    Args:
+        model: whose history it is.
+        machine: of the model; by default its file is looked for beside the model.
+        report: folder for the report with its figure.
+
+    Raises:
+        ModelError: the file cannot be read.
+    """
+    from rtec.model.history import History
+
+    return _finished(History(_model(model, machine)[0]), None, None, report)
+
+
 def plan(
     machine: MachineLike,
     tests: MeasurementLike | Iterable[MeasurementLike],
@@ -472,6 +503,183 @@ def plan(
         _joined(effects), None if model is None else Path(model), ball_bar, _joined(rivals), centre, noise, suggest
     )
     return _finished(answer(known, given, question, progress), None, None, report)
+
+
+def ballbar(
+    machine: MachineLike,
+    tests: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    model: "Choice" = "auto",
+    window_deg: float = 5.0,
+    centre: "Centre" = "shared",
+    phase: "Phase" = "auto",
+    dynamic: bool = True,
+    orders: int = 15,
+    report: PathLike | None = None,
+    progress: Progress | None = None,
+) -> "BallBarDiagnosis":
+    """Diagnose ball-bar tests of one plane together: scales, squareness, clearance, servo, bent guides, dynamics.
+
+    Args:
+        machine: that was measured.
+        tests: one or several, of instrument ball_bar.
+        model: straight guides ("linear"), bent ones ("non-linear"), or what the readings show.
+        window_deg: readings so near to a quadrant are not fitted, degrees; with dynamic effects they are.
+        centre: one centre of the table-side ball for all tests ("shared"), or one for each ("each").
+        phase: the servo phase is one "angle" in all tests, or one "time".
+        dynamic: whether to test dynamic effects and those of the drive.
+        orders: harmonics, from 3 on.
+        report: folder for the report with figures.
+        progress: called with stage, done and total.
+
+    Raises:
+        MeasurementError: other instruments, planes or machines; too few readings.
+    """
+    from rtec.metrology.ball_bar.diagnosis import diagnose as find
+    from rtec.wording import counted
+
+    read, paths = _measurements(_listed(tests), _machine(machine))
+    if progress:
+        progress(f"diagnosing {counted(len(read), 'test')}", 0, 1)
+    found = find(read, model, window_deg, centre, orders, dynamic=dynamic, phase=phase)
+    return _finished(found, _path(machine), paths, report)
+
+
+def grid(
+    machine: MachineLike,
+    measurements: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    corner_mm: tuple[float, float] | None = None,
+    trim_mm: float = 2.0,
+    magnification: float | None = None,
+    report: PathLike | None = None,
+) -> "GridEvaluation":
+    """Evaluate grid-encoder paths: squareness, linear deviation, straightness and pitch, with uncertainties.
+
+    Args:
+        machine: that was measured.
+        measurements: one set-up each; several are compared.
+        corner_mm: report on the edges that meet here; by default the first corner.
+        trim_mm: skipped at both ends of each straight piece.
+        magnification: of the figures; by default a round one.
+        report: folder for the report with figures.
+
+    Raises:
+        MeasurementError: other instruments or machines; no straight pieces.
+    """
+    from rtec.metrology.grid.evaluation import evaluate
+
+    read, paths = _measurements(_listed(measurements), _machine(machine))
+    return _finished(evaluate(read, corner_mm, trim_mm, magnification), _path(machine), paths, report)
+
+
+def iso230(
+    tests: MeasurementLike | Iterable[MeasurementLike],
+    *,
+    machine: MachineLike | None = None,
+    pitch_mm: float | None = None,
+    swap: bool = False,
+    report: PathLike | None = None,
+) -> "PositioningTests":
+    """Evaluate positioning after ISO 230-2: A, R, E, M and B, coverage factor 2.
+
+    Args:
+        tests: `.dat` files of ecmc, or measurements of instrument laser_linear.
+        machine: that a measurement was made on.
+        pitch_mm: of the screw; by default that of the machine's axis.
+        swap: in a `.dat` take FWD as backward.
+        report: folder for the report with figures.
+
+    Raises:
+        MeasurementError: a file cannot be read or used, or has fewer than two readings at a target.
+        ConfigError: a measurement without a machine.
+    """
+    from rtec.metrology.procedures.iso230_2 import PositioningTests, positioning, visits_of
+    from rtec.metrology.procedures.tables import read_dat
+
+    results, notes = [], {}
+    for test in _listed(tests):
+        if not isinstance(test, Measurement) and Path(test).suffix == ".dat":
+            results.append(positioning(read_dat(Path(test), swap), pitch_mm))
+            continue
+        measured = _measured(test, machine)
+        visits, axis = visits_of(measured), str(measured.instrument.axis)
+        results.append(positioning(visits, pitch_mm or measured.machine.axis(axis).pitch_mm))
+        notes[measured.name] = measured.notes
+    return _finished(PositioningTests(tuple(results), notes), None, None, report)
+
+
+def straightness(
+    table: MeasurementLike,
+    *,
+    machine: MachineLike | None = None,
+    method: str | None = None,
+    report: PathLike | None = None,
+) -> "StraightnessResult":
+    """Evaluate straightness: an arbor and its reversal, a pair of probes, or a turned face with orthogonality.
+
+    Args:
+        table: CSV with `x_mm` (or another axis), `spindle_deg`, `probe1_um`, `probe2_um`, `run`; or a measurement of
+            instrument straightness with reversed runs.
+        machine: that a measurement was made on.
+        method: "reversal", "pair" or "face"; by default what the columns allow.
+        report: folder for the report with figures.
+
+    Raises:
+        MeasurementError: the table does not hold what the method needs.
+        ConfigError: a measurement without a machine.
+    """
+    from rtec.metrology.procedures.tables import straightness_of, straightness_table
+
+    plain = _plain_table(table)
+    found = straightness_of(_measured(table, machine)) if plain is None else straightness_table(plain, method)
+    return _finished(found, None, None, report)
+
+
+def parallelism(table: PathLike, *, report: PathLike | None = None) -> "ParallelismResult":
+    """Evaluate parallelism of a motion to the spindle axis, from circles of two probes on a turning arbor.
+
+    Args:
+        table: CSV with `z_mm` (place along the motion, two or more), `angle_deg`, `probe1_um`, `probe2_um`.
+        report: folder for the report with figures.
+
+    Raises:
+        MeasurementError: a column is missing, or there are too few places.
+    """
+    from rtec.metrology.procedures.tables import parallelism_table
+
+    return _finished(parallelism_table(Path(table)), None, None, report)
+
+
+def drift(
+    table: MeasurementLike,
+    *,
+    machine: MachineLike | None = None,
+    columns: Mapping[str, str] | None = None,
+    distance_mm: float | None = None,
+    report: PathLike | None = None,
+) -> "Drift":
+    """Evaluate thermal drift of the spindle: radial, axial and tilt, a time constant for each constant speed.
+
+    Args:
+        table: CSV with `time_s`, `spindle_rpm`, probes and temperatures; or a measurement of instrument spindle_drift.
+        machine: that a measurement was made on.
+        columns: of the probes "radial1", "radial2", "axial" in a CSV, where they have other names.
+        distance_mm: between the radial probes, for the tilt.
+        report: folder for the report with figures.
+
+    Raises:
+        MeasurementError: a column is missing, times do not rise, or there are too few rows.
+        ConfigError: a measurement without a machine.
+    """
+    from rtec.metrology.procedures.tables import drift_of, drift_table
+
+    plain = _plain_table(table)
+    if plain is None:
+        found = drift_of(_measured(table, machine), distance_mm)
+    else:
+        found = drift_table(plain, columns or {}, distance_mm)
+    return _finished(found, None, None, report)
 
 
 def replay(
@@ -519,6 +727,27 @@ def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path |
 
 def _listed(items: MeasurementLike | Iterable[MeasurementLike]) -> list[MeasurementLike]:
     return [items] if isinstance(items, str | Path | Measurement) else list(items)
+
+
+def _path(thing: object) -> Path | None:
+    return Path(thing) if isinstance(thing, str | Path) else None
+
+
+def _plain_table(table: MeasurementLike) -> Path | None:
+    """The table of a procedure; None for a measurement, which has a TOML beside it or is Parquet."""
+    path = _path(table)
+    if path is None or path.suffix in (".toml", ".parquet") or path.with_suffix(".toml").is_file():
+        return None
+    return path
+
+
+def _measured(item: MeasurementLike, machine: MachineLike | None) -> Measurement:
+    """A measurement of a procedure, read where it is a path."""
+    if isinstance(item, Measurement):
+        return item
+    if machine is None:
+        raise ConfigError(f"{item}: is a measurement; name the machine that it was made on with --machine")
+    return load_measurement(item, machine)
 
 
 def _joined(names: str | Iterable[str] | None) -> str | None:
@@ -573,13 +802,13 @@ def _new_effects(
 
 def _finished(
     result: R,
-    model: Path | None,
+    first: Path | None,
     measurements: tuple[Path, ...] | None,
     report: PathLike | None,
     written: Mapping[str, Path | None] | None = None,
 ) -> R:
     """The result with the files that it is of, and its report where one is wanted."""
-    files = (model, *measurements) if model is not None and measurements is not None else ()
+    files = (first, *measurements) if first is not None and measurements is not None else ()
     whole = replace(result, files=files, written={**(written or {}), "report": None})
     return whole if report is None else whole.save_report(report)
 

@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -115,6 +115,10 @@ class Result(Shown):
     files: tuple[Path, ...] = field(default=(), repr=False, compare=False)
     machine_file: Path | None = field(default=None, repr=False, compare=False)
     written: Mapping[str, Path | None] = field(default_factory=dict, repr=False, compare=False)
+
+    def own(self) -> dict[str, Any]:
+        """Its fields by name, without those that every result has."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in Result.__dataclass_fields__}
 
     def to_dict(self) -> dict[str, Any]:
         """The result as `--json` prints it: arrays are lists, what is not finite is None, paths are texts."""

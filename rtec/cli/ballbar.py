@@ -65,22 +65,20 @@ def ballbar(
     clearance that changes along its axis, master-slave change-over. Of parameters that the tests do not separate, only
     the combination that they determine is shown. Also G, G(b), F, H and D of ISO 230-4, and harmonics.
     """
-    from rtec.cli.common import bar, give
-    from rtec.machine import load_machine
-    from rtec.metrology.ball_bar.diagnosis import diagnose
-    from rtec.metrology.files.load import load_measurements
-    from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
-    from rtec.wording import counted
+    from rtec import api
+    from rtec.cli.common import show, stages
 
-    measurements = load_measurements(files, load_machine(machine))
-    with bar(counted(len(measurements), "test")):
-        diagnosis = diagnose(
-            measurements, model.value, window_deg, centre.value, orders, dynamic=dynamic, phase=phase.value
+    with stages() as stage:
+        diagnosis = api.ballbar(
+            machine,
+            files,
+            model=model.value,
+            window_deg=window_deg,
+            centre=centre.value,
+            phase=phase.value,
+            dynamic=dynamic,
+            orders=orders,
+            report=report,
+            progress=stage,
         )
-    give(
-        lambda figures: ball_bar_page(diagnosis, figures, [machine, *files]),
-        ball_bar_facts(diagnosis),
-        as_json=as_json,
-        report=report,
-        full=full,
-    )
+    show(diagnosis, as_json=as_json, full=full)

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -191,12 +191,9 @@ def history(
     Example: `rtec history better.toml --report out/history`
     """
     from rtec import api
-    from rtec.cli.common import give
-    from rtec.report.history import history_page, steps_of
+    from rtec.cli.common import show
 
-    known = api.load_model(model, machine)
-    facts: dict[str, Any] = {"model": known.name, "history": [dict(h) for h in known.history], "steps": steps_of(known)}
-    give(lambda figures: history_page(known, figures), facts, as_json=as_json, report=report)
+    show(api.history(model, machine=machine, report=report), as_json=as_json)
 
 
 def _names(only: str | None) -> list[str] | None:

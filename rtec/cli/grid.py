@@ -35,17 +35,8 @@ def grid(
     Set-ups given together are compared: roll, cross-talk between axes. So are paths of one set-up: directions, feeds,
     Ls from both sides. Squares, straight lines and Ls are recognised in the commanded positions.
     """
-    from rtec.cli.common import give
-    from rtec.machine import load_machine
-    from rtec.metrology.files.load import load_measurements
-    from rtec.report.grid import grid_facts, grid_page, grid_report
+    from rtec import api
+    from rtec.cli.common import show
 
-    measurements = load_measurements(files, load_machine(machine))
-    result = grid_report(measurements, corner_mm, trim_mm, magnification)
-    give(
-        lambda figures: grid_page(result, figures, [machine, *files]),
-        grid_facts(result),
-        as_json=as_json,
-        report=report,
-        full=full,
-    )
+    result = api.grid(machine, files, corner_mm=corner_mm, trim_mm=trim_mm, magnification=magnification, report=report)
+    show(result, as_json=as_json, full=full)

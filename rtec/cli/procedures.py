@@ -1,25 +1,16 @@
 """`rtec iso230`, `straightness`, `parallelism`, `drift`: from readings to the figures of a report."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from rtec.cli.common import Json, Report
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rtec.metrology.measurement import Measurement
-    from rtec.metrology.procedures.iso230_2 import Visits
-    from rtec.report.page import Page
-
 _Machine = Annotated[
     Path | None, typer.Option("--machine", "-m", help="Machine file; needed for measurements with a TOML beside.")
 ]
 _Table = Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with one line of names.", show_default=False)]
-
-_Notes = dict[str, list[str]]
 
 
 def iso230(
@@ -46,14 +37,10 @@ def iso230(
     Drift between the cycles is separated from repeatability. Warns if the targets are multiples of the pitch, which
     hide an error that repeats with the pitch.
     """
-    from rtec.metrology.procedures.iso230_2 import positioning
-    from rtec.report.procedures import iso230_page
+    from rtec import api
+    from rtec.cli.common import show
 
-    results, notes = [], _Notes()
-    for file in files:
-        visits, own_pitch_mm = _visits(file, machine, swap, notes)
-        results.append(positioning(visits, pitch_mm or own_pitch_mm))
-    _give(lambda figures: iso230_page(results, figures), {"tests": results}, report, as_json, notes)
+    show(api.iso230(files, machine=machine, pitch_mm=pitch_mm, swap=swap, report=report), as_json=as_json)
 
 
 def straightness(
@@ -73,17 +60,10 @@ def straightness(
     positive as the gap closes; probe 1 is on the positive side. Or a measurement of instrument straightness with
     reversed_runs.
     """
-    from rtec.metrology.procedures.tables import straightness_table
-    from rtec.report.procedures import straightness_page
+    from rtec import api
+    from rtec.cli.common import show
 
-    notes = _Notes()
-    if _is_measurement(table):
-        from rtec.metrology.procedures.tables import straightness_of
-
-        axis, result = straightness_of(_measurement(table, machine, notes))
-    else:
-        axis, result = straightness_table(table, method)
-    _give(lambda figures: straightness_page(table.name, axis, result, figures), result, report, as_json, notes)
+    show(api.straightness(table, machine=machine, method=method, report=report), as_json=as_json)
 
 
 def parallelism(table: _Table, report: Report = None, as_json: Json = False) -> None:
@@ -93,11 +73,10 @@ def parallelism(table: _Table, report: Report = None, as_json: Json = False) -> 
 
     Example: `rtec parallelism z-circles.csv --json`
     """
-    from rtec.metrology.procedures.tables import parallelism_table
-    from rtec.report.procedures import parallelism_page
+    from rtec import api
+    from rtec.cli.common import show
 
-    axis, result = parallelism_table(table)
-    _give(lambda figures: parallelism_page(table.name, axis, result, figures), result, report, as_json)
+    show(api.parallelism(table, report=report), as_json=as_json)
 
 
 def drift(
@@ -121,62 +100,9 @@ def drift(
 
     Example: `rtec drift spindle.csv --radial1 ch1_um --radial2 ch2_um --axial ch5_um --distance 100`
     """
-    from rtec.metrology.procedures.tables import drift_table
-    from rtec.report.procedures import drift_page
+    from rtec import api
+    from rtec.cli.common import show
 
     columns = {n: c for n, c in (("radial1", radial1), ("radial2", radial2), ("axial", axial)) if c}
-    notes = _Notes()
-    if _is_measurement(file):
-        from rtec.metrology.procedures.tables import drift_of
-
-        result = drift_of(_measurement(file, machine, notes), distance_mm)
-    else:
-        result = drift_table(file, columns, distance_mm)
-    _give(lambda figures: drift_page(result, figures), result, report, as_json, notes)
-
-
-def _visits(file: Path, machine: Path | None, swap: bool, notes: _Notes) -> "tuple[Visits, float | None]":
-    """Deviations of one file, and the pitch of its axis where the machine file knows it."""
-    if file.suffix == ".dat":
-        from rtec.metrology.procedures.tables import read_dat
-
-        return read_dat(file, swap), None
-    from rtec.metrology.procedures.iso230_2 import visits_of
-
-    measurement = _measurement(file, machine, notes)
-    visits = visits_of(measurement)
-    return visits, measurement.machine.axis(str(measurement.instrument.axis)).pitch_mm
-
-
-def _measurement(file: Path, machine: Path | None, notes: _Notes) -> "Measurement":
-    """Read one, and add its notes."""
-    from rtec.errors import ConfigError
-    from rtec.machine import load_machine
-    from rtec.metrology.files.load import load_measurement
-
-    if machine is None:
-        raise ConfigError(f"{file}: is a measurement; name the machine that it was made on with --machine")
-    measurement = load_measurement(file, load_machine(machine))
-    notes[measurement.name] = list(measurement.notes)
-    return measurement
-
-
-def _is_measurement(file: Path) -> bool:
-    return file.suffix in (".toml", ".parquet") or file.with_suffix(".toml").is_file()
-
-
-def _give(
-    page_of: "Callable[[bool], Page]", facts: object, report: Path | None, as_json: bool, notes: _Notes | None = None
-) -> None:
-    """Write and print a result with the notes of its measurements."""
-    from rtec.cli.common import give
-    from rtec.report.page import with_notes
-    from rtec.result import plain
-
-    kept = notes or {}
-    give(
-        lambda figures: with_notes(page_of(figures), kept),
-        plain(facts) | {"notes": kept},
-        as_json=as_json,
-        report=report,
-    )
+    result = api.drift(file, machine=machine, columns=columns, distance_mm=distance_mm, report=report)
+    show(result, as_json=as_json)

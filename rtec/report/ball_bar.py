@@ -1,7 +1,6 @@
 """Report of ball-bar tests: causes, how much of the circle each one is, how sure that is, and which test to add."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -40,31 +39,6 @@ SERVO = ("delay", "gain_")
 def beyond_section(d: BallBarDiagnosis) -> Section:
     """The section of the page."""
     return Section("Dynamic effects and the drive", [*_servo(d), *_left_out(d), *_wanted(d)], _table(d))
-
-
-def beyond_facts(d: BallBarDiagnosis) -> dict[str, object]:
-    """The same as plain data, for JSON."""
-    return {
-        "found": [
-            {
-                "name": p.candidate.name, "title": p.candidate.title, "group": p.candidate.group,
-                "effect": p.candidate.effect, "chance": p.chance,
-            }
-            for p in d.found.beyond.picks
-        ],
-        "not_found": [
-            {"name": n.candidate.name, "title": n.candidate.title, "effect": n.candidate.effect,
-             "would_be_found_from": n.limit, "unit": n.unit, "together_with": [x.name for x in n.with_]}
-            for n in d.found.not_found
-        ],
-        "not_looked_for": [
-            {"name": n.candidate.name, "title": n.candidate.title, "why": n.why, "not_separated_from": list(n.twins)}
-            for n in d.found.left_out
-        ],
-        "tests_to_add": [
-            {"test": w.test, "feed_mm_min": w.feed_mm_min, "separates": list(w.names)} for w in d.wanted
-        ],
-    }  # fmt: skip
 
 
 def _servo(d: BallBarDiagnosis) -> list[str]:
@@ -150,18 +124,6 @@ def _phase(d: BallBarDiagnosis, a: str, b: str) -> list[str]:
     ]
 
 
-def phase_facts(d: BallBarDiagnosis) -> dict[str, object]:
-    """The same as plain data, for JSON."""
-    return {
-        "taken_as": d.phase.taken,
-        "decided": d.phase.decided,
-        "reason": d.phase.reason,
-        "lag_ms": 1e3 * d.lag_s,
-        "if_one_angle": {s.angle.name: s.angle.value for s in d.changed},
-        "if_one_time": {s.angle.name: s.time for s in d.changed},
-    }
-
-
 def _feeds(d: BallBarDiagnosis) -> str:
     """The first test's feed, for every radius in proportion."""
     first = d.circles[0].setup
@@ -187,13 +149,12 @@ SMALLEST_UM = 0.01
 """A cause that makes less of a circle than this has no panel."""
 
 
-def ball_bar_page(d: BallBarDiagnosis, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+def ball_bar_page(d: BallBarDiagnosis, figures: bool = True) -> Page:
     """The page.
 
     Args:
         d: the diagnosis.
         figures: whether to draw.
-        files: the machine and the tests, for the command to type next.
     """
     plane = d.circles[0].setup.plane
     sections = [
@@ -217,7 +178,7 @@ def ball_bar_page(d: BallBarDiagnosis, figures: bool = True, files: Sequence[Pat
         sections=sections,
         foot=[*FORMULAS, f"rtec {__version__}, rtec ballbar."],
         brief=Section("", [_height(d, h) for h in d.fitted.heights], _brief(d)),
-        next=_next(d, files),
+        next=_next(d),
     )
 
 
@@ -228,13 +189,13 @@ def _brief(d: BallBarDiagnosis) -> Table:
     return Table(["cause", "G by itself, µm", "share, %", "size, and its 95 % interval"], rows, words=(0, 3))
 
 
-def _next(d: BallBarDiagnosis, files: Sequence[Path]) -> list[str]:
+def _next(d: BallBarDiagnosis) -> list[str]:
     """The tests that separate what these confound; else a fit."""
-    if not files:
+    if not d.files:
         return []
     if d.wanted or d.fitted.rank.confounded:
-        return [typed("rtec", "plan", *files, "--ball-bar", "non-linear")]
-    return [typed("rtec", "fit", *files, "-o", "model.toml")]
+        return [typed("rtec", "plan", *d.files, "--ball-bar", "non-linear")]
+    return [typed("rtec", "fit", *d.files, "-o", "model.toml")]
 
 
 def _largest(d: BallBarDiagnosis) -> str:
@@ -255,50 +216,6 @@ def _largest(d: BallBarDiagnosis) -> str:
     if top and top.g_um > LARGER * d.named.g_um:
         out += f" Not determined: {top.group}, up to {number(top.g_um)} µm."
     return out
-
-
-def ball_bar_facts(d: BallBarDiagnosis) -> dict[str, object]:
-    """The result as plain data, for JSON."""
-    return {
-        "plane": d.circles[0].setup.plane,
-        "tests": [
-            {
-                "name": c.name, "n": len(c), "left_out": c.left_out, "direction": c.setup.direction,
-                "radius_mm": c.setup.radius_mm, "height_mm": c.setup.height_mm, "feed_mm_min": c.setup.feed_mm_min,
-            }
-            for c in d.circles
-        ],
-        "iso_230_4": d.rounds,
-        "both_senses": d.pairs,
-        "model": d.fitted.model,
-        "reason": d.reason,
-        "rank": d.fitted.rank,
-        "servo_phase": phase_facts(d),
-        "parameters": {
-            v.name: {
-                "value": v.value, "se": v.se, "low": v.low, "high": v.high, "unit": v.unit, "title": v.title,
-                "cause": v.group, "not_separated_from": list(v.with_), "note": v.note,
-            }
-            for v in d.fitted.values
-        },
-        "combinations": [
-            {
-                "terms": dict(v.terms), "title": v.title, "value": v.value, "se": v.se, "low": v.low, "high": v.high,
-                "unit": v.unit, "cause": v.group, "not_separated_from": list(v.with_),
-            }
-            for v in d.fitted.combinations
-        ],
-        "height_of_table_ball": d.fitted.heights,
-        "largest_cause": d.named.group if d.named else None,
-        "shares": d.shares,
-        "beyond": beyond_facts(d) if d.dynamic else None,
-        "explained": d.explained,
-        "explained_by_bb_alone": d.explained_bb,
-        "left_um": d.fitted.sigma_um,
-        "window_deg": d.window_deg,
-        "near_quadrants": d.near_quadrants,
-        "harmonics": d.spectra,
-    }  # fmt: skip
 
 
 def _notes(d: BallBarDiagnosis) -> list[str]:

@@ -1,16 +1,14 @@
 """Report of grid-encoder set-ups, each by itself and compared."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
-from rtec.errors import MeasurementError
-from rtec.metrology.grid.compare import certain, directions, feeds, not_compared, places
-from rtec.metrology.grid.paths import TRIM_MM, Edge
-from rtec.metrology.grid.setup import GridSetup, Item, analyse, same_feed, slowest
-from rtec.metrology.measurement import Measurement
+from rtec.metrology.grid.compare import not_compared
+from rtec.metrology.grid.evaluation import GridComparison, GridEvaluation
+from rtec.metrology.grid.paths import Edge
+from rtec.metrology.grid.setup import GridSetup, Item, same_feed, slowest
 from rtec.report import grid_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
 from rtec.version import __version__
@@ -26,64 +24,12 @@ FEET = (
 )
 
 
-@dataclass(frozen=True)
-class GridComparison:
-    """A heading, what was compared, and the items."""
-
-    heading: str
-    items: tuple[Item, ...]
-
-
-@dataclass(frozen=True)
-class GridReport:
-    """Everything about some set-ups.
-
-    Attributes:
-        setups: each by itself.
-        comparisons: between directions, feeds, and set-ups.
-        found: items that noise alone would hardly give.
-        magnification: of the figures; None: a round one for each.
-    """
-
-    setups: tuple[GridSetup, ...]
-    comparisons: tuple[GridComparison, ...]
-    found: tuple[Item, ...]
-    magnification: float | None
-
-
-def grid_report(
-    measurements: Sequence[Measurement],
-    corner_mm: tuple[float, float] | None = None,
-    trim_mm: float = TRIM_MM,
-    magnification: float | None = None,
-) -> GridReport:
-    """Analyse set-ups and compare them.
-
-    Raises:
-        MeasurementError: as `analyse`, or set-ups on different machines.
-    """
-    setups = tuple(analyse(m, corner_mm, trim_mm) for m in measurements)
-    for other in setups[1:]:
-        if other.machine.hash != setups[0].machine.hash:
-            raise MeasurementError(f"{other.name} and {setups[0].name} were made on different machines")
-    compared = []
-    for setup in setups:
-        compared.append(GridComparison(f"{setup.name}: direction", directions(setup)))
-        compared.append(GridComparison(f"{setup.name}: feed", feeds(setup)))
-    for i, one in enumerate(setups):
-        compared += [GridComparison(f"{one.name} minus {two.name}", places(one, two)) for two in setups[i + 1 :]]
-    kept = tuple(c for c in compared if c.items)
-    found = certain([item for c in kept for item in c.items])
-    return GridReport(setups, kept, found, magnification)
-
-
-def grid_page(r: GridReport, figures: bool = True, files: Sequence[Path] = ()) -> Page:
+def grid_page(r: GridEvaluation, figures: bool = True) -> Page:
     """The page.
 
     Args:
         r: the set-ups.
         figures: whether to draw.
-        files: the machine and the measurements, for the command to type next.
     """
     sections = [
         Section(s.name, [_where(s)], _table(s.items), _contour(s, i, r.magnification) if figures else None)
@@ -108,11 +54,11 @@ def grid_page(r: GridReport, figures: bool = True, files: Sequence[Path] = ()) -
         sections,
         [*FEET, f"rtec {__version__}, rtec grid."],
         brief=Section("", [], _brief(r)),
-        next=[typed("rtec", "fit", *files, "-o", "model.toml")] if files else [],
+        next=[typed("rtec", "fit", *r.files, "-o", "model.toml")] if r.files else [],
     )
 
 
-def _brief(r: GridReport) -> Table:
+def _brief(r: GridEvaluation) -> Table:
     """Differences that are more than noise; then each error of the set-ups, with its range over them."""
     found = dict.fromkeys((i.name, i.means, number(i.value), "", number(i.u), i.unit, "yes") for i in r.found)
     rows = [[*row] for row in found]
@@ -127,22 +73,6 @@ def _brief(r: GridReport) -> Table:
 
 def _together(items: Sequence[Item]) -> str:
     return ", ".join(dict.fromkeys(f"{i.name} = {number(i.value)} {i.unit}" for i in items))
-
-
-def grid_facts(r: GridReport) -> dict[str, object]:
-    """The result as plain data, for JSON."""
-    return {
-        "setups": [
-            {"name": s.name, "plane": s.setup.plane, "origin_mm": s.setup.origin_mm, "corner_mm": s.corner_mm,
-             "pieces": len(s.edges), "items": s.items}
-            for s in r.setups
-        ],
-        "not_compared": not_compared(r.setups),
-        "comparisons": [
-            {"heading": c.heading, "items": c.items, "certain": [i.name for i in c.items if i in r.found]}
-            for c in r.comparisons
-        ],
-    }  # fmt: skip
 
 
 def _where(s: GridSetup) -> str:
@@ -220,7 +150,7 @@ def _outline(edges: Sequence[Edge]) -> list[Edge]:
     return [e for e in edges if len({(x.along, round(x.beside_mm, 1)) for x in edges if x.run == e.run}) == 4]
 
 
-def _overlays(r: GridReport) -> list[Section]:
+def _overlays(r: GridEvaluation) -> list[Section]:
     """Two set-ups of one plane and size laid over each other, each about its own middle; two feeds in one set-up."""
     out: list[Section] = []
     for i, one in enumerate(r.setups):
@@ -247,8 +177,6 @@ def _overlay(one: GridSetup, two: GridSetup, magnification: float | None, name: 
 
 def _moved(e: Edge, s: GridSetup) -> Edge:
     """Counted from the plate's middle."""
-    from dataclasses import replace
-
     middle = [s.setup.origin_mm["XYZ".index(d)] for d in s.lean.letters]
     return replace(e, place_mm=e.place_mm - middle[e.along], beside_mm=e.beside_mm - middle[1 - e.along])
 

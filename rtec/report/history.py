@@ -5,13 +5,14 @@ from typing import Any
 
 from rtec.diagnosis.words import UNITS, spoken
 from rtec.model import Model
+from rtec.model.history import History, rescaled, steps_of
 from rtec.report.page import Figure, Page, Section, Table
 from rtec.wording import NONE, counted, number, percent, two_numbers, with_error
 
 
-def history_page(model: Model, figures: bool = True) -> Page:
+def history_page(h: History, figures: bool = True) -> Page:
     """Every change of a model with the error before and after it."""
-    steps = steps_of(model)
+    model, steps = h.model, h.steps
     if not steps:
         lead = "This model has no history: it was written by hand, or fitted by an old version."
         return Page(f"History of {model.name}", lead, [], [])
@@ -31,59 +32,6 @@ def model_page(model: Model, figures: bool = True) -> Page:
     rows = [[r["effect"], r["name"], *with_error(r["value"], r["se"]), spoken(r["unit"])] for r in model.rows()]
     table = Table(("effect", "number", "value", "standard error", "unit"), rows, words=(0, 1, 4))
     return Page(f"Model {model.name}", lead, [], [Section("Numbers", [], table), *history_sections(model, figures)])
-
-
-def steps_of(model: Model) -> list[dict[str, Any]]:
-    """Entries of a model's history that know their error on held-out runs."""
-    out: list[dict[str, Any]] = []
-    for entry in model.history:
-        after = entry.get("rms_after", entry.get("rms_held_out"))
-        if after is None:
-            continue
-        before = entry.get("rms_before")
-        moved = bool(out) and before is not None and abs(float(before) / max(out[-1]["error"], 1e-12) - 1.0) > 0.05
-        same = _same_data(entry, model, out)
-        out.append(
-            {
-                "name": ", ".join(entry.get("effects", ())) or str(entry.get("change", "change")),
-                "before": None if before is None else float(before),
-                "error": float(after),
-                "floor": entry.get("noise_floor"),
-                "unit": str(entry.get("unit", "um")),
-                "measurements": sorted(entry.get("measurements", ())),
-                "inside": entry.get("rms_inside"),
-                "other_data": moved and not same,
-                "noise_anew": moved and same,
-                "passed_over": [dict(r) for r in entry.get("passed_over", ())],
-            }
-        )
-    return out
-
-
-def _same_data(entry: Mapping[str, Any], model: Model, before: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether an entry was judged on the measurements of the one before it."""
-    if not before:
-        return False
-    if "same_measurements" in entry:
-        return bool(entry["same_measurements"])
-    now, last = sorted(entry.get("measurements", ())), before[-1]
-    # A fit does not name its measurements; where the model knows no others, they are those of this entry.
-    return now == (last["measurements"] or sorted(model.measurements))
-
-
-def rescaled(steps: Sequence[Mapping[str, Any]]) -> list[float]:
-    """Errors after each step, all in the yardstick of the last.
-
-    In multiples of the noise the yardstick is re-estimated at every step: a model that lacks much takes a part of it
-    for noise. The error after the step before is then that before this one.
-    """
-    out = [float(s["error"]) for s in steps]
-    for i in range(len(steps) - 1, 0, -1):
-        s = steps[i]
-        if s["unit"] == "noise" and s["noise_anew"] and steps[i - 1]["unit"] == "noise":
-            factor = s["before"] / max(steps[i - 1]["error"], 1e-12)
-            out[:i] = [v * factor for v in out[:i]]
-    return out
 
 
 def history_sections(model: Model, figures: bool) -> list[Section]:

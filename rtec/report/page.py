@@ -5,7 +5,7 @@ import shutil
 import tempfile
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from shlex import quote
@@ -102,11 +102,6 @@ def _cleaned(value: Any) -> Any:
 def note_words(notes: Mapping[str, Sequence[str]]) -> list[str]:
     """The notes of each measurement in one sentence: what is missing in it, and what was accepted."""
     return [f"{name}: {'; '.join(said)}." for name, said in notes.items() if said]
-
-
-def with_notes(page: Page, notes: Mapping[str, Sequence[str]]) -> Page:
-    """The page with the notes of its measurements in the small print, which a terminal does not show."""
-    return replace(page, foot=[*note_words(notes), *page.foot])
 
 
 def write_page(page: Page, facts: object, folder: Path) -> Path:

@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.metrology.procedures.drift import Approach, Drift, PhaseFit, SpeedPhase, Trace
-from rtec.metrology.procedures.iso230_2 import Positioning
+from rtec.metrology.procedures.iso230_2 import Positioning, PositioningTests
 from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
 from rtec.report import procedures_figures as draw
-from rtec.report.page import Figure, Page, Section, Table
+from rtec.report.page import Figure, Page, Section, Table, note_words
 from rtec.version import __version__
 from rtec.wording import number
 
@@ -20,15 +20,14 @@ ISO230_FORMULAS = (
 )
 
 
-def iso230_page(results: list[Positioning], figures: bool = True) -> Page:
+def iso230_page(r: PositioningTests, figures: bool = True) -> Page:
     """The page for one or more tests; without figures it is what the terminal shows."""
-    first = results[0]
     return Page(
         title="Positioning after ISO 230-2",
-        lead="; ".join(f"{r.visits.name}: {_lead(r)}" for r in results) + ".",
-        numbers=_numbers(first) if len(results) == 1 else [],
-        sections=[s for i, r in enumerate(results) for s in _sections(r, i, figures)],
-        foot=[*ISO230_FORMULAS, f"rtec {__version__}, rtec iso230."],
+        lead="; ".join(f"{t.visits.name}: {_lead(t)}" for t in r.tests) + ".",
+        numbers=_numbers(r.tests[0]) if len(r.tests) == 1 else [],
+        sections=[s for i, t in enumerate(r.tests) for s in _sections(t, i, figures)],
+        foot=[*note_words(r.notes), *ISO230_FORMULAS, f"rtec {__version__}, rtec iso230."],
     )
 
 
@@ -121,6 +120,7 @@ def drift_page(r: Drift, figures: bool = True) -> Page:
             *(_section(r, trace) for trace in r.traces),
         ],
         foot=[
+            *note_words(r.notes),
             "Each phase of constant speed: y = start + change · (1 - exp(-t/τ)), or two such; intervals from an F test "
             "that counts readings as far as they are independent.",
             f"rtec {__version__}, rtec drift; procedure of [G 3.5].",
@@ -215,7 +215,7 @@ STRAIGHTNESS_FORMULAS = {
 }
 
 
-def straightness_page(name: str, axis: str, r: StraightnessResult, figures: bool = True) -> Page:
+def straightness_page(r: StraightnessResult, figures: bool = True) -> Page:
     """The page for one straightness; without figures it is what the terminal shows."""
     se = f" ± {2 * r.point_se_um:.2f} µm a point" if np.isfinite(r.point_se_um) else ""
     numbers = [(f"{r.peak_to_valley_um:.2f}\u00a0µm", "straightness, largest minus smallest")]
@@ -234,29 +234,31 @@ def straightness_page(name: str, axis: str, r: StraightnessResult, figures: bool
         for x, s, a in zip(r.position_mm, r.straightness_um, r.artefact_um, strict=True)
     ]
     other = "tilt of the face e, µm" if r.method == "face" else "profile of the arbor a, µm"
-    figure = _straightness_figure(axis, r) if figures else None
+    figure = _straightness_figure(r) if figures else None
+    head = [f"{r.axis.lower()}, mm", "straightness, µm", other]
     return Page(
         title=TITLES[r.method],
-        lead=f"{name}: axis {axis} is straight to {r.peak_to_valley_um:.2f} µm{se} over {np.ptp(r.position_mm):g} mm.",
+        lead=f"{r.name}: axis {r.axis} is straight to {r.peak_to_valley_um:.2f} µm{se} over "
+        f"{np.ptp(r.position_mm):g} mm.",
         numbers=numbers,
         sections=[
             Section("Result", [*r.words], Table(["", "value", "unit"], rows, words=(0, 2)), figure),
-            Section("Place by place", [], Table([f"{axis.lower()}, mm", "straightness, µm", other], points, words=())),
+            Section("Place by place", [], Table(head, points, words=())),
         ],
-        foot=[STRAIGHTNESS_FORMULAS[r.method], f"rtec {__version__}, rtec straightness."],
+        foot=[*note_words(r.notes), STRAIGHTNESS_FORMULAS[r.method], f"rtec {__version__}, rtec straightness."],
     )
 
 
-def _straightness_figure(axis: str, r: StraightnessResult) -> Figure:
+def _straightness_figure(r: StraightnessResult) -> Figure:
     below = "Tilt of the face, e" if r.method == "face" else "Profile of the arbor, best-fit line taken out"
-    title = f"Straightness of {axis}: {r.peak_to_valley_um:.2f} µm"
+    title = f"Straightness of {r.axis}: {r.peak_to_valley_um:.2f} µm"
     png = draw.straightness(
-        title, f"{axis.lower()}, mm", r.position_mm, r.straightness_um, r.point_se_um, (below, r.artefact_um)
+        title, f"{r.axis.lower()}, mm", r.position_mm, r.straightness_um, r.point_se_um, (below, r.artefact_um)
     )
     return Figure("straightness.png", png, f"{title}, over position, and below it what the artefact adds.")
 
 
-def parallelism_page(name: str, axis: str, r: ParallelismResult, figures: bool = True) -> Page:
+def parallelism_page(r: ParallelismResult, figures: bool = True) -> Page:
     """The page for one parallelism; without figures it is what the terminal shows."""
     rows = [
         ["α_p: spindle's axis seen from the motion [G 3.5]", number(r.alpha_urad), "µrad"],
@@ -268,19 +270,19 @@ def parallelism_page(name: str, axis: str, r: ParallelismResult, figures: bool =
         [f"{z:g}", *(number(v, 3) for v in (one.radius_um, two.radius_um, one.roundness_um, two.roundness_um))]
         for z, one, two in zip(r.position_mm, *r.circles, strict=True)
     ]
-    head = [f"{axis.lower()}, mm", "R probe 1, µm", "R probe 2", "roundness 1, µm", "roundness 2, µm"]
+    head = [f"{r.axis.lower()}, mm", "R probe 1, µm", "R probe 2", "roundness 1, µm", "roundness 2, µm"]
     figure = None
     if figures:
         radius = r.radius_um
         png = draw.parallelism(
-            f"{axis.lower()}, mm", r.position_mm, (radius[0] - radius[1]) / 2, r.alpha_urad * 1e-3, list(radius)
+            f"{r.axis.lower()}, mm", r.position_mm, (radius[0] - radius[1]) / 2, r.alpha_urad * 1e-3, list(radius)
         )
-        shows = f"The spindle's axis seen from the motion over {axis}, and the radii of the best-fit circles."
+        shows = f"The spindle's axis seen from the motion over {r.axis}, and the radii of the best-fit circles."
         figure = Figure("parallelism.png", png, shows)
     return Page(
-        title=f"Parallelism of {axis} to the spindle's axis",
-        lead=f"{name}: α_p = {r.alpha_urad:+.2f} µrad over {np.ptp(r.position_mm):g} mm, positive where the spindle's "
-        "axis comes nearer to probe 1 as the position grows.",
+        title=f"Parallelism of {r.axis} to the spindle's axis",
+        lead=f"{r.name}: α_p = {r.alpha_urad:+.2f} µrad over {np.ptp(r.position_mm):g} mm, positive where the "
+        "spindle's axis comes nearer to probe 1 as the position grows.",
         numbers=[(f"{r.alpha_urad:+.1f}\u00a0µrad", "parallelism")],
         sections=[
             Section("Result", [*r.words], Table(["", "value", "unit"], rows, words=(0, 2)), figure),

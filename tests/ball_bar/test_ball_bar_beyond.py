@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose
-from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
+from rtec.report.ball_bar import ball_bar_page
 from rtec.report.page import render
 from tests.support.ball_bar_dynamic import DEG, THREE, TWO_FEEDS, Test, run_tests
 from tests.support.ball_bar_examples import gantry
@@ -122,7 +122,7 @@ def test_two_feeds_tell_the_servo_from_geometry() -> None:
 def test_what_the_page_and_the_json_say_of_each_cause() -> None:
     """Oracle: the diagnosis. Each cause has its share, its size with unit and its interval."""
     d = diagnosed(THREE, {"spike_x": 8.0, "spike_x_way": 0.2, "change_over": 0.2})
-    page, facts = ball_bar_page(d, figures=False), ball_bar_facts(d)
+    page, facts = ball_bar_page(d, figures=False), d.facts()
     causes = next(s.table for s in page.sections if s.heading.startswith("Causes"))
     assert causes is not None
     rows = {r[0]: r for r in causes.rows}
@@ -135,7 +135,7 @@ def test_what_the_page_and_the_json_say_of_each_cause() -> None:
     assert [f["effect"] for f in beyond["found"]] == ["reversal_spike", "change_over"]
     assert all(f["chance"] < 0.01 for f in beyond["found"])
     assert {n["name"] for n in beyond["not_found"]} >= {"spike_y", "play_x_y", "cyclic_x"}
-    assert facts["explained"] > 0.99 > facts["explained_by_bb_alone"]  # type: ignore[operator]
+    assert facts["explained"] > 0.99 > facts["explained_by_bb_alone"]
 
 
 def test_readings_near_the_quadrants_are_used_where_dynamic_effects_are_fitted() -> None:
@@ -147,7 +147,7 @@ def test_readings_near_the_quadrants_are_used_where_dynamic_effects_are_fitted()
     assert without.found.beyond.picks == ()
     page = ball_bar_page(without, figures=False)
     assert not [s for s in page.sections if s.heading.startswith("Dynamic")]
-    assert ball_bar_facts(without)["beyond"] is None
+    assert without.facts()["beyond"] is None
 
 
 def test_partial_arcs_show_dynamic_effects_too() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose
-from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
+from rtec.report.ball_bar import ball_bar_page
 from rtec.report.page import render
 from tests.support.ball_bar_truth import SIDES, THREE, Bar, TrueMachine, recordings, truth_of
 
@@ -69,7 +69,7 @@ def test_of_a_bar_of_unknown_length_only_differences_are_shown() -> None:
         d = diagnose(recordings(m, bars, zero="setup"))
         for name in ("scale_x", "scale_y"):
             assert np.isnan(d.fitted.value(name).value)
-            assert np.isnan(ball_bar_facts(d)["parameters"][name]["value"])  # type: ignore[index]
+            assert np.isnan(d.facts()["parameters"][name]["value"])
         apart = next(c for c in d.fitted.combinations if dict(c.terms) == {"scale_x": 1.0, "scale_y": -1.0})
         assert abs(apart.value - (m["scale_a"] - m["scale_b"])) < 3.5 * apart.se
         page = ball_bar_page(d, figures=False)
@@ -135,8 +135,8 @@ def test_one_test_names_the_set_and_what_of_it_is_determined() -> None:
     both = next(c for c in d.fitted.combinations if {n for n, _ in c.terms} == {"squareness", "phase"})
     assert dict(both.terms) == {"squareness": 1.0, "phase": -1.0}
     assert abs(both.value + 149.8) < 3.5 * both.se + 0.1
-    facts = ball_bar_facts(d)
-    assert facts["combinations"][0]["terms"] == {"squareness": 1.0, "phase": -1.0}  # type: ignore[index]
+    facts = d.facts()
+    assert facts["combinations"][0]["terms"] == {"squareness": 1.0, "phase": -1.0}
     size = table_of(d, "Causes")["squareness or servo phase, not separated"]
     assert "squareness X-Y - servo phase mismatch X-Y" in size[3]
 
@@ -157,7 +157,7 @@ def test_where_angle_or_time_is_undecided_intervals_hold_both_answers(seed: int)
     assert max(far.values()) < 3.5, far
     v = d.fitted.value("squareness")
     assert v.low <= m["lean"] <= v.high
-    assert ball_bar_facts(d)["parameters"]["squareness"]["low"] == v.low  # type: ignore[index]
+    assert d.facts()["parameters"]["squareness"]["low"] == v.low
 
 
 def test_a_twist_as_large_as_the_difference_decides_nothing() -> None:

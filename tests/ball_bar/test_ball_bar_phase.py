@@ -10,7 +10,7 @@ from rtec.metrology.ball_bar.circle import circles_of
 from rtec.metrology.ball_bar.design import NotLookedFor
 from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis, diagnose, wanted
 from rtec.metrology.ball_bar.phase import Phase
-from rtec.report.ball_bar import ball_bar_facts, ball_bar_page
+from rtec.report.ball_bar import ball_bar_page
 from tests.support.ball_bar_dynamic import Test, run_tests
 
 MILL = Path(__file__).parents[2] / "configs/machines/vertical-mill.toml"
@@ -76,7 +76,7 @@ def test_where_tests_do_not_tell_both_are_told() -> None:
     said = " ".join(" ".join(s.text) for s in ball_bar_page(d, figures=False).sections)
     assert "--phase time" in said
     assert "radius 120 mm at 800 mm/min" in said
-    assert ball_bar_facts(d)["servo_phase"]["if_one_time"]["squareness"] == pytest.approx(25.0, abs=1.0)  # type: ignore[index]
+    assert d.facts()["servo_phase"]["if_one_time"]["squareness"] == pytest.approx(25.0, abs=1.0)
     time = diagnose(given, phase="time")
     assert off_se(time, {"squareness": 25.0, "twist": 0.0})["squareness"] < 4.0
 

@@ -20,8 +20,8 @@ from rtec.estimation.joint import joint_fit
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model, save_model
+from rtec.model.history import rescaled, steps_of
 from rtec.report.additions import improved_page
-from rtec.report.history import rescaled, steps_of
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine, write_machine
 
 SCALE = "scale,component=EXX,axis=X,k=12"

@@ -8,11 +8,12 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.metrology.grid.compare import moved_along, not_compared, places
+from rtec.metrology.grid.evaluation import evaluate
 from rtec.metrology.grid.paths import straight_pieces
 from rtec.metrology.grid.setup import GridSetup, analyse
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
-from rtec.report.grid import drawn_pieces, grid_facts, grid_page, grid_report, plate_turn
+from rtec.report.grid import drawn_pieces, grid_page, plate_turn
 from tests.metrology.test_grid_encoder import bridge, measured, own
 
 Floats = NDArray[np.float64]
@@ -114,11 +115,11 @@ def test_what_is_not_compared_is_told() -> None:
     """Oracle: the plate was moved along X and Z by 400 mm, and along Y by a metre."""
     m = bridge()
     made = [measured(m, "XZ", o, (ROLL,), 1, kinds=("square",)) for o in ([0.0, -500.0, 300.0], [400.0, 500.0, 700.0])]
-    report = grid_report(made)
+    report = evaluate(made)
     told = not_compared(report.setups)
     assert len(told) == 1
     assert "moved along X and Y and Z at once" in told[0]
-    assert grid_facts(report)["not_compared"] == told
+    assert report.facts()["not_compared"] == told
     assert told[0] + "." in [line for s in grid_page(report, figures=False).sections for line in s.text]
     assert not not_compared(report.setups[:1])
 

@@ -5,7 +5,8 @@ import pytest
 from matplotlib.text import Annotation, Text
 
 from rtec.model import Model
-from rtec.report.history import stairs, steps_of
+from rtec.model.history import steps_of
+from rtec.report.history import stairs
 from rtec.report.history_figures import staircase
 from tests.support.diagnosis_examples import small_machine
 from tests.support.figures import drawn, overlapping

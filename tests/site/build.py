@@ -26,9 +26,15 @@ from rtec.diagnosis.plan.answer import Answer
 from rtec.diagnosis.result import Diagnosis
 from rtec.effects import Effect
 from rtec.machine import Machine
+from rtec.metrology.ball_bar.diagnosis import BallBarDiagnosis
+from rtec.metrology.grid.evaluation import GridEvaluation
 from rtec.metrology.importing import Imported
 from rtec.metrology.measurement import Measurement
+from rtec.metrology.procedures.drift import Drift
+from rtec.metrology.procedures.iso230_2 import PositioningTests
+from rtec.metrology.procedures.straightness import ParallelismResult, StraightnessResult
 from rtec.model import Model
+from rtec.model.history import History
 from rtec.playback.result import Replayed
 from rtec.result import Result
 from rtec.sim.campaign.campaign import Simulated
@@ -63,7 +69,14 @@ RESULTS: tuple[type, ...] = (
     Diagnosis,
     Added,
     Improved,
+    History,
     Answer,
+    BallBarDiagnosis,
+    GridEvaluation,
+    PositioningTests,
+    StraightnessResult,
+    ParallelismResult,
+    Drift,
     Replayed,
 )
 LISTS = {"Args:": "Arguments", "Returns:": "Returns", "Raises:": "Errors", "Attributes:": "Attributes"}

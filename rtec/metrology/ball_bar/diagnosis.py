@@ -3,10 +3,10 @@
 The choice between the two models of [BB] follows its section 6, with what is found beyond them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ from rtec.metrology.ball_bar.phase import (
 from rtec.metrology.ball_bar.search import NOISE_UM, CausesFound, search
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import one_blas_thread
+from rtec.result import Result
 from rtec.wording import significant
 
 SAME_MM = 1.0
@@ -262,7 +263,7 @@ class Spectrum:
 
 
 @dataclass(frozen=True)
-class BallBarDiagnosis:
+class BallBarDiagnosis(Result):
     """Everything about some tests of one plane.
 
     Attributes:
@@ -283,6 +284,8 @@ class BallBarDiagnosis:
         changed: parameters that depend on which of them it is, where these tests do not tell.
         lag_s: both axes are so late behind the command; 0 where the readings show none.
     """
+
+    page_maker: ClassVar[str] = "rtec.report.ball_bar:ball_bar_page"
 
     circles: tuple[CircleTest, ...]
     rounds: tuple[Roundness, ...]
@@ -313,6 +316,89 @@ class BallBarDiagnosis:
         """The largest cause of which something is determined beyond doubt."""
         sure = {v.group for v in (*self.fitted.values, *self.fitted.combinations) if abs(v.value) > NAMED_SE * v.se}
         return next((s for s in self.shares if s.group in sure), None)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return {
+            "plane": self.circles[0].setup.plane,
+            "tests": [
+                {
+                    "name": c.name, "n": len(c), "left_out": c.left_out, "direction": c.setup.direction,
+                    "radius_mm": c.setup.radius_mm, "height_mm": c.setup.height_mm, "feed_mm_min": c.setup.feed_mm_min,
+                }
+                for c in self.circles
+            ],
+            "iso_230_4": self.rounds,
+            "both_senses": self.pairs,
+            "model": self.fitted.model,
+            "reason": self.reason,
+            "rank": self.fitted.rank,
+            "servo_phase": self._phase_facts(),
+            "parameters": {
+                v.name: {
+                    "value": v.value, "se": v.se, "low": v.low, "high": v.high, "unit": v.unit, "title": v.title,
+                    "cause": v.group, "not_separated_from": list(v.with_), "note": v.note,
+                }
+                for v in self.fitted.values
+            },
+            "combinations": [
+                {
+                    "terms": dict(v.terms), "title": v.title, "value": v.value, "se": v.se, "low": v.low,
+                    "high": v.high, "unit": v.unit, "cause": v.group, "not_separated_from": list(v.with_),
+                }
+                for v in self.fitted.combinations
+            ],
+            "height_of_table_ball": self.fitted.heights,
+            "largest_cause": self.named.group if self.named else None,
+            "shares": self.shares,
+            "beyond": self._beyond_facts() if self.dynamic else None,
+            "explained": self.explained,
+            "explained_by_bb_alone": self.explained_bb,
+            "left_um": self.fitted.sigma_um,
+            "window_deg": self.window_deg,
+            "near_quadrants": self.near_quadrants,
+            "harmonics": self.spectra,
+        }  # fmt: skip
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The parameters."""
+        return [{"name": name, **facts} for name, facts in self.facts()["parameters"].items()]
+
+    def _phase_facts(self) -> dict[str, Any]:
+        """The servo phase: one angle in all tests, or one time."""
+        return {
+            "taken_as": self.phase.taken,
+            "decided": self.phase.decided,
+            "reason": self.phase.reason,
+            "lag_ms": 1e3 * self.lag_s,
+            "if_one_angle": {s.angle.name: s.angle.value for s in self.changed},
+            "if_one_time": {s.angle.name: s.time for s in self.changed},
+        }
+
+    def _beyond_facts(self) -> dict[str, Any]:
+        """What was tested beyond [BB]'s parameters."""
+        return {
+            "found": [
+                {
+                    "name": p.candidate.name, "title": p.candidate.title, "group": p.candidate.group,
+                    "effect": p.candidate.effect, "chance": p.chance,
+                }
+                for p in self.found.beyond.picks
+            ],
+            "not_found": [
+                {"name": n.candidate.name, "title": n.candidate.title, "effect": n.candidate.effect,
+                 "would_be_found_from": n.limit, "unit": n.unit, "together_with": [x.name for x in n.with_]}
+                for n in self.found.not_found
+            ],
+            "not_looked_for": [
+                {"name": n.candidate.name, "title": n.candidate.title, "why": n.why,
+                 "not_separated_from": list(n.twins)}
+                for n in self.found.left_out
+            ],
+            "tests_to_add": [
+                {"test": w.test, "feed_mm_min": w.feed_mm_min, "separates": list(w.names)} for w in self.wanted
+            ],
+        }  # fmt: skip
 
 
 def diagnose(

@@ -9,13 +9,15 @@ correlation time. Where one time constant leaves a shape in the residual, two ar
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.procedures.fitting import SeparableFit, correlation_time, separable_fit, unit_errors
+from rtec.result import Result
 
 Floats = NDArray[np.float64]
 COVERS = 0.95
@@ -266,8 +268,8 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Drift:
-    """The result.
+class Drift(Result):
+    """Thermal drift of a spindle.
 
     Attributes:
         name: of the file.
@@ -276,7 +278,10 @@ class Drift:
         phases, traces: in order; a trace has one fit a phase.
         temperatures_degc: by name, (n,).
         words: what must be said with it.
+        notes: of the measurements, by name: what is missing in them, and what was accepted.
     """
+
+    page_maker: ClassVar[str] = "rtec.report.procedures:drift_page"
 
     name: str
     time_h: Floats
@@ -285,6 +290,23 @@ class Drift:
     traces: tuple[Trace, ...]
     temperatures_degc: Mapping[str, Floats]
     words: tuple[str, ...]
+    notes: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return self.own()
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The phases of each trace, with the approach of each where there is one."""
+        return [
+            {"trace": t.name, "unit": t.unit, **asdict(self.phases[f.phase]), **asdict(f), **_numbers(f.approach)}
+            for t in self.traces
+            for f in t.fits
+        ]
+
+
+def _numbers(found: Approach | None) -> dict[str, Any]:
+    return {} if found is None else {k: v for k, v in asdict(found).items() if k != "words"}
 
 
 def tilt_urad(radial1_um: Floats, radial2_um: Floats, distance_mm: float) -> Floats:

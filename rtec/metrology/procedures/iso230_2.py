@@ -8,14 +8,16 @@ whole move, and that is no scatter: the same cycle is off in the same way at eve
 them: `x_ij - x̄_i = zero of cycle j + stretch of cycle j × position + rest`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.measurement import Measurement
+from rtec.result import Result
 
 Floats = NDArray[np.float64]
 SURE = 0.01
@@ -233,6 +235,42 @@ class Positioning:
     both: TwoWay | None
     drift: CycleDrift | None
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PositioningTests(Result):
+    """Positioning of one or more axes after ISO 230-2.
+
+    Attributes:
+        tests: in the order of the files.
+        notes: of the measurements, by name: what is missing in them, and what was accepted.
+    """
+
+    page_maker: ClassVar[str] = "rtec.report.procedures:iso230_page"
+
+    tests: tuple[Positioning, ...]
+    notes: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return self.own()
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The targets of each test."""
+        return [
+            {"test": r.visits.name, "target_mm": target, **_at_target(r, i)}
+            for r in self.tests
+            for i, target in enumerate(r.visits.target_mm)
+        ]
+
+
+def _at_target(r: Positioning, i: int) -> dict[str, float]:
+    """The figures of one target, µm."""
+    out: dict[str, float] = {}
+    for name, way in (("up", r.up), ("down", r.down)):
+        if way:
+            out |= {f"mean_{name}_um": float(way.mean_um[i]), f"s_{name}_um": float(way.s_um[i])}
+    return out | ({"B_um": float(r.both.B_i_um[i]), "R_um": float(r.both.R_i_um[i])} if r.both else {})
 
 
 def positioning(visits: Visits, pitch_mm: float | None = None) -> Positioning:

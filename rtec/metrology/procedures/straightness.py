@@ -11,21 +11,23 @@ straightness of the motion at the places measured remains (the text of [G 3.4] h
 it.
 """
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import MeasurementError
 from rtec.metrology.procedures.fitting import BestLine, best_line
+from rtec.result import Result
 
 Floats = NDArray[np.float64]
 Method = Literal["reversal", "pair", "face"]
 
 
 @dataclass(frozen=True)
-class StraightnessResult:
+class StraightnessResult(Result):
     """Straightness along one axis, best-fit line taken out.
 
     Attributes:
@@ -45,7 +47,12 @@ class StraightnessResult:
             was repeated.
         repeats: sets of readings.
         words: what the uncertainty rests on, and what this method cannot know.
+        name: of the file, or of the measurement.
+        axis: that moved.
+        notes: of the measurements, by name: what is missing in them, and what was accepted.
     """
+
+    page_maker: ClassVar[str] = "rtec.report.procedures:straightness_page"
 
     method: Method
     position_mm: Floats
@@ -58,6 +65,18 @@ class StraightnessResult:
     point_se_um: float
     repeats: int
     words: tuple[str, ...]
+    name: str = ""
+    axis: str = ""
+    notes: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return self.own()
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The places."""
+        columns = (self.position_mm, self.straightness_um, self.artefact_um)
+        return [{"position_mm": x, "straightness_um": s, "artefact_um": a} for x, s, a in zip(*columns, strict=True)]
 
 
 def reversal(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> StraightnessResult:
@@ -186,7 +205,7 @@ class Circle:
 
 
 @dataclass(frozen=True)
-class ParallelismResult:
+class ParallelismResult(Result):
     """Parallelism of a motion to the spindle's axis, in the plane of the probes.
 
     Attributes:
@@ -200,7 +219,11 @@ class ParallelismResult:
         taper_urad: change of the arbor's radius along the motion, per length.
         circles: by probe, then place.
         words: what the result holds.
+        name: of the file.
+        axis: that moved.
     """
+
+    page_maker: ClassVar[str] = "rtec.report.procedures:parallelism_page"
 
     position_mm: Floats
     radius_um: Floats
@@ -211,6 +234,20 @@ class ParallelismResult:
     taper_urad: float
     circles: tuple[tuple[Circle, ...], tuple[Circle, ...]]
     words: tuple[str, ...]
+    name: str = ""
+    axis: str = ""
+
+    def facts(self) -> dict[str, Any]:
+        """The result as plain data; keys as in the documented JSON."""
+        return self.own()
+
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The circles."""
+        return [
+            {"position_mm": z, "probe": probe, **asdict(circle)}
+            for probe, circles in enumerate(self.circles, 1)
+            for z, circle in zip(self.position_mm, circles, strict=True)
+        ]
 
 
 def best_circle(angle_deg: Floats, reading_um: Floats) -> Circle:

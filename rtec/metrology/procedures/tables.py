@@ -94,7 +94,7 @@ HALF_TURN_DEG = 180.0
 ANGLE_TOLERANCE_DEG = 1.0
 
 
-def straightness_table(path: Path, method: str | None = None) -> tuple[str, StraightnessResult]:
+def straightness_table(path: Path, method: str | None = None) -> StraightnessResult:
     """Straightness from a CSV: `x_mm` (or `z_mm`, …), `spindle_deg` (0 or 180), `probe1_um`, and by method more.
 
     reversal: `probe1_um` at 0°, `probe2_um` at 180°. pair: both at both. face: `probe1_um` at both; with
@@ -103,9 +103,6 @@ def straightness_table(path: Path, method: str | None = None) -> tuple[str, Stra
     Args:
         path: of the table.
         method: one of `METHODS`; None: what the columns allow.
-
-    Returns:
-        Axis name and result.
 
     Raises:
         MeasurementError: the table does not hold what the method needs; the message names file and place.
@@ -119,12 +116,13 @@ def straightness_table(path: Path, method: str | None = None) -> tuple[str, Stra
         raise MeasurementError(f"method {chosen!r} is not known{nearest(chosen, METHODS)}")
     places = np.unique(position)
     try:
-        return axis, _measured(chosen, places, sets, _profile(table, position, angle, places))
+        result = _measured(chosen, places, sets, _profile(table, position, angle, places))
     except MeasurementError as e:
         raise MeasurementError(f"{path}: {chosen}: {e}") from e
+    return replace(result, name=path.name, axis=axis)
 
 
-def parallelism_table(path: Path) -> tuple[str, ParallelismResult]:
+def parallelism_table(path: Path) -> ParallelismResult:
     """Parallelism from a CSV: `z_mm` (place along the motion), `angle_deg`, `probe1_um`, `probe2_um`.
 
     Raises:
@@ -134,9 +132,10 @@ def parallelism_table(path: Path) -> tuple[str, ParallelismResult]:
     axis, position = position_of(path, table)
     angle, probe1, probe2 = need(path, table, ["angle_deg", "probe1_um", "probe2_um"])
     try:
-        return axis, parallelism(position, angle, probe1, probe2)
+        result = parallelism(position, angle, probe1, probe2)
     except MeasurementError as e:
         raise MeasurementError(f"{path}: {e}") from e
+    return replace(result, name=path.name, axis=axis)
 
 
 def drift_table(path: Path, columns: Mapping[str, str], distance_mm: float | None) -> Drift:
@@ -258,16 +257,14 @@ def drift_of(measurement: Measurement, distance_mm: float | None = None) -> Drif
     probes = {n: p.sign * measurement.readings[f"reading_{n}_um"] for n, p in setup.probe.items()}
     sensors = {n: measurement.channels[n] for n in measurement.machine.sensor_names if n in measurement.channels}
     known = distance_mm if distance_mm is not None else setup.distance_mm
-    return spindle_drift(name, measurement.time_s, measurement.channels["spindle_rpm"], probes, known, sensors)
+    result = spindle_drift(name, measurement.time_s, measurement.channels["spindle_rpm"], probes, known, sensors)
+    return replace(result, notes={name: measurement.notes})
 
 
-def straightness_of(measurement: Measurement) -> tuple[str, StraightnessResult]:
+def straightness_of(measurement: Measurement) -> StraightnessResult:
     """Straightness by reversal from a measurement of instrument straightness with reversed runs.
 
     The probe's sign is the same in all runs, so readings are s + a, and s - a with the artefact turned over.
-
-    Returns:
-        Axis name and result.
 
     Raises:
         MeasurementError: another instrument, no reversed runs, or runs that do not read the same places.
@@ -295,7 +292,7 @@ def straightness_of(measurement: Measurement) -> tuple[str, StraightnessResult]:
         found = reversal(places, -np.stack(plain), np.stack(turned))
     except MeasurementError as e:
         raise MeasurementError(f"{name}: {e}") from e
-    return axis, replace(found, artefact_um=-found.artefact_um)
+    return replace(found, artefact_um=-found.artefact_um, name=name, axis=axis, notes={name: measurement.notes})
 
 
 def _run(name: str, run: int, places: Floats, position: Floats, reading: Floats, rows: NDArray[np.bool_]) -> Floats:

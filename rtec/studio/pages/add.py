@@ -9,7 +9,8 @@ from nicegui import ui
 
 from rtec.diagnosis.words import UNITS
 from rtec.errors import RtecError
-from rtec.report.history import stairs, steps_of
+from rtec.model.history import steps_of
+from rtec.report.history import stairs
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
 from rtec.studio.pages.compare import worst
