@@ -69,6 +69,15 @@ def probability(p: float) -> str:
     return percent(min(max(p, 1e-9), 1.0 - 1e-9))
 
 
+def odds(p: float) -> str:
+    """The odds of a probability: "13 to 1", "1 to 4"; beyond a thousand "more than 1000 to 1"."""
+    for_it = min(max(p, 1e-9), 1.0 - 1e-9)
+    ratio = for_it / (1.0 - for_it)
+    size = max(ratio, 1.0 / ratio)
+    text = "more than 1000" if size > 1000.0 else number(size, 1 if size < 9.95 else 0).removesuffix(".0")
+    return f"{text} to 1" if ratio >= 1.0 else f"1 to {text}"
+
+
 def counted(n: int, what: str, several: str = "") -> str:
     """So many things: "1 log", "3 logs", "2 entries".
 

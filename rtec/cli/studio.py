@@ -9,6 +9,7 @@ from rtec.errors import RtecError
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 PORT = 8371
+SHORTEST_TOKEN = 16
 
 
 def studio(
@@ -42,8 +43,7 @@ def studio(
     your own. Needs `pip install rtec[studio]`.
     """
     _check_installed()
-    from rtec.studio.app import Address, serve
-    from rtec.studio.guard import SHORTEST_TOKEN, new_token
+    from rtec.studio.address import Address, new_token, open_port
 
     if (tls_cert is None) != (tls_key is None):
         raise RtecError("--tls-cert and --tls-key belong together: give both")
@@ -58,22 +58,26 @@ def studio(
     if token is not None and (len(token) < SHORTEST_TOKEN or not token.isascii() or not token.isprintable()):
         raise RtecError(f"--token: needs at least {SHORTEST_TOKEN} printable ASCII characters")
 
-    def opened(address: str) -> None:
-        typer.echo(f"rtec studio: {address}")
-        typer.echo("Ctrl-C ends it.", err=True)
-        if browser:
-            import webbrowser
+    if not folder.is_dir():
+        raise RtecError(f"{folder}: is no folder; make it first, or name another")
+    if attach is not None and not attach.is_file():
+        raise RtecError(f"{attach}: no such file; --attach takes the run file of a running daemon")
+    opened = open_port(Address(host, port, token or new_token(), tls_cert, tls_key))
+    typer.echo(f"rtec studio: {opened.url}")
+    typer.echo("Ctrl-C ends it.", err=True)
+    if browser:
+        import webbrowser
 
-            webbrowser.open(address)
-
+        # It starts while the server does, and waits at the open port.
+        webbrowser.open(opened.url)
     live = None
     if attach is not None:
         from rtec.studio.live import LiveLink
 
-        if not attach.is_file():
-            raise RtecError(f"{attach}: no such file; --attach takes the run file of a running daemon")
         live = LiveLink(attach, role)
-    serve(folder, Address(host, port, token or new_token(), tls_cert, tls_key), opened, live)
+    from rtec.studio.app import serve
+
+    serve(folder, opened, live)
 
 
 def _check_installed() -> None:

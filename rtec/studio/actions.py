@@ -1,7 +1,9 @@
 """What several pages let a person do with the session: each is one piece of work and what becomes of it."""
 
+from collections.abc import Mapping
+
 from rtec.studio import tasks
-from rtec.studio.session import ModelStep, TabSession
+from rtec.studio.session import NO_FIELDS, ModelStep, TabSession
 from rtec.studio.tasks import Wanted
 
 
@@ -37,17 +39,24 @@ async def diagnose(session: TabSession) -> None:
     step = session.step
     if step is None:
         return
-    view = await session.work(
-        "Diagnosis", tasks.diagnose, step.model, session.files, session.model_path, session.machine_path
-    )
+    given = step.model, session.files, session.model_path, session.machine_path
+    view = await session.work("Diagnosis", tasks.diagnose, *given, beside="diagnose")
     if view is not None and session.step is step:
         session.keep(diagnosed=view)
         session.rank = 1 if 1 in view.curves else 0
         session.on_change()
 
 
-async def add(session: TabSession, wanted: Wanted | None) -> bool:
-    """Add an effect to the model of this step, or refit it where none is named; gives whether that was done."""
+async def add(
+    session: TabSession, wanted: Wanted | None, beside: str = "", fields: Mapping[str, str] = NO_FIELDS
+) -> bool:
+    """Add an effect to the model of this step, or refit it where none is named; gives whether that was done.
+
+    Args:
+        session: the tab.
+        wanted: the effect.
+        beside, fields: where the page shows why it was not, as for `TabSession.work`.
+    """
     if not await read_model(session):
         return False
     await compare(session)
@@ -55,13 +64,14 @@ async def add(session: TabSession, wanted: Wanted | None) -> bool:
     if step is None:
         return False
     title = f"Adding {wanted.label}" if wanted else "Refitting"
-    view = await session.work(title, tasks.add, step.model, wanted, session.files, session.model_path)
+    given = step.model, wanted, session.files, session.model_path
+    view = await session.work(title, tasks.add, *given, beside=beside, fields=fields)
     if view is None:
         return False
     if not view.added.better:
         from rtec.diagnosis.extend.add import refused
 
-        session.trouble = f"Not added: {refused(view.added)}."
+        session.fail(f"Not added: {refused(view.added)}.", beside)
         session.on_change()
         return False
     words = ("add", *wanted.words) if wanted else ("add", "--refit")
@@ -79,9 +89,8 @@ async def improve(session: TabSession) -> None:
     step = session.step
     if step is None:
         return
-    ended = await session.work(
-        "Improving", tasks.improve, step.model, session.files, session.model_path, session.machine_path
-    )
+    given = step.model, session.files, session.model_path, session.machine_path
+    ended = await session.work("Improving", tasks.improve, *given, beside="improve")
     if ended is not None:
         session.improved = ended
         session.on_change()

@@ -1,27 +1,27 @@
 """The server of the pages: one process for all tabs, one session for each, one page at a time in it."""
 
 import asyncio
-import socket
-from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module, resources
 from pathlib import Path
-from typing import Final
+from types import ModuleType
+from typing import TYPE_CHECKING, Final
 
 import uvicorn
 from fastapi import FastAPI
 from nicegui import app as pages_app
 from nicegui import events, ui
 
-from rtec.errors import RtecError
 from rtec.studio import jobs
+from rtec.studio.address import OpenPort
 from rtec.studio.folder import Folder
 from rtec.studio.guard import Guard
-from rtec.studio.live import LiveLink
-from rtec.studio.parts import Words, button
+from rtec.studio.parts import Words, button, trouble
 from rtec.studio.session import TabSession
 from rtec.text import clean
 from rtec.wording import counted
+
+if TYPE_CHECKING:
+    from rtec.studio.live import LiveLink
 
 PAGES: Final = {
     "measurements": "Measurements",
@@ -39,23 +39,6 @@ MODULES: Final = {"import": "importing"}
 STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
 
 
-@dataclass(frozen=True)
-class Address:
-    """Where the pages are served.
-
-    Attributes:
-        host, port: as asked; port 0 takes a free one.
-        token: the key of this start.
-        certificate, key: files for TLS; None: without.
-    """
-
-    host: str
-    port: int
-    token: str
-    certificate: Path | None = None
-    key: Path | None = None
-
-
 class Studio:
     """All tabs of one start.
 
@@ -64,7 +47,7 @@ class Studio:
         live: the daemon that is attached; None: none.
     """
 
-    def __init__(self, folder: Folder, live: LiveLink | None) -> None:
+    def __init__(self, folder: Folder, live: "LiveLink | None") -> None:
         self._folder, self._live = folder, live
         self._sessions: dict[str, TabSession] = {}
 
@@ -80,16 +63,21 @@ class Studio:
 
     async def page(self, name: str = "") -> None:
         """One page of one tab."""
-        name = name or ("live" if self._live is not None else "measurements")
+        if name not in (*PAGES, *BESIDE):
+            name = "live" if self._live is not None else "measurements"
         ui.add_css(STYLE.read_text(encoding="utf-8"))
         ui.colors(primary="#005a94")
         dark = ui.dark_mode(None)
         shell = ui.element("div").classes("shell")
+        # While the browser loads what every page needs, the server loads what this one does.
+        loading = asyncio.create_task(asyncio.to_thread(_module, name))
         await ui.context.client.connected()
+        await loading
         session = self.session(str(ui.context.client.tab_id))
         session.look()
         with shell:
-            _Frame(session, name if name in (*PAGES, *BESIDE) else "measurements", dark)
+            _Frame(session, name, dark)
+        jobs.warm_up()
 
 
 class _Frame:
@@ -120,7 +108,7 @@ class _Frame:
     def go(self, name: str) -> None:
         """Show another page."""
         self._name = name
-        self._session.trouble = ""
+        self._session.fail("")
         with self._client:
             ui.navigate.history.push(f"/{name}")
             ui.run_javascript("window.scrollTo(0, 0)")
@@ -137,13 +125,22 @@ class _Frame:
             here = key == self._name
             link.classes(add="here" if here else "", remove="" if here else "here")
             link.props('aria-current="page"' if here else "", remove="" if here else "aria-current")
-        build: Callable[[TabSession], None] = import_module(
-            f"rtec.studio.pages.{MODULES.get(self._name, self._name)}"
-        ).build
         with self._client:
             self._main.clear()
             with self._main:
-                build(self._session)
+                _module(self._name).build(self._session)
+                self._show_trouble()
+
+    def _show_trouble(self) -> None:
+        """Show why work failed: at the head of the page, where it has no place or field for that."""
+        s = self._session
+        if not s.trouble:
+            return
+        if not any("at-fault" in e.classes for e in self._main.descendants()):
+            with ui.element("div") as head:
+                trouble(s, s.beside)
+            head.move(target_index=1)
+        ui.run_javascript("document.querySelector('.at-fault').scrollIntoView({block: 'nearest'})")
 
     def _show_names(self) -> None:
         s = self._session
@@ -167,22 +164,15 @@ class _Frame:
                 button("Cancel", job.cancel, bad=True)
 
 
-def serve(folder: Path, address: Address, opened: Callable[[str], None], live: LiveLink | None = None) -> None:
+def serve(folder: Path, opened: OpenPort, live: "LiveLink | None" = None) -> None:
     """Serve the pages until the process is interrupted.
 
     Args:
         folder: that is opened.
-        address: where.
-        opened: called with the whole address, key included, once the server answers.
+        opened: where.
         live: the daemon that is attached; None: none.
-
-    Raises:
-        RtecError: the folder or the address cannot be used.
     """
-    if not folder.is_dir():
-        raise RtecError(f"{folder}: is no folder; make it first, or name another")
-    listening = _listen(address.host, address.port)
-    port = int(listening.getsockname()[1])
+    address = opened.address
     studio = Studio(Folder(folder), live)
     outer = FastAPI(openapi_url=None)
     ui.page("/", title="rtec studio")(studio.page)
@@ -200,21 +190,18 @@ def serve(folder: Path, address: Address, opened: Callable[[str], None], live: L
         favicon=FAVICON,
     )
     config = uvicorn.Config(
-        Guard(outer, address.token, port),
+        Guard(outer, address.token, opened.port),
         log_level="warning",
         lifespan="on",
         access_log=False,
         ssl_certfile=address.certificate,
         ssl_keyfile=address.key,
     )
-    scheme = "https" if address.certificate else "http"
-    host = f"[{address.host}]" if ":" in address.host else address.host
-    server = _Server(config, lambda: opened(f"{scheme}://{host}:{port}/?token={address.token}"))
-    jobs.warm_up()
+    server = uvicorn.Server(config)
 
     async def both() -> None:
         following = asyncio.create_task(live.follow()) if live is not None else None
-        await server.serve(sockets=[listening])
+        await server.serve(sockets=[opened.socket])
         if following is not None:
             following.cancel()
 
@@ -227,27 +214,6 @@ FAVICON: Final = (
 )
 
 
-class _Server(uvicorn.Server):
-    """Says when it answers."""
-
-    def __init__(self, config: uvicorn.Config, answers: Callable[[], None]) -> None:
-        super().__init__(config)
-        self._answers = answers
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to answer."""
-        await super().startup(sockets)
-        if self.started:
-            self._answers()
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    made = socket.socket(family, socket.SOCK_STREAM)
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        made.bind((host, port))
-    except OSError as e:
-        made.close()
-        raise RtecError(f"{host}:{port}: cannot be listened at: {e.strerror}; name another with --host, --port") from e
-    return made
+def _module(name: str) -> ModuleType:
+    """The module of a page; it is loaded when the page is first shown."""
+    return import_module(f"rtec.studio.pages.{MODULES.get(name, name)}")

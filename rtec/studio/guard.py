@@ -13,8 +13,6 @@ from urllib.parse import parse_qs, urlencode
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
-SHORTEST_TOKEN: Final = 16
 POLICY: Final = (
     "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; worker-src 'self' blob:; "
@@ -29,11 +27,6 @@ HEADERS: Final = (
     (b"cross-origin-resource-policy", b"same-origin"),
 )
 _SCRIPT: Final = re.compile(rb"<script\b")
-
-
-def new_token() -> str:
-    """A key that nobody guesses."""
-    return secrets.token_urlsafe(24)
 
 
 class Guard:

@@ -1,17 +1,20 @@
 """What the pages are put together from: sentences, tables, commands to copy. Every text is text, never HTML."""
 
 import re
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Awaitable, Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from nicegui import events, ui
 from nicegui.element import Element
 from nicegui.elements.mixins.text_element import TextElement
+from nicegui.elements.mixins.validation_element import ValidationElement
 
 from rtec.errors import RtecError
-from rtec.report.page import Section, Table
 from rtec.studio.session import TabSession
 from rtec.text import clean_lines
+
+if TYPE_CHECKING:
+    from rtec.report.page import Section, Table
 
 POINTS_OF_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d*|[+-]?\d{1,3}(\.\d{3}){2,}")
 COMMAS_OF_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*|[+-]?\d{1,3}(,\d{3}){2,}")
@@ -81,7 +84,18 @@ def draft(session: TabSession, key: str, label: str, value: str = "", placeholde
         session.view[key] = event.value or ""
 
     made = ui.input(label, value=session.view.get(key, value), placeholder=placeholder, on_change=keep)
-    return made.props("outlined")
+    return at_fault(session, key, made.props("outlined"))
+
+
+Field = TypeVar("Field", bound=ValidationElement[Any])
+
+
+def at_fault(session: TabSession, key: str, field: Field) -> Field:
+    """The field, with why the last work failed where that is because of it."""
+    if said := session.trouble_at(key):
+        field.error = clean_lines(said)
+        field.classes("at-fault")
+    return field
 
 
 def heading(text: str) -> None:
@@ -89,11 +103,28 @@ def heading(text: str) -> None:
     Words("h1", text)
 
 
-def trouble(session: TabSession) -> None:
-    """Why the last work failed."""
+def trouble(session: TabSession, place: str) -> None:
+    """Why the last work failed, where that belongs to this place of the page."""
+    if said := session.trouble_at(place):
+        with ui.element("div").classes("card bad at-fault").props('role="alert"'):
+            Words("p", said, "trouble")
+
+
+def waiting(session: TabSession, sentence: str, begin: Callable[[TabSession], Awaitable[Any]]) -> None:
+    """Say what a page waits for, and begin it; after a failure it is begun again by a button.
+
+    Args:
+        session: the tab.
+        sentence: what is being done.
+        begin: begins it.
+    """
     if session.trouble:
-        with ui.element("div").classes("card bad").props('role="alert"'):
-            Words("p", session.trouble, "trouble")
+        with ui.element("div").classes("row"):
+            button("Try again", lambda: begin(session), main=True)
+        return
+    Words("p", sentence, "lead")
+    if session.job is None:
+        ui.timer(0.05, lambda: begin(session), once=True)
 
 
 def lacking(session: TabSession) -> bool:
@@ -141,7 +172,7 @@ def tiles(numbers: Sequence[tuple[str, str]]) -> None:
                 Words("span", meaning)
 
 
-def table(content: Table) -> None:
+def table(content: "Table") -> None:
     """A table of texts."""
     with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
         if content.caption:
@@ -156,7 +187,7 @@ def table(content: Table) -> None:
                         Words("td", cell, "words" if k in content.words else "")
 
 
-def section(content: Section, *, opened: bool = False) -> None:
+def section(content: "Section", *, opened: bool = False) -> None:
     """A section of a report, folded up."""
     if content.table is None and not content.text:
         return

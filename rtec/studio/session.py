@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple
+from typing import TYPE_CHECKING, Any, Final, TypeVar, TypeVarTuple
 
 from rtec.errors import RtecError
 from rtec.studio.folder import Folder, Listing
@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
+NO_FIELDS: Final[Mapping[str, str]] = {}
+
+
+def blamed(message: str, fields: Mapping[str, str], beside: str) -> tuple[str, str]:
+    """What to show, and where: beside the field of the option that a message begins with, else at another place."""
+    option = message.partition(" ")[0].removesuffix(":")
+    return (message.removeprefix(f"{option}: "), fields[option]) if option in fields else (message, beside)
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ class ModelStep:
     diagnosed: DiagnosisView | None = None
 
 
-@dataclass
+@dataclass(frozen=True)
 class ForeignFile:
     """A file of another program on its way to a measurement.
 
@@ -53,8 +60,8 @@ class ForeignFile:
     """
 
     name: str
-    answers: dict[str, str] = field(default_factory=dict)
-    edited: dict[str, dict[str, Any]] | None = None
+    answers: Mapping[str, str] = field(default_factory=dict)
+    edited: Mapping[str, Mapping[str, Any]] | None = None
     looked: ImportView | None = None
 
 
@@ -71,7 +78,7 @@ class TabSession:
         steps: the model as it was read, and after each addition; `at` is where undo and redo have gone.
         saved: name of the file that holds the step, by number of the step.
         job: what runs now; None: nothing.
-        trouble: why the last work failed, in a sentence.
+        trouble: why the last work failed, in a sentence; `beside` is the place or field of a page that it belongs to.
         improved: why the last improvement ended.
         question: what the work asks now, with the answer that it waits for.
         rank: candidate that is shown.
@@ -92,6 +99,7 @@ class TabSession:
     saved: dict[int, str] = field(default_factory=dict)
     job: Job | None = None
     trouble: str = ""
+    beside: str = ""
     improved: str = ""
     question: tuple[Any, asyncio.Future[Any]] | None = None
     rank: int = 1
@@ -138,7 +146,8 @@ class TabSession:
         try:
             self.listing = self.folder.listing()
         except RtecError as e:
-            self.listing, self.trouble = Listing(), str(e)
+            self.listing = Listing()
+            self.fail(str(e))
         self.machine = _kept(self.machine, self.listing.machines)
         model = _kept(self.model, self.listing.models)
         if model != self.model:
@@ -163,21 +172,44 @@ class TabSession:
         steps[self.at] = replace(steps[self.at], **known)
         self.steps = tuple(steps)
 
-    async def work(self, title: str, task: Callable[[Reporter, *Ts], R], *args: *Ts) -> R | None:
-        """Have work done in another process; None where it failed (`trouble` says why) or was cancelled."""
+    def fail(self, why: str, beside: str = "") -> None:
+        """Keep why something failed, and the place of a page where that is shown; by default its head."""
+        self.trouble, self.beside = why, beside
+
+    def trouble_at(self, place: str) -> str:
+        """The trouble that belongs to a place; empty: none."""
+        return self.trouble if self.beside == place else ""
+
+    async def work(
+        self,
+        title: str,
+        task: Callable[[Reporter, *Ts], R],
+        *args: *Ts,
+        beside: str = "",
+        fields: Mapping[str, str] = NO_FIELDS,
+    ) -> R | None:
+        """Have work done in another process; None where it failed (`trouble` says why) or was cancelled.
+
+        Args:
+            title: in words.
+            task: what is done.
+            args: given to it.
+            beside: place of a page that shows what went wrong.
+            fields: fields that do instead, by the option of the command line that the message begins with.
+        """
         if self.job is not None:
-            self.trouble = f"{self.job.title} is not finished; wait for it, or cancel it."
+            self.fail(f"{self.job.title} is not finished; wait for it, or cancel it.", beside)
             self.on_change()
             return None
-        self.trouble = ""
+        self.fail("")
         self.job = Job(title, self.on_progress_now, self._asked)
         self.on_progress()
         try:
             return await self.job.run(task, *args)
         except RtecError as e:
-            self.trouble = str(e)
+            self.fail(*blamed(str(e), fields, beside))
         except Cancelled:
-            self.trouble = f"{title}: cancelled; nothing was changed."
+            self.fail(f"{title}: cancelled; nothing was changed.", beside)
         finally:
             self.job, self.question = None, None
             self.on_progress()

@@ -15,7 +15,7 @@ from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
 from rtec.studio.pages.compare import worst
 from rtec.studio.pages.expression import own_expression
-from rtec.studio.parts import Area, Words, button, command, draft, heading, lacking, section, trouble
+from rtec.studio.parts import Area, Words, button, command, draft, heading, lacking, section, trouble, waiting
 from rtec.studio.session import ModelStep, TabSession
 from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
 from rtec.wording import number, percent, probability
@@ -24,14 +24,11 @@ from rtec.wording import number, percent, probability
 def build(session: TabSession) -> None:
     """The page."""
     heading("Add and watch")
-    trouble(session)
     if lacking(session):
         return
     step = session.step
     if step is None or step.compared is None:
-        Words("p", "The model is being compared with the measurements.", "lead")
-        if not session.trouble:
-            ui.timer(0.05, lambda: actions.compare(session), once=True)
+        waiting(session, "The model is being compared with the measurements.", actions.compare)
         return
     if session.question is not None:
         _question(session, session.question[0])
@@ -65,6 +62,7 @@ def _toolbar(session: TabSession) -> None:
         button("Find the next effect", lambda: session.go("diagnose"), main=True)
         button("Improve step by step", lambda: actions.improve(session), off=busy)
         button("Refit the numbers", lambda: _refit(session), off=busy)
+    trouble(session, "improve")
 
 
 def _move(session: TabSession, by: int) -> None:
@@ -76,7 +74,7 @@ def _move(session: TabSession, by: int) -> None:
 
 
 async def _refit(session: TabSession) -> None:
-    if await actions.add(session, None):
+    if await actions.add(session, None, "improve"):
         session.view["moved"] = "yes"
         session.on_change()
 
@@ -232,7 +230,7 @@ def keep(session: TabSession, name: str) -> None:
         raise RtecError(f"{name}: another file of that name is in the folder; give the model a new name")
     save_model(session.steps[session.at].model, path)
     session.saved = {k: n for k, n in session.saved.items() if n != name} | {session.at: name}
-    session.trouble = ""
+    session.fail("")
     session.look()
     session.on_change()
 

@@ -7,7 +7,7 @@ from nicegui import events, ui
 
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
-from rtec.studio.parts import Words, button, heading, lacking, section, table, tiles, trouble
+from rtec.studio.parts import Words, button, heading, lacking, section, table, tiles, waiting
 from rtec.studio.session import TabSession
 from rtec.studio.tasks import CompareView, SeriesView
 from rtec.text import clean
@@ -19,15 +19,12 @@ MOST_OUTLIERS = 50
 def build(session: TabSession) -> None:
     """The page."""
     heading("Compare")
-    trouble(session)
     if lacking(session):
         return
     step = session.step
     view = step.compared if step is not None else None
     if view is None:
-        Words("p", "The model is being compared with the measurements.", "lead")
-        if not session.trouble:
-            ui.timer(0.05, lambda: actions.compare(session), once=True)
+        waiting(session, "The model is being compared with the measurements.", actions.compare)
         return
     Words("p", view.page.lead, "lead")
     tiles(view.page.numbers)

@@ -1,28 +1,44 @@
 """Diagnose: which effect is missing, with its curve through the residual, its rivals, and what could not be seen."""
 
+from collections.abc import Mapping
+from typing import Final
+
 import numpy as np
 from nicegui import ui
 
-from rtec.diagnosis.result import Diagnosis, Finding
+from rtec.diagnosis.result import Diagnosis, Finding, Verdict
 from rtec.diagnosis.words import UNITS, labels
 from rtec.effects import Effect
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
-from rtec.studio.parts import Words, button, heading, lacking, section, tiles, trouble
+from rtec.studio.parts import Words, button, heading, lacking, section, table, tiles, trouble
 from rtec.studio.session import TabSession
 from rtec.studio.tasks import SHOWN, DiagnosisView, Wanted
-from rtec.wording import counted, number, percent, probability
+from rtec.wording import counted, number, odds, percent, probability
 
 FIRST = 3
 """Candidates that are not folded away."""
+ODDS: Final = (
+    "Odds and probability: among these candidates and 'nothing is missing'. An effect that none of them describes is "
+    "not counted."
+)
 WIDE, HIGH = 220, 100
 """Of the picture of an effect."""
+
+
+VERDICTS: Final[Mapping[Verdict, tuple[str, str]]] = {
+    "missing_effect": ("An effect is missing", "bad"),
+    "ambiguous": ("One of several effects is missing", "bad"),
+    "unknown_effect": ("Something is missing that the catalogue does not have", "bad"),
+    "undecided": ("These readings do not decide what is missing", "open"),
+    "nothing_missing": ("Nothing is missing", "good"),
+}
+"""Heading, and kind of the card."""
 
 
 def build(session: TabSession) -> None:
     """The page."""
     heading("Diagnose")
-    trouble(session)
     if lacking(session):
         return
     step = session.step
@@ -41,6 +57,7 @@ def build(session: TabSession) -> None:
                 main=True,
                 off="" if session.job is None else "other work is not finished",
             )
+        trouble(session, "diagnose")
         return
     _verdict(view)
     tiles(view.page.numbers)
@@ -52,24 +69,22 @@ def build(session: TabSession) -> None:
     _rest(view)
     with ui.element("div").classes("row"):
         button("Test again", lambda: actions.diagnose(session))
+    trouble(session, "diagnose")
+
+
+def verdict(d: Diagnosis) -> tuple[str, str]:
+    """The answer of a diagnosis as a heading, and the kind of its card."""
+    if len(d.together) > 1:
+        return "Several effects are missing", "bad"
+    if d.verdict == "nothing_missing" and d.out_of_date:
+        return "No effect is missing, but the model's numbers are out of date", "bad"
+    return VERDICTS[d.verdict]
 
 
 def _verdict(view: DiagnosisView) -> None:
-    d = view.found
-    kinds = {
-        "missing_effect": "An effect is missing",
-        "ambiguous": "One of several effects is missing",
-        "unknown_effect": "Something is missing that the catalogue does not have",
-        "nothing_missing": "Nothing is missing",
-    }
-    kind = "good" if d.verdict == "nothing_missing" and not d.out_of_date else "bad"
+    text, kind = verdict(view.found)
     with ui.element("div").classes(f"card {kind}").props('role="status"'):
-        Words(
-            "h2",
-            kinds[d.verdict]
-            if not (d.verdict == "nothing_missing" and d.out_of_date)
-            else "No effect is missing, but the model's numbers are out of date",
-        )
+        Words("h2", text)
         Words("p", view.page.lead, "lead")
 
 
@@ -96,6 +111,8 @@ def _cards(session: TabSession, view: DiagnosisView) -> None:
             with ui.element("div").style("display: grid; gap: 1rem; margin-top: .6rem"):
                 for f, label in cards[FIRST:]:
                     _card(session, d, f, label)
+    if cards:
+        Words("p", ODDS, "small")
     u = d.unknown
     if u is not None and u.expression:
         with ui.element("div").classes(f"card {'chosen' if session.rank == 0 else ''}"):
@@ -105,7 +122,8 @@ def _cards(session: TabSession, view: DiagnosisView) -> None:
             wanted = Wanted("", u.feeds, (), u.expression, u.parameters)
             with ui.element("div").classes("row"):
                 button("Show its curve", lambda: _show(session, 0))
-                button("Add", lambda: _add(session, wanted), main=not (shown and shown[0].accepted))
+                button("Add", lambda: _add(session, wanted, 0), main=not (shown and shown[0].accepted))
+            trouble(session, "add_0")
 
 
 def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
@@ -120,7 +138,7 @@ def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
                 fall = percent(f.heldout_drop) if f.heldout_drop > 0.005 else "does not fall"
                 Words("p", f"Size: {number(f.size_um)} {unit}")
                 Words("p", f"Held-out error: {'falls by ' if f.heldout_drop > 0.005 else ''}{fall}")
-                Words("p", f"Probability: {probability(f.confidence)}")
+                Words("p", f"Odds: {odds(f.confidence)}, probability {probability(f.confidence)}")
         if f.why_not:
             Words("p", f.why_not, "small")
         for alike in [a for a in f.confused_with if not a.apart][:3]:
@@ -130,11 +148,12 @@ def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
             if f.rank in session_curves(session):
                 button("Show its curve", lambda: _show(session, f.rank))
             if f.partner is None:
-                button("Add", lambda: _add(session, Wanted.of(f)), main=f.accepted and f.rank == 1)
+                button("Add", lambda: _add(session, Wanted.of(f), f.rank), main=f.accepted and f.rank == 1)
             else:
                 Words(
                     "p", f"Only together with {f.partner.label}: Improve on the page Add and watch adds both.", "small"
                 )
+        trouble(session, f"add_{f.rank}")
 
 
 def session_curves(session: TabSession) -> list[int]:
@@ -169,8 +188,8 @@ def _show(session: TabSession, rank: int) -> None:
     session.on_change()
 
 
-async def _add(session: TabSession, wanted: Wanted) -> None:
-    if await actions.add(session, wanted):
+async def _add(session: TabSession, wanted: Wanted, rank: int) -> None:
+    if await actions.add(session, wanted, f"add_{rank}"):
         session.view["moved"] = "yes"
         session.go("add")
 
@@ -185,8 +204,6 @@ def _rest(view: DiagnosisView) -> None:
             with ui.element("div").classes("card"):
                 Words("h2", titles[part.heading])
                 Words("p", part.text[0] if part.text else "")
-                from rtec.studio.parts import table
-
                 if part.table is not None:
                     with ui.element("details"):
                         Words("summary", f"{len(part.table.rows)} effects")

@@ -16,7 +16,7 @@ from rtec.model.at import state_at
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
 from rtec.studio.geometry import ChainNodes, cylinder, nodes
-from rtec.studio.parts import Words, heading, label, lacking, number, trouble
+from rtec.studio.parts import Words, heading, label, lacking, number, waiting
 from rtec.studio.session import TabSession
 from rtec.wording import number as shown
 from rtec.wording import significant
@@ -33,14 +33,11 @@ MAGNIFIED: Final = (0.0, 5.0)
 def build(session: TabSession) -> None:
     """The page."""
     heading("Explore")
-    trouble(session)
     if lacking(session):
         return
     step = session.step
     if step is None:
-        Words("p", "The model is being read.", "lead")
-        if not session.trouble:
-            ui.timer(0.05, partial(_read, session), once=True)
+        waiting(session, "The model is being read.", _read)
         return
     if not step.model.effects:
         Words("p", "The model has no effect yet: the machine has no error that could be drawn.", "lead")

@@ -8,8 +8,8 @@ from rtec.errors import RtecError
 from rtec.studio import actions, figures, tasks
 from rtec.studio.chart import Chart
 from rtec.studio.jobs import Cancelled, Job
-from rtec.studio.parts import Words, button, number
-from rtec.studio.session import TabSession
+from rtec.studio.parts import Words, at_fault, button, number, trouble
+from rtec.studio.session import TabSession, blamed
 from rtec.studio.tasks import Wanted
 from rtec.wording import significant
 
@@ -21,12 +21,15 @@ HELP: Final = (
     "A parameter with a range is searched: a start, and from where to where. It gets a slider below.",
 )
 STEPS: Final = 200
+FIELDS: Final = {"--expr": "own", "--component": "feeds", "--param": "params"}
+"""The field that takes what an option of `rtec add` does."""
 
 
 def own_expression(session: TabSession) -> None:
     """The form."""
     form = _Form(session)
-    with ui.element("details").classes("card").props("open" if session.view.get("own") else ""):
+    begun = session.view.get("own") or any(session.trouble_at(place) for place in ("own_add", *FIELDS.values()))
+    with ui.element("details").classes("card").props("open" if begun else ""):
         Words("summary", "An effect of your own")
         form.build()
 
@@ -76,7 +79,9 @@ class _Form:
             "Residual and the expression",
         )
         button("Add this effect", self._add)
-        for field in (self._text, self._component, self._params):
+        trouble(s, "own_add")
+        for key, field in (("own", self._text), ("feeds", self._component), ("params", self._params)):
+            at_fault(s, key, field)
             field.on_value_change(self._changed)
         if view.get("own"):
             ui.timer(0.05, self._changed, once=True)
@@ -103,7 +108,7 @@ class _Form:
             "params": self._params.value or "",
         }
         self._ranges = {}
-        self._text.error = self._params.error = None
+        self._text.error = self._component.error = self._params.error = None
         try:
             wanted = self._wanted()
         except RtecError as e:
@@ -146,7 +151,8 @@ class _Form:
         except Cancelled:
             return
         except RtecError as e:
-            self._text.error = str(e)
+            said, key = blamed(str(e), FIELDS, "own")
+            {"own": self._text, "feeds": self._component, "params": self._params}[key].error = said
             return
         if not self._chart.is_deleted:
             self._text.error = None
@@ -162,6 +168,6 @@ class _Form:
         if not wanted.expression:
             self._text.error = "Write an expression, for example A*sin(2*pi*x/p + phi)"
             return
-        if await actions.add(self._session, wanted):
+        if await actions.add(self._session, wanted, "own_add", FIELDS):
             self._session.view |= {"own": "", "params": "", "moved": "yes"}
             self._session.on_change()

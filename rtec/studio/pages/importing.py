@@ -1,6 +1,7 @@
 """Import: what a file of another program would become, and what only people know of it."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -12,7 +13,7 @@ from nicegui import events, ui
 from rtec.errors import RtecError
 from rtec.studio import figures, tasks
 from rtec.studio.chart import Chart
-from rtec.studio.parts import Area, Words, button, command, draft, heading, label, trouble
+from rtec.studio.parts import Area, Words, at_fault, button, command, draft, heading, label, trouble, waiting
 from rtec.studio.session import ForeignFile, TabSession
 from rtec.studio.tasks import ImportView
 from rtec.text import clean
@@ -32,25 +33,28 @@ def build(session: TabSession) -> None:
     """The page."""
     file = session.foreign
     heading(f"Import {clean(file.name)}" if file is not None else "Import")
-    trouble(session)
     if file is None:
         Words("p", "Choose a table of another program on the page Measurements.")
         button("Measurements", partial(session.go, "measurements"), main=True)
         return
     if file.looked is None:
-        Words("p", "The file is being read.", "lead")
-        if not session.trouble:
-            ui.timer(0.05, partial(_look, session, file), once=True)
+        waiting(session, "The file is being read.", _look)
+        button("Measurements", partial(session.go, "measurements"))
         return
     _page(session, file, file.looked)
 
 
-async def _look(session: TabSession, file: ForeignFile) -> None:
+async def _look(session: TabSession, wanted: ForeignFile | None = None, beside: str = "") -> None:
+    """See what the file becomes with other answers or columns; those are kept only if it can be read with them."""
+    file = wanted or session.foreign
+    if file is None:
+        return
     machine = session.machine_path if session.machine else None
     path = session.folder.existing(file.name)
-    found = await session.work("Reading", tasks.look_at_foreign, path, machine, file.answers, file.edited)
+    given = path, machine, file.answers, file.edited
+    found = await session.work("Reading", tasks.look_at_foreign, *given, beside=beside)
     if found is not None:
-        file.looked = found
+        session.foreign = replace(file, looked=found)
         session.on_change()
 
 
@@ -76,14 +80,10 @@ def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
 
 
 def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None:
-    def answer(key: str, event: events.ValueChangeEventArguments[str | None]) -> None:
-        file.answers[key] = str(event.value or "")
-        _again(session, file)
-
-    def text(key: str, field: ui.input) -> None:
-        if field.value:
-            file.answers[key] = field.value
-            _again(session, file)
+    async def answer(key: str, field: Any) -> None:
+        if field.value and field.value != file.answers.get(key):
+            answered = replace(file, answers={**file.answers, key: str(field.value)})
+            await _look(session, answered, f"answer {key}")
 
     with ui.element("div").classes("card"):
         Words("h2", "What the file does not say")
@@ -93,11 +93,13 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
                     Words("p", q.text)
                     if q.choices:
                         shown = {c: clean(c) for c in q.choices}
-                        field: Any = ui.select(shown, value=q.default, on_change=partial(answer, q.key))
+                        field: Any = ui.select(shown, value=q.default)
+                        field.on_value_change(partial(answer, q.key, field))
                     else:
                         field = ui.input(value=q.default or "", placeholder=q.hint)
-                        field.on("keydown.enter", partial(text, q.key, field)).on("blur", partial(text, q.key, field))
-                    label(field.props("outlined"), q.text)
+                        for event in ("keydown.enter", "blur"):
+                            field.on(event, partial(answer, q.key, field))
+                    label(at_fault(session, f"answer {q.key}", field.props("outlined")), q.text)
                     Words("p", "must be answered" if q.default is None else "assumed, unless you say otherwise",
                           "small trouble" if q.default is None else "small")  # fmt: skip
         if file.answers:
@@ -107,14 +109,8 @@ def _questions(session: TabSession, file: ForeignFile, view: ImportView) -> None
                 button("Ask again", partial(_forget_answers, session, file))
 
 
-def _forget_answers(session: TabSession, file: ForeignFile) -> None:
-    file.answers, file.edited = {}, None
-    _again(session, file)
-
-
-def _again(session: TabSession, file: ForeignFile) -> None:
-    file.looked, session.trouble = None, ""
-    session.on_change()
+async def _forget_answers(session: TabSession, file: ForeignFile) -> None:
+    await _look(session, ForeignFile(file.name))
 
 
 def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
@@ -134,7 +130,9 @@ def _columns(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                         Words("td", c.name, "words")
                         Words("td", "  ".join(v[:20] for v in c.first[:3]), "words")
                         _choices(session, file, view, c, target)
-                        Words("td", c.reason, "words small")
+                        with ui.element("td").classes("words small"):
+                            Words("span", c.reason)
+                            trouble(session, f"column {c.name}")
 
 
 def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "ForeignColumn", target: str) -> None:
@@ -147,9 +145,9 @@ def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "
         return
     entry = view.proposal.content.get("column", {}).get(target, {})
 
-    def change(key: str, event: events.ValueChangeEventArguments[Any]) -> None:
-        edit(file, view, name, {key: event.value})
-        _again(session, file)
+    async def change(key: str, event: events.ValueChangeEventArguments[Any]) -> None:
+        edited = edit(view, name, {key: event.value})
+        await _look(session, replace(file, edited=edited), f"column {name}")
 
     machine = view.proposal.machine
     axes = [f"{a.name.lower()}_mm" for a in machine.axes] if machine else []
@@ -178,8 +176,8 @@ def _choices(session: TabSession, file: ForeignFile, view: ImportView, column: "
             label(signs.props("no-caps unelevated toggle-color=primary"), f"sign of {name}")
 
 
-def edit(file: ForeignFile, view: ImportView, name: str, changed: Mapping[str, Any]) -> None:
-    """Change what a column becomes (`target`), its `unit` or its `sign`, in the map that is proposed."""
+def edit(view: ImportView, name: str, changed: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The columns of the proposed map with another `target`, `unit` or `sign` of one of them."""
     columns = {t: dict(c) for t, c in view.proposal.content.get("column", {}).items()}
     old = next((t for t, c in columns.items() if c["from"] == name), NOT_USED)
     entry = columns.pop(old, {"from": name})
@@ -190,7 +188,7 @@ def edit(file: ForeignFile, view: ImportView, name: str, changed: Mapping[str, A
     entry = {k: v for k, v in entry.items() if v not in ("", None) and (k, v) != ("sign", 1)}
     if target:
         columns[str(target)] = entry
-    file.edited = columns
+    return columns
 
 
 def _preview(view: ImportView) -> None:
@@ -241,7 +239,8 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
                 return
             path = session.folder.existing(file.name)
             title = f"Importing {file.name}"
-            if await session.work(title, tasks.import_foreign, path, view.proposal, out) is None:
+            given = path, view.proposal, out
+            if await session.work(title, tasks.import_foreign, *given, beside="import") is None:
                 return
             session.foreign = None
             session.look()
@@ -252,6 +251,7 @@ def _finish(session: TabSession, file: ForeignFile, view: ImportView) -> None:
         with ui.element("div").classes("row"):
             button("Import", run, main=True)
             button("Back", partial(session.go, "measurements"))
+        trouble(session, "import")
         name.on_value_change(Area(show).redo)
 
 

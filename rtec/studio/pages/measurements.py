@@ -23,7 +23,6 @@ LARGEST_UPLOAD = 512 * 1024 * 1024
 def build(session: TabSession) -> None:
     """The page."""
     heading("Measurements")
-    trouble(session)
     there = session.listing
     if not (there.machines or there.measurements or there.foreign):
         _empty(session)
@@ -50,12 +49,13 @@ def _empty(session: TabSession) -> None:
         )
         with ui.element("div").classes("row"):
             button("Try it with an example", lambda: _try_it(session), main=True)
+        trouble(session, "try")
 
 
 async def _try_it(session: TabSession) -> None:
     from rtec.studio import example
 
-    await session.work("Making the example", tasks.try_it, session.folder.root)
+    await session.work("Making the example", tasks.try_it, session.folder.root, beside="try")
     if not session.trouble:
         session.look()
         session.machine, session.model = example.MACHINE, example.MODEL
@@ -69,19 +69,25 @@ def _drop(session: TabSession) -> None:
         name = event.file.name
         try:
             session.folder.write(name, await event.file.read())
-            session.trouble = ""
         except RtecError as e:
-            session.trouble = str(e)
+            session.fail(str(e), "drop")
         session.look()
+        session.on_change()
+
+    def too_large() -> None:
+        session.fail(f"a file has more than {LARGEST_UPLOAD >> 20} MB; copy it into the folder instead", "drop")
         session.on_change()
 
     ui.upload(
         multiple=True,
         auto_upload=True,
         max_file_size=LARGEST_UPLOAD,
+        on_begin_upload=lambda: session.fail(""),
         on_upload=take,
+        on_rejected=too_large,
         label="Drop files here, or press + to choose them: measurements, tables, machine and model files",
     ).props('flat aria-label="Drop files"')
+    trouble(session, "drop")
 
 
 def _import(session: TabSession, name: str) -> None:
@@ -186,7 +192,7 @@ def _machine(session: TabSession) -> None:
         try:
             session.folder.write(name, (SHIPPED / "machines" / name).read_bytes())
         except RtecError as e:
-            session.trouble = str(e)
+            session.fail(str(e), "machine")
         session.look()
         session.machine = name if name in session.listing.machines else session.machine
         session.on_change()
@@ -202,6 +208,7 @@ def _machine(session: TabSession) -> None:
                 shipped = sorted(p.name for p in (SHIPPED / "machines").glob("*.toml"))
                 made = ui.select(shipped, label="Machine that comes with rtec", on_change=take)
             made.props("outlined").style("min-width: 18rem")
+        trouble(session, "machine")
 
 
 class _ModelCard:
@@ -215,13 +222,15 @@ class _ModelCard:
             ui.select(names, value=session.model or None, label="Model file", on_change=self._choose).props("outlined")
         else:
             Words("p", "No model in the folder yet. Fit a first one:", "small")
-        with ui.element("details").props("" if there else "open"):
+        wrong = any(session.trouble_at(place) for place in ("fit", "fit_effects"))
+        with ui.element("details").props("" if there and not wrong else "open"):
             Words("summary", "Fit a first model")
             self._name = draft(session, "fit_out", "File for the model", _free_name(session))
             self._effects = draft(
                 session, "fit_effects", "Effects (empty: chosen on held-out runs)", "", "scale,backlash"
             )
             button("Fit", self._fit, main=not there)
+            trouble(session, "fit")
             self._command = Area(self._show_command)
         self._next = Area(self._show_next)
         for field in (self._name, self._effects):
@@ -258,7 +267,9 @@ class _ModelCard:
         except RtecError as e:
             self._name.error = str(e)
             return
-        said = await s.work("Fitting", tasks.fit, s.machine_path, s.files, out, (self._effects.value or "").strip())
+        effects = (self._effects.value or "").strip()
+        fields = {"--effects": "fit_effects"}
+        said = await s.work("Fitting", tasks.fit, s.machine_path, s.files, out, effects, beside="fit", fields=fields)
         if said is not None:
             s.look()
             s.view.pop("fit_out", None)

@@ -5,7 +5,7 @@ from functools import partial
 from nicegui import ui
 
 from rtec.studio import actions, tasks
-from rtec.studio.parts import Words, button, heading, lacking, trouble
+from rtec.studio.parts import Words, button, heading, lacking, waiting
 from rtec.studio.session import TabSession
 from rtec.studio.tasks import ReportFiles
 
@@ -13,14 +13,11 @@ from rtec.studio.tasks import ReportFiles
 def build(session: TabSession) -> None:
     """The page."""
     heading("Report")
-    trouble(session)
     if lacking(session):
         return
     step = session.step
     if step is None or step.compared is None:
-        Words("p", "The model is being compared with the measurements.", "lead")
-        if not session.trouble:
-            ui.timer(0.05, partial(actions.compare, session), once=True)
+        waiting(session, "The model is being compared with the measurements.", actions.compare)
         return
     Words("p", step.compared.page.lead, "lead")
     with ui.element("div").classes("card"):
