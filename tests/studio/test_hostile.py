@@ -9,7 +9,7 @@ import pytest
 from tests.studio.studio_rig import MACHINE, RunningStudio, Watched, chromium, needs_browser, running_studio, tab
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Route
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
 ATTACK = "<img src=x onerror=alert(1)>"
@@ -82,6 +82,25 @@ def test_the_pages_can_be_used_by_keyboard(browser: "Browser", studio: RunningSt
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") != ""
     page.keyboard.press("Enter")
     page.locator("h1", has_text="Compare").wait_for()
+
+
+def test_no_dropped_file_is_lost(browser: "Browser", studio: RunningStudio) -> None:
+    """Five files of which one is refused; whatever follows the first request is slow. Oracle: the folder."""
+    page, slow = tab(browser, studio.address).page, list["Route"]()
+    names = [f"dropped-{k}.csv" for k in range(4)]
+    table = b"a;b\n1;2\n"
+    with page.expect_request("**/upload/**"):
+        page.route("**/upload/**", lambda r: slow.append(r) if slow else (slow.append(r), r.continue_()))
+        page.locator("input[type=file]").set_input_files(
+            [{"name": n, "mimeType": "text/csv", "buffer": table} for n in [*names[:1], MACHINE.name, *names[1:]]]
+        )
+    page.get_by_role("button", name=f"Import {names[0]}").wait_for()
+    for route in slow[1:]:
+        route.continue_()
+    page.get_by_text("another file of that name is in the folder").first.wait_for()
+    for name in names:
+        page.get_by_role("button", name=f"Import {name}").wait_for()
+        assert (studio.folder / name).read_bytes() == table
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

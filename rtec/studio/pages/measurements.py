@@ -65,12 +65,14 @@ async def _try_it(session: TabSession) -> None:
 
 
 def _drop(session: TabSession) -> None:
-    async def take(event: events.UploadEventArguments) -> None:
-        name = event.file.name
-        try:
-            session.folder.write(name, await event.file.read())
-        except RtecError as e:
-            session.fail(str(e), "drop")
+    async def take(event: events.MultiUploadEventArguments) -> None:
+        refused = []
+        for file in event.files:
+            try:
+                session.folder.write(file.name, await file.read())
+            except RtecError as e:
+                refused.append(str(e))
+        session.fail("\n".join(refused), "drop")
         session.look()
         session.on_change()
 
@@ -78,12 +80,12 @@ def _drop(session: TabSession) -> None:
         session.fail(f"a file has more than {LARGEST_UPLOAD >> 20} MB; copy it into the folder instead", "drop")
         session.on_change()
 
+    # All files in one request: the page is built anew after it, and what were still under way would be lost.
     ui.upload(
         multiple=True,
         auto_upload=True,
         max_file_size=LARGEST_UPLOAD,
-        on_begin_upload=lambda: session.fail(""),
-        on_upload=take,
+        on_multi_upload=take,
         on_rejected=too_large,
         label="Drop files here, or press + to choose them: measurements, tables, machine and model files",
     ).props('flat aria-label="Drop files"')
