@@ -4,6 +4,7 @@ Every actuator driver with every fault, on a virtual clock; counts stay fresh, t
 the machine behind the driver, which notes what it had whenever it took a command; and the limits of the run file.
 """
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ class Run:
         self.samples, self.commands = Samples.empty(self.step.layout, n), Commands.empty(self.step.layout, n)
         rows = bind_rows(self.step, list(zip(self.samples.singles(), self.commands.singles(), strict=True)))
         sensors = _Sensors(rig)
-        ports = Ports(rig.driver, (sensors,), sensors, rig.driver, {"output": ("box",)})
+        ports = Ports(rig.encoders or rig.driver, (sensors,), sensors, rig.driver, {"output": ("box",)})
         self.loop, self.done = Loop(self.step, ports, rig.clock, MS, rows, mode), 0
 
     def cycles(self, n: int) -> slice:
@@ -102,7 +103,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Setup:
 def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
     rig: OutputRig = RIGS[request.param](monkeypatch)
     rig.move([100_000, 300_000])
-    with rig.driver:
+    with closing(rig), rig.driver:
         yield rig
 
 

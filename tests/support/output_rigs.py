@@ -4,21 +4,30 @@ Each rig is a driver and, behind it, a machine that somebody moves: its counts a
 commands. The rig notes every command that reaches the machine beside what the machine had before.
 """
 
+import importlib
 import json
+import sys
+import threading
+import types
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.errors import DriverError, DriverFault, DriverTimeout
+from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 from rtec.tomlfile import validated
+from rtec_drivers.ascii import offset
 from rtec_drivers.box import driver as serial_box
 from rtec_drivers.box import protocol
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 from rtec_drivers.can import box as can_box
+from rtec_drivers.linuxcnc import driver as linuxcnc
+from rtec_drivers.linuxcnc.link import BridgeLink
 from rtec_drivers.pty_peer import WireFaults
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.sim import SimDriver, SimOptions
@@ -40,6 +49,7 @@ class OutputRig:
     Attributes:
         clock: of both.
         driver: open.
+        encoders: who gives the counts: the driver, or another one.
         fault: what becomes of commands now: one of `FAULTS`, or "".
         taken: commands that the machine took: what it had before, and what it was told.
     """
@@ -47,6 +57,7 @@ class OutputRig:
     def __init__(self) -> None:
         self.clock = VirtualClock(START_NS)
         self.driver: Any = None
+        self.encoders: Any = None
         self.fault = ""
         self.taken: list[tuple[list[int], list[int]]] = []
 
@@ -65,6 +76,9 @@ class OutputRig:
     def end(self) -> None:
         """All is well again."""
         self.fault = ""
+
+    def close(self) -> None:
+        """Give back what the far side holds."""
 
     def still(self, degc: NDArray[np.float64], time_ns: Ints) -> None:
         """Temperatures that are always fresh."""
@@ -345,4 +359,298 @@ class ZmqRig(OutputRig):
             self.cell.boot, self.cell.output = "b2", {"X": 0, "Z": 0}
 
 
-RIGS = {"sim": SimRig, "serial_box": SerialBoxRig, "can_box": CanBoxRig, "zmq_link": ZmqRig}
+class Turns:
+    """Lets a driver's own thread and the test run in turns, so that both live in virtual time.
+
+    The thread waits only here; whoever turns it waits until it waits again.
+    """
+
+    def __init__(self, clock: VirtualClock) -> None:
+        self._clock, self._thread, self._test = clock, threading.Semaphore(0), threading.Semaphore(0)
+        self.free = False
+
+    def turn(self) -> None:
+        """Let the thread do what it can do now."""
+        self._thread.release()
+        self._test.acquire()
+
+    def wait(self, until_ns: int, met: Callable[[], bool] = lambda: False) -> bool:
+        """In the thread: wait until an instant, or until something holds; say whether it does."""
+        while not met() and self._clock.now_ns() < until_ns:
+            if self.free:
+                self._clock.sleep_until_ns(until_ns)
+            else:
+                self.rest()
+        return met()
+
+    def rest(self) -> None:
+        """In the thread: until the next turn."""
+        self._test.release()
+        self._thread.acquire()
+
+    def end(self) -> None:
+        """The thread goes on by itself; its waiting takes no time."""
+        self.free = True
+        self._thread.release()
+
+
+class _Controller:
+    """Takes a line that sets the offsets, in units of half a micrometre, and one that asks for them."""
+
+    def __init__(self, rig: "AsciiOffsetRig") -> None:
+        self._rig, self.has, self.came = rig, [0, 0], deque[tuple[int, bytes]]()
+        self._orders: deque[tuple[int, list[int]]] = deque()
+
+    def send(self, data: bytes) -> None:
+        rig = self._rig
+        if rig.fault == "write_error":
+            raise DriverUnavailable("memory: takes no bytes")
+        if rig.fault == "deaf":
+            return
+        word, *values = data.decode("ascii").split()
+        now_ns = rig.clock.now_ns()
+        late_ns = 20 * MS if rig.fault == "late" else 0
+        if word == "OFS?":
+            self.say(f"OFS {self.has[0]} {self.has[1]}", late_ns)
+        elif rig.fault == "refuse":
+            self.say("ERR 12", 0)
+        elif rig.fault != "half_open":
+            self._orders.append((now_ns + late_ns, [round(float(v)) for v in values]))
+            self.carry_out()
+            self.say("OK", late_ns)
+
+    def carry_out(self) -> None:
+        """Take the commands that are due."""
+        while self._orders and self._orders[0][0] <= self._rig.clock.now_ns():
+            told = self._orders.popleft()[1]
+            self._rig.taken.append((self.has, told))
+            self.has = told
+
+    def say(self, text: str, late_ns: int) -> None:
+        self.came.append((self._rig.clock.now_ns() + late_ns, text.encode() + b"\n"))
+
+    def receive(self, until_ns: int) -> bytes:
+        self._rig.turns.wait(until_ns, self._due)
+        return self.came.popleft()[1] if self._due() else b""
+
+    def _due(self) -> bool:
+        self.carry_out()
+        return bool(self.came) and self.came[0][0] <= self._rig.clock.now_ns()
+
+    def close(self) -> None:
+        pass
+
+
+class AsciiOffsetRig(OutputRig):
+    """A controller that takes offsets as lines, on a line in memory; the driver's thread has a turn every cycle."""
+
+    MORE: ClassVar[dict[str, Any]] = {"ask": "OFS?", "answer": r"OFS (?P<X>\S+) (?P<Z>\S+)"}
+
+    def __init__(self, monkeypatch: Any) -> None:
+        super().__init__()
+        rig, self.turns, self.position = self, Turns(self.clock), [0, 0]
+        self.controller, turns = _Controller(self), self.turns
+
+        class Worker(offset.Worker[Any]):
+            def start(self, link: Any = None) -> None:
+                super().start(link)
+                turns.turn()
+
+            def stop(self) -> None:
+                turns.end()
+                super().stop()
+
+            def wait_until_ns(self, instant_ns: int) -> None:
+                turns.wait(instant_ns, lambda: self.stopping)
+
+            def _run(self, link: Any) -> None:
+                turns._thread.acquire()
+                super()._run(link)
+
+        class Wake(threading.Event):
+            def wait(self, timeout: float | None = None) -> bool:
+                return turns.wait(rig.clock.now_ns() + round((timeout or 0.0) * 1e9), self.is_set)
+
+        def connect() -> _Controller:
+            if rig.fault == "write_error":
+                raise DriverUnavailable("memory: gone")
+            return rig.controller
+
+        def way(*_: Any) -> Any:
+            return connect, checked.serial
+
+        monkeypatch.setattr(offset, "Worker", Worker)
+        monkeypatch.setattr(offset, "way_of", way)
+        table = {
+            "serial": {"port": "/dev/memory", "baud": 9600, "at_start": "later", "first_retry_s": 0.01, "longest_retry_s": 0.05},
+            "command": ["SET {X} {Z}"],
+            "unit": "um",
+            "factor": {"X": 2, "Z": 2},
+            "resolution_um": 0.5,
+            "acknowledge": "OK",
+            "refuse": "ERR.*",
+            "restarted": "READY",
+            "timeout_s": 0.02,
+            **self.MORE,
+        }
+        checked = validated(offset.OffsetOptions, table, "run.toml")
+        self.driver = offset.AsciiOffsetDriver(checked, MACHINE, self.clock)
+        self.driver._account.wake = Wake()
+        self.encoders = self
+
+    def read_counts(self, counts: Ints) -> int:
+        """Encoders of their own, whatever becomes of the line."""
+        counts[:] = self.position
+        return self.clock.now_ns()
+
+    def move(self, counts: list[int]) -> None:
+        self.position = counts
+        if self.driver._worker is not None:
+            self.turns.turn()
+
+    def has(self) -> list[int]:
+        return list(self.controller.has)
+
+    def begin(self, fault: str) -> None:
+        super().begin(fault)
+        if fault == "reset":
+            self.controller.has = [0, 0]
+            self.controller.say("READY", 0)
+
+
+class AsciiOneWayRig(AsciiOffsetRig):
+    """The same, of a controller that cannot say which offsets it has."""
+
+    MORE: ClassVar[dict[str, Any]] = {}
+
+
+class _Hal(types.ModuleType):
+    """LinuxCNC's module `hal` for the bridge: one component, its pins, and the sampler's rows."""
+
+    HAL_FLOAT, HAL_OUT, HAL_IN, HAL_BIT = range(4)
+    sampler_base = 0
+
+    def __init__(self) -> None:
+        super().__init__("hal")
+        self.pins: dict[str, Any] = {}
+        self.rows: deque[list[Any]] = deque()
+
+    def component(self, _name: str) -> Any:
+        hal = self
+
+        class Component(dict[str, Any]):
+            def newpin(self, name: str, *_: Any) -> None:
+                self.setdefault(name, 0.0)
+
+            def ready(self) -> None:
+                pass
+
+            def getprefix(self) -> str:
+                return "rtec"
+
+        self.pins = Component(hal.pins)
+        return self.pins
+
+    def stream(self, *_: Any) -> Any:
+        rows = self.rows
+
+        class Stream:
+            @property
+            def readable(self) -> bool:
+                return bool(rows)
+
+            def read(self) -> list[Any]:
+                return rows.popleft()
+
+        return Stream()
+
+    def pin_has_writer(self, _name: str) -> bool:
+        return False
+
+
+class LinuxCncRig(OutputRig):
+    """The real bridge, on a local socket, above a HAL in memory; it looks once a cycle."""
+
+    def __init__(self, monkeypatch: Any) -> None:
+        super().__init__()
+        reopen_at_once(monkeypatch)
+        self._folder = TemporaryDirectory(prefix="rtec-hal-")
+        self.hal, self.position, self.life = _Hal(), [0, 0], 1
+        monkeypatch.setitem(sys.modules, "hal", self.hal)
+        bridge = importlib.reload(importlib.import_module("rtec_drivers.linuxcnc.bridge"))
+        monkeypatch.setattr(bridge, "time", types.SimpleNamespace(monotonic_ns=self.clock.now_ns))
+        monkeypatch.setattr(bridge, "take_over", lambda _: None)
+        monkeypatch.setattr(bridge, "session", lambda: f"life {self.life}")
+        self._make = bridge.HalBridge
+        self._path = Path(self._folder.name) / "bridge.sock"
+        self._told = bridge.arguments(["--socket", str(self._path), "--axes", "X,Z", "--unit-um", "0.5"])
+        self.bridge, rig, greeting = self._make(self._told), self, BridgeLink._greeting
+
+        def greeted(link: BridgeLink) -> Any:
+            rig.bridge.accept()
+            return greeting(link)
+
+        monkeypatch.setattr(BridgeLink, "_greeting", greeted)
+        monkeypatch.setattr(linuxcnc, "LONGEST_S", 0.1)
+        options = {"socket": str(self._path), "unit_um": 0.5}
+        checked = validated(linuxcnc.LinuxCncOptions, options, "run.toml")
+        self.driver = linuxcnc.LinuxCncDriver(checked, MACHINE, self.clock)
+        self._waits: deque[int] = deque()
+
+    def move(self, counts: list[int]) -> None:
+        self.position = counts
+        per_mm = [axis.counts_per_mm for axis in MACHINE.axes]
+        self.hal.rows.append([*(n / k for n, k in zip(counts, per_mm, strict=True)), True, True])
+        if self.fault == "write_error":
+            return
+        if self.fault == "late" and len(self.hal.rows) < 5:
+            return
+        before = self.has()
+        while self.fault not in ("half_open", "deaf") and self.bridge.take():
+            if self.has() != before:
+                self.taken.append((before, self.has()))
+                before = self.has()
+        self.bridge.look()
+        if self.fault != "deaf":
+            self.bridge.send(self.bridge.state())
+
+    def has(self) -> list[int]:
+        return [int(n) for n in self.bridge.outputs.read()]
+
+    def begin(self, fault: str) -> None:
+        super().begin(fault)
+        if fault == "refuse":
+            self._told.max_um = 0.0
+        if fault in ("write_error", "reset"):
+            self._kill()
+        if fault == "reset":
+            self.life, self.hal.pins = 2, {}
+            self.bridge = self._make(self._told)
+
+    def _kill(self) -> None:
+        for end in (self.bridge.client, self.bridge.listener):
+            if end is not None:
+                end.close()
+
+    def close(self) -> None:
+        self._kill()
+        self._folder.cleanup()
+
+    def end(self) -> None:
+        killed = self.fault == "write_error"
+        super().end()
+        self._told.max_um = 1000.0
+        if killed:
+            self.bridge = self._make(self._told)
+            self.move(self.position)
+
+
+RIGS = {
+    "sim": SimRig,
+    "serial_box": SerialBoxRig,
+    "can_box": CanBoxRig,
+    "zmq_link": ZmqRig,
+    "ascii_offset": AsciiOffsetRig,
+    "ascii_one_way": AsciiOneWayRig,
+    "linuxcnc": LinuxCncRig,
+}

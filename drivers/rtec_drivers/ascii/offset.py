@@ -36,15 +36,16 @@ class OffsetAccount:
     """What the loop wants, what the controller has, and what is wrong; shared by the loop and the line's thread.
 
     Args:
-        reads_back: can the controller be asked what it has?
+        starts_with: what the controller has after a start of its own; None where it can be asked.
+        keeps: it has after a start of its own what it had before.
 
     Attributes:
         lost: why nobody knows which offsets the controller has; "" where that is known.
         wake: set when there is something to command.
     """
 
-    def __init__(self, reads_back: bool) -> None:
-        self.lost, self.wake, self._reads_back = "", threading.Event(), reads_back
+    def __init__(self, starts_with: Output | None, keeps: bool) -> None:
+        self.lost, self.wake, self._starts_with, self._keeps = "", threading.Event(), starts_with, keeps
         self._lock = threading.Lock()
         self._has: Output | None = None
         self._wanted: Output | None = None
@@ -53,7 +54,7 @@ class OffsetAccount:
         self._refusal: DriverError | None = None
 
     def order(self, output: Output) -> None:
-        """Want this, unless the controller has it.
+        """Want this, unless the controller has it; after a refusal it is sent all the same, so that it can be taken.
 
         Raises:
             DriverError: an order to resume is waited for, or the controller does not take commands.
@@ -61,7 +62,7 @@ class OffsetAccount:
         with self._lock:
             if self.lost:
                 raise DriverFault(self.lost)
-            if output != self._has:
+            if output != self._has or self._refusal is not None:
                 self._wanted = output
                 self.wake.set()
             if trouble := self._trouble or self._refusal:
@@ -88,15 +89,15 @@ class OffsetAccount:
         with self._lock:
             self.wake.clear()
             wanted, self._wanted = self._wanted, None
-            if wanted is None or wanted == self._has or self.lost:
+            if wanted is None or self.lost or (wanted == self._has and self._refusal is None):
                 return None
             self._sent = wanted
             return wanted
 
     def agrees(self, output: Output) -> bool:
-        """Has the controller what it was commanded?"""
+        """Has the controller what it was commanded, and was it taken?"""
         with self._lock:
-            return self._has == output
+            return self._has == output and self._refusal is None
 
     def accepted(self, output: Output, confirmed: bool) -> None:
         """The controller took this command; whether that says that it has it."""
@@ -122,8 +123,8 @@ class OffsetAccount:
         """The controller printed what it prints after a start."""
         with self._lock:
             self._lose(f"the controller restarted: {line[:60]!r}")
-            if self._reads_back:
-                self._has = self._sent = None  # what it says next is right, whenever the order to resume comes
+            if not self._keeps:
+                self._has, self._sent = self._starts_with, None
 
     def well(self) -> None:
         """The line is open, and nothing is wrong with it that is known."""
@@ -183,12 +184,13 @@ line_end = "crlf"
         del base
         self.options, self._axes, self._clock = options, machine.axis_names, clock
         self._text = OffsetText(options, machine)
-        self._account = OffsetAccount(options.ask is not None)
+        nothing = (0,) * len(self._axes)
+        self._account = OffsetAccount(nothing if options.ask is None else None, options.keeps_offsets)
         self._connect, self._retry = way_of(options.serial, options.tcp, clock)
         self._worker: Worker[ByteLine] | None = None
         self._ending = False
         if options.ask is None:
-            self._account.told((0,) * len(self._axes))
+            self._account.told(nothing)
             self.was_told = self._was_told
             """Only where nothing can be read back is it a `OneWay`."""
 
@@ -327,6 +329,8 @@ class OffsetTalk:
         """Send the lines of a command, each after the one before was acknowledged; note what comes of it."""
         self.listen()
         for line in self._text.lines(output):
+            if self._account.lost:  # it restarted since this was ordered: from zero it would be a jump
+                return
             self._send(line)
             trouble = None if self._yes is None else self._acknowledged(line.decode(self._options.encoding))
             if trouble is not None:

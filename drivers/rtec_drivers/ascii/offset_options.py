@@ -45,6 +45,8 @@ class OffsetOptions(Strict):
         refuse: regular expression of a line by which it refuses one.
         restarted: regular expression of a line that it prints after a start of its own. The correction then holds until
             it is ordered to resume, since nobody knows which offsets it has.
+        keeps_offsets: the controller still has its offsets after a start of its own. Otherwise it begins at zero, and
+            so does the correction when it is ordered to resume.
         ask: line that asks for the offsets that are in force. Not set: they cannot be read back, and rtec keeps account
             of them itself.
         answer: regular expression of the whole line that answers; a named group for every axis of `command`.
@@ -66,6 +68,7 @@ class OffsetOptions(Strict):
     acknowledge: str | None = None
     refuse: str | None = None
     restarted: str | None = None
+    keeps_offsets: bool = False
     ask: str | None = None
     answer: str | None = None
     ask_period_s: Annotated[float, Field(ge=0.01, le=3600)] = 1.0

@@ -92,8 +92,8 @@ class HalOffsets:
         """Give what the pins say."""
         return [round(self.component[pin] / self.unit) for pin in self.pins]
 
-    def look(self, row: dict[str, Any]) -> None:
-        """Look at the states of one row."""
+    def look(self, on: bool) -> None:
+        """Look at one servo period: is the machine on?"""
 
 
 class ExternalOffsets(HalOffsets):
@@ -138,11 +138,11 @@ class ExternalOffsets(HalOffsets):
         """Give what LinuxCNC was asked for, as it says itself."""
         return [round(self.component[pin] / self.unit) for pin in self.requests]
 
-    def look(self, row: dict[str, Any]) -> None:
+    def look(self, on: bool) -> None:
         """Notice what machine off has cleared."""
-        if self.was_on and not row["on"] and self.cleared is None and any(self.last):
+        if self.was_on and not on and self.cleared is None and any(self.last):
             self.cleared = list(self.last)
-        self.was_on = row["on"]
+        self.was_on = on
 
 
 class StepgenPulses(HalOffsets):
@@ -222,6 +222,7 @@ class HalBridge:
         self.looked_ns = time.monotonic_ns()
         while self.stream.readable:
             values = self.stream.read()
+            self.outputs.look(values[-1])  # off and on again between two looks clears as well
         if values is None:
             return False
         n = len(self.told.axes)
@@ -236,7 +237,6 @@ class HalBridge:
             "homed": values[-2],
             "on": values[-1],
         }
-        self.outputs.look(self.row)
         return True
 
     def state(self) -> dict[str, Any]:

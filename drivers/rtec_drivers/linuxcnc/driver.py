@@ -189,11 +189,13 @@ unit_um = 0.01
 
         Raises:
             DriverFault: the bridge refused the last one, or an order to resume is waited for.
+            DriverTimeout: the servo thread stands.
             DriverUnavailable: not entered, or the bridge has gone.
         """
         link = self._listened()
         if self._must_resume:
             raise DriverFault(self._must_resume)
+        self._now()
         refused, link.refused = link.refused, ""
         link.send([int(n) for n in output])
         if refused:
@@ -203,12 +205,10 @@ unit_um = 0.01
         """Fill in what LinuxCNC's own pins say.
 
         Raises:
-            DriverUnavailable: they have not said yet, or the bridge has gone.
+            DriverTimeout: they have not said anything for too long, or not yet.
+            DriverUnavailable: not entered, or the bridge has gone.
         """
-        state = self._listened().state
-        if state is None:
-            raise DriverUnavailable(f"{self._path}: LinuxCNC's servo thread has not run yet")
-        output[:] = state.out
+        output[:] = self._now().out
 
     def hold(self) -> None:
         """Nothing to send: HAL's signals keep what they have."""
