@@ -482,7 +482,13 @@ class AsciiOffsetRig(OutputRig):
         monkeypatch.setattr(offset, "Worker", Worker)
         monkeypatch.setattr(offset, "way_of", way)
         table = {
-            "serial": {"port": "/dev/memory", "baud": 9600, "at_start": "later", "first_retry_s": 0.01, "longest_retry_s": 0.05},
+            "serial": {
+                "port": "/dev/memory",
+                "baud": 9600,
+                "at_start": "later",
+                "first_retry_s": 0.01,
+                "longest_retry_s": 0.05,
+            },
             "command": ["SET {X} {Z}"],
             "unit": "um",
             "factor": {"X": 2, "Z": 2},
