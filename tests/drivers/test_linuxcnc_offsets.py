@@ -14,7 +14,7 @@ AXES = ("x", "z")
 PLACES = ("G0 X-60 Z60", "G0 X60 Z-60")
 STEP_UM, WINDOW = 0.3, 10
 """So much further than commanded may the tool move in a servo period, µm, on the average of a few of them: rtec's slew
-limit, and the plant's errors. Two of rtec's cycles may fall into one servo period, since neither waits for the other."""
+limit, and the plant's errors. Two of rtec's cycles may fall into one servo period, as neither waits for the other."""
 
 
 @pytest.fixture(scope="module")
