@@ -9,7 +9,7 @@ import pytest
 from tests.studio.studio_rig import MACHINE, RunningStudio, Watched, chromium, needs_browser, running_studio, tab
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Route
+    from playwright.sync_api import Browser, FilePayload, Route
 
 pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
 ATTACK = "<img src=x onerror=alert(1)>"
@@ -89,11 +89,17 @@ def test_no_dropped_file_is_lost(browser: "Browser", studio: RunningStudio) -> N
     page, slow = tab(browser, studio.address).page, list["Route"]()
     names = [f"dropped-{k}.csv" for k in range(4)]
     table = b"a;b\n1;2\n"
-    with page.expect_request("**/upload/**"):
-        page.route("**/upload/**", lambda r: slow.append(r) if slow else (slow.append(r), r.continue_()))
-        page.locator("input[type=file]").set_input_files(
-            [{"name": n, "mimeType": "text/csv", "buffer": table} for n in [*names[:1], MACHINE.name, *names[1:]]]
-        )
+    files: list[FilePayload] = [
+        {"name": n, "mimeType": "text/csv", "buffer": table} for n in [*names[:1], MACHINE.name, *names[1:]]
+    ]
+
+    def hold(route: "Route") -> None:
+        slow.append(route)
+        if len(slow) == 1:
+            route.continue_()
+
+    page.route("**/upload/**", hold)
+    page.locator("input[type=file]").set_input_files(files)
     page.get_by_role("button", name=f"Import {names[0]}").wait_for()
     for route in slow[1:]:
         route.continue_()

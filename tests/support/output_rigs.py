@@ -22,12 +22,14 @@ from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailab
 from rtec.loop.clock import VirtualClock
 from rtec.tomlfile import validated
 from rtec_drivers.ascii import offset
+from rtec_drivers.ascii.offset_options import OffsetOptions
 from rtec_drivers.box import driver as serial_box
 from rtec_drivers.box import protocol
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 from rtec_drivers.can import box as can_box
 from rtec_drivers.linuxcnc import driver as linuxcnc
 from rtec_drivers.linuxcnc.link import BridgeLink
+from rtec_drivers.link_worker import Worker
 from rtec_drivers.pty_peer import WireFaults
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.sim import SimDriver, SimOptions
@@ -451,7 +453,7 @@ class AsciiOffsetRig(OutputRig):
         rig, self.turns, self.position = self, Turns(self.clock), [0, 0]
         self.controller, turns = _Controller(self), self.turns
 
-        class Worker(offset.Worker[Any]):
+        class Turned(Worker[Any]):
             def start(self, link: Any = None) -> None:
                 super().start(link)
                 turns.turn()
@@ -479,7 +481,7 @@ class AsciiOffsetRig(OutputRig):
         def way(*_: Any) -> Any:
             return connect, checked.serial
 
-        monkeypatch.setattr(offset, "Worker", Worker)
+        monkeypatch.setattr(offset, "Worker", Turned)
         monkeypatch.setattr(offset, "way_of", way)
         table = {
             "serial": {
@@ -499,7 +501,7 @@ class AsciiOffsetRig(OutputRig):
             "timeout_s": 0.02,
             **self.MORE,
         }
-        checked = validated(offset.OffsetOptions, table, "run.toml")
+        checked = validated(OffsetOptions, table, "run.toml")
         self.driver = offset.AsciiOffsetDriver(checked, MACHINE, self.clock)
         self.driver._account.wake = Wake()
         self.encoders = self
