@@ -187,7 +187,7 @@ def sink_of(answers: Answers) -> dict[str, Any] | None:
     """`[output.X]` of the corrected axes; None where the actuator takes counts, which needs no table."""
     if answers.output is not None:
         return answers.output
-    device = answers.device.get(answers.role.actuator, {})
+    device = answers.device.get(answers.role.actuator or "", {})
     unit_um = device.get("resolution_um", device.get("unit_um"))
     kind = device.get("actuator", "origin_offset" if unit_um is not None else "pulse")
     if kind == "pulse":

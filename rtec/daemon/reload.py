@@ -209,7 +209,7 @@ def _fixed(old: Setup, new: Setup) -> list[str]:
     """What changed and may not while the loop runs."""
     out = [
         f"[{section}] changed; it is taken up at a start only: end the run and start it again"
-        for section in ("device", "role", "output", "realtime", "log", "control")
+        for section in ("device", "role", "output", "realtime", "log", "control", "table")
         if _plain(getattr(old.file, section)) != _plain(getattr(new.file, section))
     ]
     free = {"machine", "model", "mode"}

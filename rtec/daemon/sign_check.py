@@ -71,6 +71,8 @@ def _check(setup: Setup, axis: str, um: float) -> None:
     names, where = setup.machine.axis_names, f"--step {axis}={um:g}um"
     if axis not in names:
         raise ConfigError(f"{where}: machine {setup.machine.name!r} has no axis {axis!r}{nearest(axis, names)}")
+    if setup.file.role.actuator is None:
+        raise ConfigError(f"{where}: the run file has no [role] actuator, only tables; nothing moves the axis")
     if not setup.machine.axis(axis).compensate:
         raise ConfigError(f"{where}: axis {axis} has `compensate = false` in the machine file; nothing moves it")
     stop_um = setup.file.limits[axis].stop_um

@@ -25,6 +25,7 @@ from rtec.daemon.run_log import Keeper, log_folder, new_log
 from rtec.daemon.sign_check import StepOrders
 from rtec.daemon.status import MODE_NAMES, Alarms, Report, RowWatch, Status
 from rtec.daemon.supervision import DaemonParts
+from rtec.daemon.tables import TableKeeper, TableThread
 from rtec.daemon.workers import Workers
 from rtec.errors import DriverFault, RtecError
 from rtec.log.events import Event, Events, events_path
@@ -90,6 +91,7 @@ class Supervisor:
         self._recording = Recording(log_path, self._clock, self._new_log, self.warnings)
         self.events = Events(events_path(log_path))
         self.parts = DaemonParts(self._clock, self.note)
+        self._tables = TableKeeper(setup, self.note) if setup.file.table else None
         self._alarms, self._warnings_told = Alarms(self.note), 0
         folder = setup.file.run.state_folder or setup.file.run.log_folder
         self._places = state_places(setup.path, None if folder is None else (setup.base / folder).resolve())
@@ -203,7 +205,7 @@ class Supervisor:
         ring.unlink()  # both sides have it: now it goes with the last of them, however that ends
         self.warnings += ready["warnings"]
         self._recording.begin(Begin.at_start(ready["output"], ready["state"]))
-        with self._to_disk() as disk:
+        with self._to_disk() as disk, self._tables_kept(ring):
             self._on_start()
             self._until_done(ring, pipe, process, disk, workers)
             self._notifier.stopping()
@@ -283,6 +285,12 @@ class Supervisor:
         with DiskThread(self._recording, self._disk_state, self._memory.newest, most_rows, part, keeper) as disk:
             self._disk = disk
             yield disk
+
+    def _tables_kept(self, ring: Ring) -> TableThread:
+        def now() -> tuple[Setup, Status, str]:
+            return self.setup, self._watch.status, MODE_NAMES.get(ring.orders.mode, "")
+
+        return TableThread(self._tables, now, self.parts.add("tables"))
 
     def _keep(self, event: Event) -> None:
         self.events.note(event)

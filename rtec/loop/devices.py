@@ -12,7 +12,7 @@ from rtec.correction.sinks import PulseSink
 from rtec.errors import ConfigError, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import find
-from rtec.loop.ports import Actuator, CountSource, Device, Resumable, SpindleSource, TemperatureSource
+from rtec.loop.ports import Actuator, CountSource, Device, NoActuator, Resumable, SpindleSource, TemperatureSource
 from rtec.loop.run_file import Roles, Setup
 from rtec.machine import Machine
 from rtec.tomlfile import validated
@@ -95,12 +95,12 @@ def open_ports(setup: Setup, devices: Mapping[str, Any], stack: ExitStack) -> Po
         counts=devices[role.counts],
         temperatures=tuple(devices[name] for name in role.temperatures),
         spindle=devices[role.spindle] if role.spindle else None,
-        actuator=devices[role.actuator],
+        actuator=devices[role.actuator] if role.actuator else NoActuator(),
         names={
             "counts": (role.counts,),
             "temperatures": role.temperatures,
             "spindle": (role.spindle,) if role.spindle else (),
-            "output": (role.actuator,),
+            "output": (role.actuator,) if role.actuator else (),
         },
     )
 
@@ -139,9 +139,10 @@ def device_options(name: str, table: Mapping[str, Any], path: Path) -> tuple[Any
 def _role_faults(devices: Mapping[str, object], role: Roles, source: str) -> list[str]:
     wanted: list[tuple[str, str, type]] = [
         ("counts", role.counts, CountSource),
-        ("actuator", role.actuator, Actuator),
         *(("temperatures", name, TemperatureSource) for name in role.temperatures),
     ]
+    if role.actuator:
+        wanted.append(("actuator", role.actuator, Actuator))
     if role.spindle:
         wanted.append(("spindle", role.spindle, SpindleSource))
     return [
@@ -153,7 +154,7 @@ def _role_faults(devices: Mapping[str, object], role: Roles, source: str) -> lis
 
 def _sink_faults(devices: Mapping[str, object], setup: Setup) -> list[str]:
     """Compensated axes whose kind of output the actuator does not take."""
-    actuator = devices.get(setup.file.role.actuator)
+    actuator = devices.get(setup.file.role.actuator or "")
     if not isinstance(actuator, Actuator):
         return []
     out = []

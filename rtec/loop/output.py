@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
-from rtec.correction.guard import MODE_TAKEN_OVER, OUTPUT_TROUBLE, OUTPUT_UNCONFIRMED
+from rtec.correction.guard import MODE_OFF, MODE_TAKEN_OVER, OUTPUT_TROUBLE, OUTPUT_UNCONFIRMED
 from rtec.errors import DriverError
-from rtec.loop.ports import Actuator, IntArray, Resumable
+from rtec.loop.ports import Actuator, IntArray, NoActuator, Resumable
 from rtec.loop.stats import Trouble
 from rtec.loop.step import Step
 
@@ -58,6 +58,7 @@ class CommandGate:
         self.takes_over = False
         self._actuator, self._trouble, self._waiting = actuator, trouble, waiting
         self._resumable = actuator if isinstance(actuator, Resumable) else None
+        self._present = not isinstance(actuator, NoActuator)
         self._period_s = period_ns * 1e-9
         self._expected: IntArray | None = None
         self._allowed: IntArray | None = None
@@ -78,7 +79,7 @@ class CommandGate:
             expected: what it should have; where it is further off than `allowed`, the order to resume is waited for.
             allowed: by axis; both None: whatever it has is right.
         """
-        self.takes_over, self._expected, self._allowed = True, expected, allowed
+        self.takes_over, self._expected, self._allowed = self._present, expected, allowed
 
     def look(self, step: Step, order: int, now_ns: int) -> int:
         """Look at what the actuator has, before a cycle; give the cycle's mode.
@@ -88,6 +89,8 @@ class CommandGate:
             order: what is ordered, of MODE_OFF, MODE_ON and MODE_HOLD.
             now_ns: instant of the cycle.
         """
+        if not self._present:
+            return MODE_OFF
         try:
             self._actuator.read_output(self.has)
             self._known = True

@@ -110,6 +110,25 @@ class Actuator(Protocol):
         ...
 
 
+class NoActuator:
+    """In place of an actuator where tables alone correct (`[table]`): the loop commands nothing, and has nothing."""
+
+    def refuses(self, sink: Sink) -> str:
+        """Refuse nothing."""
+        del sink
+        return ""
+
+    def apply(self, output: IntArray) -> None:
+        """Do nothing: the loop's correction is off."""
+
+    def read_output(self, output: IntArray) -> None:
+        """Nothing is inserted."""
+        output[:] = 0
+
+    def hold(self) -> None:
+        """Do nothing."""
+
+
 @runtime_checkable
 class OneWay(Protocol):
     """An actuator that cannot say what it has, and keeps it while nobody is there: an offset register, a D/A."""

@@ -9,15 +9,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from rtec.correction.guard import GuardSettings, Limits
 from rtec.correction.sinks import PulseSink, Sink
+from rtec.correction.tables import FORMATS
+from rtec.correction.tables.predict import grid_mm, table_axes
+from rtec.correction.tables.table import CompensationTable
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.step import Inputs, StepSettings, loop_faults
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
-from rtec.quantities import DegreesCelsius, Millimetres, RevolutionsPerMinute
+from rtec.quantities import DegreesCelsius, MicrometresPositive, Millimetres, MillimetresPositive, RevolutionsPerMinute
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
 
 PLACE: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|\*|[^:/\[\]\s]+):(?P<port>\d{1,5})")
@@ -112,13 +116,42 @@ class Roles(Strict):
         counts: reads the axes' encoder counts.
         temperatures: read the temperature sensors; each gives those that it has.
         spindle: reads the spindle speed.
-        actuator: puts the correction into the machine.
+        actuator: puts the correction into the machine; not given: `[table]` alone corrects.
     """
 
     counts: str
     temperatures: tuple[str, ...] = ()
     spindle: str | None = None
-    actuator: str
+    actuator: str | None = None
+
+
+class TableRewrites(Strict):
+    """`[table]`: compensation tables that the daemon rewrites while the machine warms up.
+
+    Attributes:
+        files: by axis, or by component as EYX for a table between two axes; relative paths start at the run file.
+        format: of all files; `rtec table formats` lists them.
+        grid_mm: distance of the points.
+        interval_s: each file is rewritten so often, where the prediction differs from it by `hysteresis_um`.
+        change_um: a file is rewritten earlier, ten seconds after the last time at the earliest, where the prediction
+            differs from it by this; not given: at the interval only.
+        hysteresis_um: a smaller difference than this rewrites nothing.
+        most_change_um: a value changes by this at most in one rewrite.
+    """
+
+    files: Annotated[dict[str, Path], Field(min_length=1)]
+    format: str = "linuxcnc"
+    grid_mm: MillimetresPositive = 10.0
+    interval_s: Annotated[float, Field(ge=1, le=86400)] = 300.0
+    change_um: MicrometresPositive | None = None
+    hysteresis_um: MicrometresPositive = 0.2
+    most_change_um: MicrometresPositive = 5.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.hysteresis_um > min(self.change_um or self.most_change_um, self.most_change_um):
+            raise ValueError("hysteresis_um: must not be above change_um or most_change_um: nothing would be rewritten")
+        return self
 
 
 class Realtime(Strict):
@@ -178,6 +211,7 @@ class RunFile(Strict):
         realtime: how the loop's process asks to be treated.
         log: rules for the logs in `log_folder`.
         control: sockets of the daemon.
+        table: compensation tables that the daemon rewrites.
         capture: how `rtec replay` reads a logic-analyser capture.
         hil: the simulated machine behind the buses; `rtec hil` alone reads it.
     """
@@ -192,6 +226,7 @@ class RunFile(Strict):
     realtime: Realtime = Field(default_factory=Realtime)
     log: LogTable = Field(default_factory=LogTable)
     control: ControlTable = Field(default_factory=ControlTable)
+    table: TableRewrites | None = None
     capture: CaptureTable | None = None
     hil: dict[str, Any] | None = None
 
@@ -265,6 +300,8 @@ def load_setup(path: Path, *, needs_model: bool = True, needs_devices: bool = Tr
     base = path.parent
     machine = load_machine(base / file.run.machine)
     faults = [*_faults(file, machine, str(path)), *(_role_faults(file, str(path)) if needs_devices else ())]
+    if needs_devices and file.table is not None:
+        faults += _table_faults(file, file.table, machine, path)
     model = Model(machine, name="none")
     if needs_model and file.run.model is None and file.run.mode == "on":
         faults.append(
@@ -317,14 +354,50 @@ def _faults(file: RunFile, machine: Machine, source: str) -> list[str]:
 
 
 def _role_faults(file: RunFile, source: str) -> list[str]:
-    roles = {"counts": (file.role.counts,), "actuator": (file.role.actuator,), "temperatures": file.role.temperatures}
-    roles["spindle"] = (file.role.spindle,) if file.role.spindle else ()
-    return [
+    roles = {"counts": (file.role.counts,), "temperatures": file.role.temperatures}
+    roles |= {k: (v,) if v else () for k, v in (("actuator", file.role.actuator), ("spindle", file.role.spindle))}
+    missing = (
+        [] if file.role.actuator or file.table else [f"{source}: [role] actuator is missing, and there is no [table]"]
+    )
+    return missing + [
         f"{source}: [role] {role}: no [device.{name}]{nearest(name, file.device)}"
         for role, names in roles.items()
         for name in names
         if name not in file.device
     ]
+
+
+def _table_faults(file: RunFile, table: TableRewrites, machine: Machine, path: Path) -> list[str]:
+    """Everything that can be known before there is a prediction."""
+    where, out, seen = f"{path}: [table]", list[str](), dict[Path, str]()
+    form = FORMATS.get(table.format)
+    if form is None:
+        out.append(f"{where} format: no format {table.format!r}{nearest(table.format, FORMATS)}")
+    if file.run.model is None:
+        out.append(f"{where}: needs a model: [run] key 'model' is missing")
+    for key, name in table.files.items():
+        target = (path.parent / name).resolve()
+        if target in seen:
+            out.append(f"{where} files.{key}: {name} is the file of {seen[target]} already")
+        seen[target] = key
+        if not target.parent.is_dir():
+            out.append(f"{where} files.{key}: the folder {target.parent} is not there")
+        try:
+            axis, corrects = table_axes(machine, key)
+        except ConfigError as e:
+            out.append(f"{where} files.{key}: {e}")
+            continue
+        if file.role.actuator and corrects.compensate:
+            out.append(
+                f"{where} files.{key}: [role] actuator corrects {corrects.name}, too, and the error would be taken out "
+                f"twice: take one of them away, or write compensate = false in [axis.{corrects.name}] of the machine"
+            )
+        if corrects.name not in file.limits:
+            out.append(f"{where} files.{key}: [limits.{corrects.name}] is missing; no table is written without limits")
+        zero = np.zeros(len(grid := grid_mm(axis, table.grid_mm)))
+        why = form.limits.refuses(CompensationTable(axis.name, corrects.name, grid, zero, zero)) if form else ""
+        out += [f"{where} files.{key}: {table.format} {why}"] if why else []
+    return out
 
 
 def _capture_faults(file: RunFile, machine: Machine, source: str) -> list[str]:

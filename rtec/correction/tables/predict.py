@@ -13,6 +13,8 @@ from rtec.machine.machine import CONSTANT_CHANNELS
 from rtec.model import Model
 from rtec.tomlfile import nearest
 
+History = tuple[Floats, Mapping[str, Floats]]
+"""Instants, s, rising, (m,), and slow channels at them, (m,) each, for effects that lag: the last one is now."""
 BETWEEN = 10
 """Positions in each step of a table at which the model is compared with it."""
 
@@ -57,8 +59,29 @@ def conditions(model: Model, axis: Axis, given: Mapping[str, float]) -> dict[str
     return out | dict(given)
 
 
+def table_axes(machine: Machine, name: str) -> tuple[Axis, Axis]:
+    """Give the axis that moves and the one that is corrected, of an axis' name or of a component such as EYX.
+
+    Raises:
+        ConfigError: neither.
+    """
+    if name in machine.axis_names:
+        return machine.axis(name), machine.axis(name)
+    moved, corrected = name[2:], name[1:2]
+    if name[:1] == "E" and {moved, corrected} <= set(machine.axis_names) and moved != corrected:
+        return machine.axis(moved), machine.axis(corrected)
+    raise ConfigError(
+        f"{name!r} is no axis and no component as EYX (error of Y along X){nearest(name, machine.axis_names)}"
+    )
+
+
 def table_of(
-    model: Model, axis: Axis, corrects: Axis, positions_mm: Floats, at: Mapping[str, float]
+    model: Model,
+    axis: Axis,
+    corrects: Axis,
+    positions_mm: Floats,
+    at: Mapping[str, float],
+    history: History | None = None,
 ) -> CompensationTable:
     """Give the errors that a model predicts along an axis, one value a direction.
 
@@ -68,15 +91,24 @@ def table_of(
         corrects: axis along whose direction the error is taken.
         positions_mm: (n,), rising.
         at: of `conditions`.
+        history: of the slow channels until now; not given: they have been as in `at` for long.
     """
-    forward, backward = (_error_um(model, axis, corrects, positions_mm, at, d) for d in (1.0, -1.0))
+    forward, backward = (_error_um(model, axis, corrects, positions_mm, at, d, history) for d in (1.0, -1.0))
     return CompensationTable(axis.name, corrects.name, positions_mm, forward, backward, dict(at))
 
 
-def residuals(model: Model, table: CompensationTable) -> list[TableResidual]:
+def residuals(
+    model: Model, table: CompensationTable, history: History | None = None, slow: bool = True
+) -> list[TableResidual]:
     """Give what the table cannot express, largest first: between its points, direction, heat, speed, other axes.
 
     Each is tried alone, at the ends of the range that the model was fitted in (of the travel, for axes).
+
+    Args:
+        model: what is expressed.
+        table: as the format holds it.
+        history: as `table_of`.
+        slow: False: without heat and speed, for a table that is rewritten when they change.
     """
     machine = model.machine
     axis, corrects = machine.axis(table.axis), machine.axis(table.corrects)
@@ -86,7 +118,9 @@ def residuals(model: Model, table: CompensationTable) -> list[TableResidual]:
     def worst(places: Floats, changed: Mapping[str, float]) -> float:
         return max(
             float(
-                np.abs(_error_um(model, axis, corrects, places, {**at, **changed}, d) - table.error_um(places, d)).max()
+                np.abs(
+                    _error_um(model, axis, corrects, places, {**at, **changed}, d, history) - table.error_um(places, d)
+                ).max()
             )
             for d in (1.0, -1.0)
         )
@@ -97,6 +131,8 @@ def residuals(model: Model, table: CompensationTable) -> list[TableResidual]:
         TableResidual("between its points", worst(fine, {})),
     ]
     for name, (low, high) in _ranges(model, machine, axis).items():
+        if not slow and name not in machine.axis_names:
+            continue
         unit = "°C" if name in machine.sensor_names else "1/min" if name == "spindle_rpm" else "mm"
         out.append(
             TableResidual(
@@ -133,9 +169,20 @@ def _ranges(model: Model, machine: Machine, axis: Axis) -> dict[str, tuple[float
 
 
 def _error_um(
-    model: Model, axis: Axis, corrects: Axis, positions_mm: Floats, at: Mapping[str, float], direction: float
+    model: Model,
+    axis: Axis,
+    corrects: Axis,
+    positions_mm: Floats,
+    at: Mapping[str, float],
+    direction: float,
+    history: History | None,
 ) -> Floats:
     machine, n = model.machine, len(positions_mm)
+    times, before = history or (np.zeros(0), {})
+    m = len(times)
+    time_s = np.r_[times, np.full(n, times[-1] if m else 0.0)]
+    positions_mm = np.r_[np.full(m, positions_mm[0]), positions_mm]
+    n += m
     channels: dict[str, Floats] = {}
     for a in machine.axes:
         moves = a.name == axis.name
@@ -145,5 +192,7 @@ def _error_um(
         channels[a.velocity_channel] = channels[a.acceleration_channel] = np.zeros(n)
     channels |= {name: np.full(n, at.get(name, model.reference_degc)) for name in machine.sensor_names}
     channels |= {name: np.full(n, at.get(name, 0.0)) for name in ("spindle_rpm", *CONSTANT_CHANNELS)}
-    tip = model.predict(model.state(np.zeros(n), channels))
-    return np.asarray(tip[:, "XYZ".index(corrects.direction)])
+    for name, values in before.items():
+        channels[name][:m] = values
+    tip = model.predict(model.state(time_s, channels))
+    return np.asarray(tip[m:, "XYZ".index(corrects.direction)])

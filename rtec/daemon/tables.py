@@ -1,0 +1,261 @@
+"""Compensation tables of a run file's `[table]`: rewritten while the machine warms up.
+
+A thread of the supervisor's looks once a second. A file is rewritten whole or not at all, at the interval or when the
+prediction has gone far enough from it, each value by a limited change. With a mode other than "on", with a temperature
+that is old or outside the model's range, the files stay as they are, and the events say why.
+"""
+
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+
+from rtec.correction.tables import table_format
+from rtec.correction.tables.predict import History, checked, conditions, grid_mm, residuals, table_axes, table_of
+from rtec.correction.tables.table import CompensationTable, Floats, save
+from rtec.daemon.status import Status
+from rtec.daemon.supervision import DaemonPart, KeptThread
+from rtec.errors import ConfigError, RtecError
+from rtec.loop.run_file import Setup, TableRewrites
+from rtec.model import Model
+
+LOOK_S: Final = 1.0
+LEAST_S: Final = 10.0
+"""From one rewrite of a file to the next, at least."""
+MOST_ROWS: Final = 4096
+"""Of the kept history; its older half is thinned out."""
+END_S: Final = 5.0
+
+
+class TableFile:
+    """One file, and what it holds.
+
+    Args:
+        key: of `files`: an axis, or a component.
+        setup: whose machine, model and `[table]`.
+
+    Raises:
+        ConfigError: what is in the file is no table of the format.
+    """
+
+    def __init__(self, key: str, setup: Setup, table: TableRewrites) -> None:
+        self._key, self._table = key, table
+        self.form = table_format(table.format, f"{setup.path}: [table] format")
+        self.path = setup.base / table.files[key]
+        self.moves, self.corrects = table_axes(setup.machine, key)
+        self._grid = grid_mm(self.moves, table.grid_mm)
+        self._stop_um = setup.file.limits[self.corrects.name].stop_um
+        self.written = self._read()
+        self._written_s: float | None = None
+
+    def look(self, now_s: float, model: Model, at: Mapping[str, float], history: History) -> str:
+        """Rewrite it where that is due; give the line for the events, or "".
+
+        Args:
+            now_s: instant.
+            model: whose prediction.
+            at: temperatures and speed now.
+            history: until now.
+
+        Raises:
+            ConfigError: the format cannot hold the prediction, the file cannot be written, or a value is beyond the
+                limits.
+        """
+        since_s = np.inf if self._written_s is None else now_s - self._written_s
+        if since_s < LEAST_S:
+            return ""
+        known = {k: v for k, v in at.items() if k in model.channels}
+        whole = conditions(model, self.moves, known)
+        wanted = checked(table_of(model, self.moves, self.corrects, self._grid, whole, history), self.form)
+        if wanted.largest_um > self._stop_um:
+            raise ConfigError(
+                f"{self.path}: not written: {wanted.largest_um:.1f} µm is beyond stop_um = {self._stop_um:g} of "
+                f"[limits.{self.corrects.name}]"
+            )
+        old, table = self.written, self._table
+        difference = wanted.largest_um if old is None else _difference_um(old, wanted)
+        passed = table.change_um is not None and difference >= table.change_um
+        due = old is None or (difference >= table.hysteresis_um and (passed or since_s >= table.interval_s))
+        if not due:
+            return ""
+        new = wanted if old is None else checked(_limited(old, wanted, table.most_change_um), self.form)
+        save(self.form.text(new), self.path)
+        self.written, self._written_s = new, now_s
+        return self._line(old, new, wanted, model, history)
+
+    def _line(
+        self, old: CompensationTable | None, new: CompensationTable, wanted: CompensationTable, model: Model,
+        history: History,
+    ) -> str:  # fmt: skip
+        worst = residuals(model, wanted, history, slow=False)[0]
+        made = ", ".join(f"{k} = {v:.4g}" for k, v in new.at.items() if k in model.channels)
+        low, high = (f(f(new.forward_um), f(new.backward_um)) for f in (min, max))
+        text = f"{self.path.name}: {'written' if old is None else 'rewritten'} for {made or 'all temperatures'}: "
+        text += f"errors from {low:+.2f} to {high:+.2f} µm"
+        if old is not None:
+            text += f", changed by up to {_difference_um(old, new):.2f} µm"
+        still = _difference_um(new, wanted)
+        if still > self.form.limits.quantum_um:
+            text += f" (limited by most_change_um; {still:.2f} µm are still to come)"
+        return f"{text}; residual: up to {worst.largest_um:.2f} µm, {worst.what}"
+
+    def _read(self) -> CompensationTable | None:
+        try:
+            text = self.path.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return None
+        except (OSError, UnicodeDecodeError) as e:
+            raise ConfigError(f"{self.path}: cannot be read as a table: {e}") from e
+        try:
+            return self.form.read(text, str(self.path), self.moves.name)
+        except ConfigError as e:
+            raise ConfigError(
+                f"{e}; [table] files.{self._key} would replace it: name another file, or move this one away"
+            ) from e
+
+
+class TableKeeper:
+    """All files of a run.
+
+    Args:
+        setup: with a `[table]`.
+        report: puts a kind of event and a sentence into the events.
+
+    Raises:
+        ConfigError: a file that is there is no table of the format; all of them.
+    """
+
+    def __init__(self, setup: Setup, report: Callable[[str, str], None]) -> None:
+        self._report, self._files, faults = report, list[TableFile](), list[str]()
+        table = setup.file.table
+        for key in table.files if table else ():
+            try:
+                self._files.append(TableFile(key, setup, table))  # type: ignore[arg-type]
+            except ConfigError as e:
+                faults.append(str(e))
+        if faults:
+            raise ConfigError("\n".join(faults))
+        self._times: list[float] = []
+        self._slow: list[dict[str, float]] = []
+        self._said: dict[str, str] = {}
+
+    def look(self, setup: Setup, status: Status, mode: str) -> None:
+        """Look at all files once.
+
+        Args:
+            setup: in force; its model may be newer than at the start.
+            status: of the newest row.
+            mode: that is ordered: "on", "hold" or "off".
+        """
+        if not status.cycles or (self._times and status.time_s <= self._times[-1]):
+            return
+        model = setup.model
+        names = [n for n in (*setup.machine.sensor_names, "spindle_rpm") if n in model.channels]
+        now = {n: status.spindle_rpm if n == "spindle_rpm" else status.degc.get(n, np.nan) for n in names}
+        inputs = setup.file.inputs
+        now |= {n: float(getattr(inputs, n)) for n in ("load_kg", "force_n") if n in model.channels}
+        why = "" if mode == "on" else f"the mode is {mode}"
+        why = why or _unusable(now, status, model, setup.file.guard.temperature_max_age_s)
+        if self._said_anew("input", why) and why:
+            self._report("table", f"the tables stay as they are: {why}")
+        if not all(np.isfinite(list(now.values()))):
+            return
+        self._remember(status.time_s, now)
+        if why:
+            return
+        history = self._history(names)
+        for file in self._files:
+            try:
+                line, wrong = file.look(status.time_s, model, now, history), ""
+            except RtecError as e:
+                line, wrong = "", str(e)
+            if line or (wrong and self._said_anew(str(file.path), wrong)):
+                self._report("table" if line else "alarm", line or wrong)
+            if not wrong:
+                self._said.pop(str(file.path), None)
+
+    def _said_anew(self, about: str, text: str) -> bool:
+        """Is that another text than the last time?"""
+        plain = text.partition(":")[0]
+        before, self._said[about] = self._said.get(about, ""), plain
+        return before != plain
+
+    def _remember(self, time_s: float, now: dict[str, float]) -> None:
+        self._times.append(time_s)
+        self._slow.append(now)
+        if len(self._times) > MOST_ROWS:
+            half = MOST_ROWS // 2
+            self._times[:half], self._slow[:half] = self._times[:half:2], self._slow[:half:2]
+
+    def _history(self, names: list[str]) -> History:
+        columns = {n: np.array([row.get(n, now) for row in self._slow]) for n, now in self._slow[-1].items()}
+        return np.array(self._times), {n: columns[n] for n in names}
+
+
+class TableThread:
+    """Looks once a second, in a thread of its own: a slow disk keeps nobody waiting.
+
+    Args:
+        keeper: of the files; None: there are none.
+        now: gives setup, status and ordered mode.
+        part: counts its faults.
+    """
+
+    def __init__(
+        self, keeper: TableKeeper | None, now: Callable[[], tuple[Setup, Status, str]], part: DaemonPart
+    ) -> None:
+        self._keeper, self._now = keeper, now
+        self._thread = KeptThread(part, self._work)
+
+    def __enter__(self) -> Self:
+        if self._keeper is not None:
+            self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._thread.end(END_S)
+
+    def _work(self) -> None:
+        while self._keeper is not None and not self._thread.stop.wait(LOOK_S):
+            self._keeper.look(*self._now())
+
+
+def _difference_um(a: CompensationTable, b: CompensationTable) -> float:
+    """Largest difference at the points of `b`."""
+    return max(
+        float(np.abs(a.error_um(b.positions_mm, d) - values).max())
+        for d, values in ((1.0, b.forward_um), (-1.0, b.backward_um))
+    )
+
+
+def _limited(old: CompensationTable, wanted: CompensationTable, most_um: float) -> CompensationTable:
+    """Go from the old values towards the wanted ones, each by so much at most."""
+
+    def towards(direction: float, values: Floats) -> Floats:
+        before = old.error_um(wanted.positions_mm, direction)
+        return before + np.clip(values - before, -most_um, most_um)
+
+    return CompensationTable(
+        wanted.axis,
+        wanted.corrects,
+        wanted.positions_mm,
+        towards(1.0, wanted.forward_um),
+        towards(-1.0, wanted.backward_um),
+        wanted.at,
+    )
+
+
+def _unusable(now: Mapping[str, float], status: Status, model: Model, most_s: float) -> str:
+    """Why nothing can be predicted now; "" where it can."""
+    for name, value in now.items():
+        if not np.isfinite(value):
+            return f"{name} is not known"
+        if status.degc_age_s.get(name, 0.0) > most_s:
+            return f"{name} is old"
+        low, high = model.valid_range.get(name, (-np.inf, np.inf))
+        if not low <= value <= high:
+            return f"{name} is outside the range of the model ({low:g} to {high:g}): now {value:.1f}"
+    return ""
