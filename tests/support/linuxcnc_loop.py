@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -92,3 +93,23 @@ def dwell_errors_um(rows: Floats, axes: int, still: int = 40) -> Floats:
     last = np.maximum.accumulate(np.where(moved, np.arange(len(rows)), 0))
     stands = np.arange(len(rows)) - last >= still
     return np.asarray(1e3 * (true - commanded)[stands])
+
+
+def dwell_means(rows: Floats, still: int) -> list[Floats]:
+    """Give the mean row of the second half of each dwell that lasted so many servo periods, of a plant's recording."""
+    commanded = rows[:, 1:4]
+    begins = np.flatnonzero(np.r_[True, np.any(np.diff(commanded, axis=0) != 0.0, axis=1)])
+    ends = np.r_[begins[1:], len(rows)]
+    return [rows[(a + b) // 2 : b].mean(axis=0) for a, b in zip(begins, ends, strict=True) if b - a >= still]
+
+
+def until_pins(session: Session, pins: Sequence[str], met: Callable[[list[float]], bool], looks: int = 6) -> None:
+    """Wait, a minute at most, until the values of some pins are as they should be."""
+    for left in range(looks, 0, -1):
+        try:
+            session.until(lambda: met([session.gets(p) for p in pins]))
+        except AssertionError:
+            if left == 1:
+                raise
+        else:
+            return
