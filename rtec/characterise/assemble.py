@@ -1,6 +1,7 @@
 """Puts the result of a characterisation together: model, errors per measurement, coefficients, warnings."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,10 @@ from numpy.typing import NDArray
 from rtec.characterise.choose import TermChoice
 from rtec.characterise.result import Characterisation, Coefficient, Correlated, MeasurementFit, SearchStep
 from rtec.characterise.screen import Screened
-from rtec.characterise.warnings import all_warnings, outlier_warnings
+from rtec.characterise.warnings import all_warnings
 from rtec.estimation.gram.fit import Estimate
-from rtec.estimation.gram.weights import Outlier
-from rtec.estimation.judge import Judgement
+from rtec.estimation.gram.source import Source
+from rtec.estimation.judge import Judgement, MeasurementMet
 from rtec.estimation.outliers import Clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -28,39 +29,32 @@ def assemble(
     fit: Estimate,
     screened: Screened | None,
     choice: TermChoice | None,
-    spikes: Sequence[Outlier],
     measurements: Sequence[Measurement],
     name: str,
     margin: Margin,
-    given: Clean | None,
+    given: Clean,
 ) -> Characterisation:
-    """Give the result of a fit and of the choice before it; with the readings given, judged as by every command."""
-    table = tuple(_measurement(fit, i) for i in range(len(fit.sources)))
-    units = {t.unit for t in table}
-    unit = units.pop() if len(units) == 1 else "noise"
-    size = 1.0 if unit == "noise" else _pooled(fit, unit)
-    inside, held_out = fit.inside * size / _unit_weight(fit, unit), fit.held_out * size / _unit_weight(fit, unit)
+    """Give the result of a fit and of the choice before it, judged as by every command."""
     rivals = choice.rivals if choice else ()
     unused = screened.unused if screened else ()
-    model = _model(fit, measurements, name, margin, (inside, held_out, unit))
-    judged = Judgement(model, given) if given is not None else None
-    if judged is not None:
-        inside, held_out, unit = judged.residual, judged.held_out, judged.unit
-        model = _model(fit, measurements, name, margin, (inside, held_out, unit))
+    judged = Judgement(_model(fit, measurements, name, margin), given)
+    met = judged.by_measurement
+    table = tuple(_measurement(s, e) for s, e in zip(fit.sources, met, strict=True))
+    model = _with_history(judged, fit)
     return Characterisation(
         model=model,
         judged=judged,
         measurements=table,
         coefficients=tuple(_coefficients(fit)),
         condition=fit.linear.condition(),
-        inside_rms=inside,
-        held_out_rms=held_out,
-        unit=unit,
+        inside_rms=judged.residual,
+        held_out_rms=judged.held_out,
+        unit=judged.unit,
         steps=_steps(choice),
         undecided=rivals,
         correlations=tuple(_correlations(screened)),
-        outliers=(*spikes, *fit.outliers),
-        warnings=(*all_warnings(fit, rivals, unused), *outlier_warnings(spikes, "stand out from their neighbours")),
+        outliers=given.wrong,
+        warnings=tuple(all_warnings(fit, judged, rivals, unused)),
         notes={m.name: tuple(m.notes) for m in measurements if m.notes},
         residuals={
             s.measurement.name: (s.measurement.time_s / 3600.0, r)
@@ -69,52 +63,19 @@ def assemble(
     )
 
 
-def _unit(columns: Sequence[str]) -> str:
-    kinds = {"urad" if c.endswith("_urad") else "um" for c in columns}
-    return kinds.pop() if len(kinds) == 1 else "noise"
-
-
-def _sizes(fit: Estimate, i: int) -> Floats:
-    """Noise that the weights of a measurement suppose, for each of its columns."""
-    weight = fit.sources[i].weight.reshape(-1, fit.sources[i].count)
-    return np.array([1.0 / w.max() if w.max() > 0 else 0.0 for w in weight.T])
-
-
-def _measurement(fit: Estimate, i: int) -> MeasurementFit:
-    source, (out, inside) = fit.sources[i], fit.cells
+def _measurement(source: Source, met: MeasurementMet) -> MeasurementFit:
     m = source.measurement
-    unit = _unit(m.instrument.columns())
-    size = 1.0 if unit == "noise" else float(np.sqrt(np.mean(_sizes(fit, i) ** 2)))
-    cells = [c for c in fit.linear.cells if c.source == i]
-    whole = sum(c.gram[-1, -1] for c in cells) / sum(c.freedom for c in cells)
     return MeasurementFit(
         name=m.name,
         instrument=m.instrument.name,
-        unit=unit,
-        readings=int(np.count_nonzero(source.weight)),
-        measured=float(np.sqrt(max(whole, 0.0))) * size,
-        inside=fit.rms(inside, i) * size,
-        held_out=fit.rms(out, i) * size,
+        unit=met.unit,
+        readings=met.readings,
+        measured=met.measured,
+        inside=met.residual,
+        held_out=met.held_out,
+        floor=met.floor,
         blocks=source.blocks.described,
     )
-
-
-def _pooled(fit: Estimate, unit: str) -> float:
-    """Root mean square of what the fit leaves in all readings of one unit, degrees of freedom counted."""
-    squares, count = 0.0, 0
-    for source, sigma in zip(fit.sources, fit.noise, strict=True):
-        read = np.count_nonzero(source.weight.reshape(-1, source.count), axis=0)
-        for name, s, n in zip(source.measurement.instrument.columns(), sigma, read, strict=True):
-            if name.endswith(f"_{unit}"):
-                squares, count = squares + float(s) ** 2 * int(n), count + int(n)
-    return float(np.sqrt(squares / count)) if count else 0.0
-
-
-def _unit_weight(fit: Estimate, unit: str) -> float:
-    """In-sample error in units of the weights' noise, degrees of freedom counted: what `_pooled` is in µm."""
-    normal = fit.linear
-    squares = normal.squares(fit.values)
-    return float(np.sqrt(max(squares, 1e-300) / max(normal.freedom, 1.0))) if unit != "noise" else 1.0
 
 
 def _coefficients(fit: Estimate) -> list[Coefficient]:
@@ -150,34 +111,35 @@ def fitted_effects(fit: Estimate) -> list[FittedEffect]:
     return out
 
 
-def _model(
-    fit: Estimate, measurements: Sequence[Measurement], name: str, margin: Margin, error: tuple[float, float, str]
-) -> Model:
+def _model(fit: Estimate, measurements: Sequence[Measurement], name: str, margin: Margin) -> Model:
     sources = fit.sources
     read = [(s.state, np.flatnonzero(s.weight.reshape(-1, s.count).any(axis=1)).astype(np.int64)) for s in sources]
     effects = fitted_effects(fit)
-    noise_um = _pooled(fit, "um")
-    history: Mapping[str, Any] = {
-        "change": "fit",
-        "readings": int(fit.linear.readings.sum()),
-        "numbers": len(fit.errors),
-        "rms_inside": error[0],
-        "rms_held_out": error[1],
-        "unit": error[2],
-        "left_out": sorted({s.blocks.described for s in sources}),
-    }
     model = Model(
         machine=sources[0].measurement.machine,
         effects=tuple(effects),
         name=name,
         reference_degc=sources[0].state.reference_degc,
         valid_range=valid_range([f.effect for f in effects], read, margin),
-        noise_um=noise_um or None,
         measurements={m.name: m.sha256 or content_sum(m) for m in measurements},
-        history=(history,),
     )
     model.check(name)
     return model
+
+
+def _with_history(judged: Judgement, fit: Estimate) -> Model:
+    """The model with the errors by which it was judged."""
+    history: Mapping[str, Any] = {
+        "change": "fit",
+        "readings": len(judged.readings),
+        "numbers": len(fit.errors),
+        "rms_inside": judged.residual,
+        "rms_held_out": judged.held_out,
+        "unit": judged.unit,
+        "left_out": sorted({s.blocks.described for s in fit.sources}),
+    }
+    noise_um = judged.noise_floor if judged.unit == "um" else None
+    return replace(judged.model, history=(history,), noise_um=noise_um)
 
 
 def content_sum(measurement: Measurement) -> str:

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.estimation.gram.weights import Outlier
 from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import WrongReading
 from rtec.model import Model
 from rtec.result import Result
 
@@ -32,15 +32,16 @@ class Warn:
 
 @dataclass(frozen=True)
 class MeasurementFit:
-    """How well one measurement is met.
+    """How well one measurement is met; root mean squares, as `compare` has them.
 
     Attributes:
         name, instrument: of it.
-        unit: "um" or "urad" of its readings.
-        readings: how many were fitted.
-        measured: root mean square of the readings less nuisances, before any machine error is taken out.
-        inside: standard deviation of what the fit leaves, in sample.
-        held_out: the same on blocks that were left out.
+        unit: "um" or "urad" of its readings; "noise" (multiples of it) where it reads both.
+        readings: how many count.
+        measured: readings less what the instrument cannot know, before any machine error is taken out.
+        inside: what the model leaves.
+        held_out: the same on held-out runs.
+        floor: the noise.
         blocks: how it was cut, in words.
     """
 
@@ -51,6 +52,7 @@ class MeasurementFit:
     measured: float
     inside: float
     held_out: float
+    floor: float
     blocks: str
 
 
@@ -123,12 +125,11 @@ class Characterisation(Result):
         steps: the search; empty where nothing was chosen.
         undecided: choices that are as good as the one that was made.
         correlations: the best of each component error.
-        outliers: readings that are off, with their rows.
+        outliers: wrong readings that were left out.
         warnings: in words.
         notes: what was said of each measurement as it was read (missing readings, what was accepted), by its name.
         residuals: for figures: measurement name to hours, (n,), and readings minus prediction, (readings, n).
-        judged: the model on its readings as every command judges it; None of very many readings, or where stretches of
-            another length were held out.
+        judged: the model on its readings as every command judges it.
     """
 
     page_maker: ClassVar[str] = "rtec.report.fit:fit_page"
@@ -140,14 +141,14 @@ class Characterisation(Result):
     inside_rms: float
     held_out_rms: float
     unit: str
+    judged: Judgement = field(repr=False, compare=False)
     steps: tuple[SearchStep, ...] = ()
     undecided: tuple[UndecidedTerm, ...] = ()
     correlations: tuple[Correlated, ...] = ()
-    outliers: tuple[Outlier, ...] = ()
+    outliers: tuple[WrongReading, ...] = ()
     warnings: tuple[Warn, ...] = ()
     notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
     residuals: dict[str, tuple[Floats, Floats]] = field(default_factory=dict, repr=False)
-    judged: Judgement | None = field(default=None, repr=False, compare=False)
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The coefficients."""
@@ -170,7 +171,7 @@ class Characterisation(Result):
             "rms_inside": self.inside_rms,
             "rms_held_out": self.held_out_rms,
             "unit": self.unit,
-            "judged": self.judged.facts() if self.judged is not None else None,
+            "judged": self.judged.facts(),
             "condition_number": self.condition,
             **plain,
             "notes": {name: list(said) for name, said in self.notes.items()},

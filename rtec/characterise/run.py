@@ -1,7 +1,6 @@
 """Characterises a machine: measurements in, geometric-thermal model out."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +20,12 @@ from rtec.estimation.gram.identifiable import check_seen, tellable
 from rtec.estimation.gram.projection import starting_terms
 from rtec.estimation.gram.source import Source, reads, thinned
 from rtec.estimation.gram.stream import Term, gather
-from rtec.estimation.gram.weights import Outlier, rough_noise
+from rtec.estimation.gram.weights import rough_noise
+from rtec.estimation.held_out import cuts
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model.fit import Margin
-from rtec.parallel import MANY, one_blas_thread
+from rtec.parallel import one_blas_thread
 
 Floats = NDArray[np.float64]
 Stage = Callable[[str, int, int], None]
@@ -36,8 +36,6 @@ SEARCHED = 20_000
 WORSE = 1.01
 """Parameters from the search that raise the held-out error by more than this go back to those of the choice."""
 QUADRATIC = 2
-MANY_BLOCKS = 400
-"""More blocks than this, of all measurements together, tell no more than those that are left out together."""
 
 
 def characterise(
@@ -78,11 +76,11 @@ def _characterise(
     stage: Stage | None,
 ) -> Characterisation:
     tell = stage or (lambda _what, _done, _total: None)
-    sources = [Source.of(m, leave_out_h) for m in _checked(measurements)]
-    if sum(len(s.blocks.fold) for s in sources) > MANY_BLOCKS:
-        sources = [replace(s, blocks=s.blocks.by_fold) for s in sources]
-    given = clean(measurements, sources[0].state.reference_degc)
-    sources, spiky = _without_wrong(sources, given)
+    _check(measurements)
+    given = clean(measurements, leave_out_h=leave_out_h)
+    blocks = cuts(measurements, leave_out_h)
+    sources = [Source.of(m, b) for m, b in zip(measurements, blocks, strict=True)]
+    sources = _without_wrong(sources, given)
     scaled = [s.weighted(_rough_weights(s)) for s in sources]
     exact = wanted.exact if wanted else ()
     _check_channels(sources, exact)
@@ -102,9 +100,7 @@ def _characterise(
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     tried = len(screened.candidates) if screened else 0
     fit = _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell)
-    # Stretches of another length would be another held-out error; of very many readings the walk through them is all.
-    judged = given if leave_out_h is None and len(given.readings) <= MANY else None
-    return assemble(fit, screened, choice, spiky, measurements, name, margin, judged)
+    return assemble(fit, screened, choice, measurements, name, margin, given)
 
 
 def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> TermChoice:
@@ -174,19 +170,18 @@ def _rough_weights(source: Source) -> Floats:
     return (source.weight.reshape(-1, source.count) / rough_noise(source)).ravel()
 
 
-def _without_wrong(sources: Sequence[Source], given: Clean) -> tuple[list[Source], list[Outlier]]:
-    """Leave out wrong readings, and list them."""
-    kept, told = [s.weight.copy() for s in sources], []
+def _without_wrong(sources: Sequence[Source], given: Clean) -> list[Source]:
+    """Leave out wrong readings."""
+    kept = [s.weight.copy() for s in sources]
     number = {s.measurement.name: i for i, s in enumerate(sources)}
     for w in given.wrong:
         i = number[w.measurement]
         lane = sources[i].measurement.instrument.columns().index(w.column)
         kept[i][w.row * sources[i].count + lane] = 0.0
-        told.append(Outlier(w.measurement, w.column, w.row, w.run, w.off, left_out=True))
-    return [s.weighted(k) for s, k in zip(sources, kept, strict=True)], told
+    return [s.weighted(k) for s, k in zip(sources, kept, strict=True)]
 
 
-def _checked(measurements: Sequence[Measurement]) -> Sequence[Measurement]:
+def _check(measurements: Sequence[Measurement]) -> None:
     if not measurements:
         raise Fault("fit: no measurement was given")
     machine = measurements[0].machine
@@ -201,7 +196,6 @@ def _checked(measurements: Sequence[Measurement]) -> Sequence[Measurement]:
     faults += [_missing(m, a.channel) for m in measurements for a in m.machine.axes if _gaps(m, a.channel)]
     if faults:
         raise Fault("\n".join(faults))
-    return measurements
 
 
 def _check_channels(sources: Sequence[Source], effects: Sequence[Effect]) -> None:

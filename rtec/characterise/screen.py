@@ -79,7 +79,6 @@ def screen(
             and all of it stays among the candidates.
     """
     few = [thinned(s, READINGS) for s in sources]
-    few = [replace(s, blocks=s.blocks.by_fold) for s in few]
     whole = [replace(s, blocks=s.blocks.one) for s in few]
     seen = visible_components([s.measurement for s in few])
     sensors, unused = varying_sensors(few)

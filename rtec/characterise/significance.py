@@ -5,8 +5,6 @@ the error on left-out runs falls for any temperature that resembles the drift. S
 with one block left out after another, and with the longer parts left out that the choice was made on.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from rtec.characterise.choose import NEAR
@@ -27,7 +25,7 @@ def surety(fit: Estimate, candidates: int) -> list[float]:
         fit: the terms, fitted.
         candidates: among how many the terms were chosen.
     """
-    ways = [fit.linear, by_part(fit.linear)]
+    ways = [fit.linear, fit.linear.by_part]
     ratios = [_distances(way, fit) / far_for_chance(candidates, len(way.gram)) for way in ways]
     return [float(r) for r in np.min(ratios, axis=0)]
 
@@ -52,20 +50,6 @@ def missed(fit: Estimate, term: int) -> float:
     """By what share the held-out error grows without a term."""
     without = fit.linear.pick(np.flatnonzero(fit.linear.owner != term)).held_out()[0]
     return fit.rms(without) / max(fit.held_out, 1e-300) - 1.0
-
-
-def by_part(normal: Normal) -> Normal:
-    """The normal equations with what is left out together as one block."""
-    number = normal.fold_numbers
-    place = np.searchsorted(number, normal.fold)
-    return replace(
-        normal,
-        gram=normal.by_fold,
-        fold=number,
-        source=np.zeros_like(number),
-        readings=np.bincount(place, normal.readings).astype(np.int64),
-        lost=np.bincount(place, normal.lost).astype(np.float64),
-    )
 
 
 def _distances(normal: Normal, fit: Estimate) -> np.ndarray[tuple[int], np.dtype[np.float64]]:

@@ -13,8 +13,9 @@ from rtec.characterise.result import UndecidedTerm, Warn
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.identifiable import label
 from rtec.estimation.gram.source import Source, reads
-from rtec.estimation.gram.weights import Outlier, rough_noise
+from rtec.estimation.judge import Judgement
 from rtec.estimation.kinds import neighbour_noise
+from rtec.estimation.outliers import outlier_words
 from rtec.estimation.visible import axis_of, moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
@@ -82,7 +83,7 @@ def _widest_gap(turns: Floats) -> float:
 OVER_FITTED = 1.5
 """Held-out error over in-sample error."""
 LEFT_OVER = 2.0
-"""What is left over the noise between neighbouring readings."""
+"""Residual over the noise floor."""
 UNEVEN = 2.5
 """Residuals over the noise between neighbours that differ by more than this factor."""
 ILL = 30.0
@@ -97,11 +98,13 @@ LITTLE_INFORMATION = 0.05
 OPPOSITE = 0.5
 
 
-def all_warnings(fit: Estimate, undecided: Sequence[UndecidedTerm], unused: Sequence[str]) -> list[Warn]:
+def all_warnings(
+    fit: Estimate, judged: Judgement, undecided: Sequence[UndecidedTerm], unused: Sequence[str]
+) -> list[Warn]:
     """Everything to beware of, what matters most first."""
     found = [
-        *_over_fitted(fit),
-        *_left_over(fit),
+        *_over_fitted(fit, judged),
+        *_left_over(judged),
         *_uneven(fit),
         *_undecided(fit, undecided),
         *_ill_conditioned(fit),
@@ -112,39 +115,36 @@ def all_warnings(fit: Estimate, undecided: Sequence[UndecidedTerm], unused: Sequ
         *cover_warnings(fit.sources),
         *_on_bound(fit),
         *_few_blocks(fit),
-        *outlier_warnings(fit.outliers),
+        *_outliers(judged),
     ]
     keep = "let it warm up more, or leave the sensor out of the machine file"
     return found + [Warn("sensor_unused", text, keep) for text in unused]
 
 
-def _over_fitted(fit: Estimate) -> list[Warn]:
-    ratio = fit.held_out / max(fit.inside, 1e-12)
+def _over_fitted(fit: Estimate, judged: Judgement) -> list[Warn]:
+    ratio = judged.held_out / max(judged.residual, 1e-12)
     if ratio <= OVER_FITTED:
         return []
     return [
         Warn(
             "over_fitted",
-            f"over-fitted: the error on blocks left out of the fit is {ratio:.1f} times that in sample; the "
+            f"over-fitted: the error on held-out readings is {ratio:.1f} times that in sample; the "
             f"{fit.linear.width} coefficients follow these readings more than the machine",
             "fit fewer effects, or measure over more thermal cycles",
         )
     ]
 
 
-def _left_over(fit: Estimate) -> list[Warn]:
+def _left_over(judged: Judgement) -> list[Warn]:
     out = []
-    for source, left in zip(fit.sources, fit.noise, strict=True):
-        ratio = float(np.max(left / rough_noise(source)))
+    for m, met in zip(judged.readings.measurements, judged.by_measurement, strict=True):
+        ratio = met.residual / max(met.floor, 1e-12)
         if ratio > LEFT_OVER:
-            text = (
-                f"{source.measurement.name}: the residual is {ratio:.1f} times the noise between neighbouring readings"
-            )
             out.append(
                 Warn(
                     "left_over",
-                    text,
-                    "an effect is missing from the model: see where and when the residual is large (`--report`)",
+                    f"{m.name}: the residual is {ratio:.1f} times the noise floor",
+                    "an effect is missing from the model: rtec diagnose names it, rtec compare shows where it is",
                 )
             )
     return out
@@ -235,13 +235,13 @@ def _collinear(fit: Estimate) -> list[Warn]:
 
 
 def _sign_changes(fit: Estimate) -> list[Warn]:
-    """Each coefficient by each fold alone, the others as in the whole fit."""
-    normal, values = fit.linear, fit.values
+    """Each coefficient by each part of the day alone, the others as in the whole fit."""
+    normal, values = fit.linear.by_part, fit.values
     machine = fit.sources[0].measurement.machine
     named = [(label(t), n) for t in fit.terms for n in t.names(machine)]
     out = []
-    diagonal = np.diagonal(normal.by_fold, axis1=1, axis2=2)[:, : normal.width]
-    score = normal.by_fold[:, : normal.width, -1] - normal.by_fold[:, : normal.width, :-1] @ values
+    diagonal = np.diagonal(normal.gram, axis1=1, axis2=2)[:, : normal.width]
+    score = normal.gram[:, : normal.width, -1] - normal.gram[:, : normal.width, :-1] @ values
     noise = max(fit.inside, 1e-12)
     for k, (term, name) in enumerate(named):
         told = diagonal[:, k] > LITTLE_INFORMATION * diagonal[:, k].sum() / len(diagonal)
@@ -253,7 +253,7 @@ def _sign_changes(fit: Estimate) -> list[Warn]:
                 Warn(
                     "sign_change",
                     f"{term} {name} changes sign between cycles: {significant(values[k])} over all, but of the other "
-                    f"sign in {int(against.sum())} of {int(told.sum())} held-out parts (as far as "
+                    f"sign in {int(against.sum())} of {int(told.sum())} parts of the record (as far as "
                     f"{significant(alone[against][0])})",
                     "it takes the place of another cause; look for that, or omit it",
                 )
@@ -334,15 +334,7 @@ def _few_blocks(fit: Estimate) -> list[Warn]:
     ]
 
 
-def outlier_warnings(outliers: Sequence[Outlier], why: str = "are off") -> list[Warn]:
-    """Readings that were left out or count less, by measurement, with their rows."""
-    out = []
-    for name in dict.fromkeys(o.measurement for o in outliers):
-        for gone, did in ((True, "left out"), (False, "counted less")):
-            rows = [o for o in outliers if o.measurement == name and o.left_out is gone]
-            if rows:
-                said = ", ".join(f"row {o.row + 1} of run {o.run} ({significant(o.off, sign=True)})" for o in rows[:5])
-                more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
-                text = f"{name}: {len(rows)} readings {why} and were {did}: {said}{more}"
-                out.append(Warn("outliers", text, "look at these rows; if they are real, the model lacks their cause"))
-    return out
+def _outliers(judged: Judgement) -> list[Warn]:
+    """Readings that were left out, with their rows."""
+    way = "look at these rows; if they are real, the model lacks their cause"
+    return [Warn("outliers", text, way) for text in outlier_words(judged.given.wrong)]

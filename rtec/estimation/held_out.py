@@ -5,6 +5,7 @@ enough runs, a block is one or more whole runs; else it is a stretch of hours. W
 number is but a way of numbering: runs that are less than a way there and back, or all one, are cut by such ways.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,11 @@ Ints = NDArray[np.int64]
 ENOUGH_RUNS = 6
 """From so many runs on, whole runs are left out; below, stretches of time."""
 MOST_BLOCKS = 40
-FOLDS = 10
+MANY_BLOCKS = 400
+"""Of many measurements each is cut into fewer blocks, so that all together are no more than so many."""
+FOLDS = 8
+"""Blocks are dealt into so many folds in turn, as cards are: each spans the day, so that no prediction leaves what was
+measured."""
 STRETCH_H = 4.0
 """A thermal cycle's part: long against the machine's quick drift, short against a day."""
 STILL_MM = 1e-3
@@ -52,12 +57,6 @@ class Blocks:
         return Blocks(np.append(edges[:-1][kept], edges[-1]), self.fold[kept], runs, self.by_time)
 
     @property
-    def by_fold(self) -> "Blocks":
-        """Blocks that are left out together made one: less to keep where only the held-out error is wanted."""
-        first = np.concatenate([[True], np.diff(self.fold) != 0])
-        return Blocks(np.append(self.edges[:-1][first], self.edges[-1]), self.fold[first], self.run_edges, self.by_time)
-
-    @property
     def one(self) -> "Blocks":
         """Everything in one block, where only the sum is wanted."""
         ends = np.array([self.edges[0], self.edges[-1]])
@@ -66,23 +65,33 @@ class Blocks:
     @property
     def described(self) -> str:
         """In words, for reports."""
-        if self.by_time:
-            return f"{len(self.fold)} stretches of time"
-        return f"{len(self.fold)} blocks of whole runs in {len(set(self.fold.tolist()))} parts"
+        return f"{len(self.fold)} {'stretches of time' if self.by_time else 'blocks of runs'}"
 
 
-def cut(measurement: Measurement, leave_out_h: float | None = None) -> Blocks:
+def cuts(measurements: Sequence[Measurement], leave_out_h: float | None = None) -> list[Blocks]:
+    """Cut measurements that are judged together; the one cut that every command holds out by.
+
+    Args:
+        measurements: their rows are in order of time; a run number that comes back later is another run.
+        leave_out_h: as of `cut`.
+    """
+    most = min(MOST_BLOCKS, max(MANY_BLOCKS // max(len(measurements), 1), FOLDS))
+    return [cut(m, leave_out_h, most) for m in measurements]
+
+
+def cut(measurement: Measurement, leave_out_h: float | None = None, most: int = MOST_BLOCKS) -> Blocks:
     """Cut one measurement.
 
     Args:
         measurement: its rows are in order of time; a run number that comes back later is another run.
         leave_out_h: length of what is left out, hours; None: whole runs where there are at least 6 that have a zero of
             their own or an axis that comes back, else 4 h, or an eighth where the whole is shorter than 20 h.
+        most: so many blocks of whole runs.
     """
     run_edges = edges_of(measurement.run)
     whole = _whole(measurement, run_edges)
     if leave_out_h is None and len(whole) > ENOUGH_RUNS:
-        return _by_runs(whole, run_edges)
+        return _by_runs(whole, run_edges, most)
     return _by_time(measurement, run_edges, leave_out_h)
 
 
@@ -141,12 +150,11 @@ def edges_of(label: Ints) -> Ints:
     return np.concatenate([[0], change, [len(label)]]).astype(np.int64)
 
 
-def _by_runs(whole: Ints, run_edges: Ints) -> Blocks:
+def _by_runs(whole: Ints, run_edges: Ints, most: int) -> Blocks:
     runs = len(whole) - 1
-    blocks = min(runs, MOST_BLOCKS)
+    blocks = min(runs, most)
     first = np.unique(np.arange(blocks + 1) * runs // blocks)
-    fold = np.arange(blocks) * min(FOLDS, blocks) // blocks
-    return Blocks(whole[first], fold, run_edges, by_time=False)
+    return Blocks(whole[first], np.arange(blocks) % FOLDS, run_edges, by_time=False)
 
 
 def _by_time(measurement: Measurement, run_edges: Ints, leave_out_h: float | None) -> Blocks:
@@ -159,4 +167,4 @@ def _by_time(measurement: Measurement, run_edges: Ints, leave_out_h: float | Non
     count = max(int(span / length + 0.5), 1)
     label = np.minimum((hours / length).astype(np.int64), count - 1)
     edges = edges_of(label)
-    return Blocks(edges, np.arange(len(edges) - 1), run_edges, by_time=True)
+    return Blocks(edges, np.arange(len(edges) - 1) % FOLDS, run_edges, by_time=True)

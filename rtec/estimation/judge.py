@@ -1,5 +1,6 @@
 """One judgement of a model on measurements: the same residual, noise floor and held-out error in every command."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,6 +19,27 @@ from rtec.estimation.readings import Readings
 from rtec.model import Model
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MeasurementMet:
+    """How well one measurement is met; root mean squares over all of its reading columns.
+
+    Attributes:
+        unit: of what follows.
+        readings: that count.
+        measured: less what the instrument cannot know.
+        residual: what the model leaves.
+        held_out: on held-out runs, the model's numbers refitted to the others.
+        floor: the noise.
+    """
+
+    unit: Unit
+    readings: int
+    measured: float
+    residual: float
+    held_out: float
+    floor: float
 
 
 @dataclass(frozen=True)
@@ -118,6 +140,29 @@ class Judgement:
     def held_out(self) -> float:
         """Root mean square error on held-out runs."""
         return self._held_out.rms
+
+    @cached_property
+    def by_measurement(self) -> tuple["MeasurementMet", ...]:
+        """How well each measurement is met."""
+        measured = floor.flattened(self.readings, self.readings.values)
+        sizes = (
+            floor.rms_by_series(self.readings, measured),
+            floor.rms_by_series(self.readings, self.left),
+            np.sqrt(self._held_out.series) / self.scale,
+            np.array([f.value for f in self.floors]),
+        )
+        return tuple(self._of(i, sizes) for i in range(len(self.readings.measurements)))
+
+    def _of(self, source: int, sizes: Sequence[Floats]) -> "MeasurementMet":
+        mine = np.array([s.source == source for s in self.readings.series])
+        units = {s.unit for s in self.readings.series if s.source == source}
+        count = np.array([len(s) for s in self.readings.series])[mine]
+        scale = np.ones(len(count)) if len(units) == 1 else self.scale[mine]
+        if not len(count):
+            return MeasurementMet("um", 0, 0.0, 0.0, 0.0, 0.0)
+        unit: Unit = "noise" if len(units) > 1 else "urad" if units == {"urad"} else "um"
+        pooled = [float(np.sqrt(np.average((size[mine] * scale) ** 2, weights=count))) for size in sizes]
+        return MeasurementMet(unit, int(count.sum()), *pooled)
 
     def facts(self) -> dict[str, Any]:
         """As plain data; keys as in the documented JSON."""

@@ -89,13 +89,16 @@ class Clean:
         return self.readings.smoothed()
 
 
-def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0) -> Clean:
+def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, leave_out_h: float | None = None) -> Clean:
     """Read measurements and leave out what is wrong.
+
+    Args:
+        measurements, reference_degc, leave_out_h: as `read`.
 
     Raises:
         MeasurementError: as `read`.
     """
-    whole = read(measurements, reference_degc, smooth=False)
+    whole = read(measurements, reference_degc, smooth=False, leave_out_h=leave_out_h)
     off = wrong_readings(whole)
     wrong = np.isfinite(off)
     told = []

@@ -12,17 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.estimation.gls import HeldOut, inverse, solve, without_nuisance
-from rtec.estimation.kinds import SIGMA_PER_MAD, alike, kinds_of, neighbour_noise
+from rtec.estimation.kinds import kinds_of
 from rtec.estimation.noise import Whitener, refine
 from rtec.estimation.readings import Readings
+from rtec.estimation.robust import huber, sigmas
 
 Floats = NDArray[np.float64]
 
-HUBER = 3.0
-"""Residuals beyond so many robust standard deviations of their series count less."""
 ROUNDS = 4
-LEAST_SHARE = 0.02
-"""The robust standard deviation is never below this share of the plain one: quantised residuals are mostly equal."""
 STEPS = 30
 WORSE = 1.04
 """A mean square on held-out runs that is larger by less than this factor is as good."""
@@ -87,22 +84,12 @@ def covariance(by: Whitener | Plain, columns: Floats, spread: Floats) -> Floats:
 
 
 def weights(readings: Readings, noise: Whitener, left: Floats) -> Plain:
-    """Weights by what a fit leaves, (m,): one for each series, less for readings that are far off.
-
-    A quiet run weighs no more than others: what one run shows is not worth a hundred.
-    """
+    """Weights by what a fit leaves, (m,): one for each series, less for readings that are far off."""
     flat = without_nuisance(readings, left)
-    sigma, quick, huber = np.ones(len(readings.series)), np.ones(len(readings.series)), np.ones(len(readings))
-    for i, s in enumerate(readings.series):
-        mine = flat[s.part]
-        robust = SIGMA_PER_MAD * float(np.median(np.abs(mine)))
-        sigma[i] = max(robust, LEAST_SHARE * float(np.sqrt(np.mean(mine**2))), 1e-9)
-        quick[i] = neighbour_noise(mine, s.run)
-    sigma = alike(kinds_of(readings), sigma, quick, np.array([len(s) for s in readings.series]))
-    for s, size in zip(readings.series, sigma, strict=True):
-        far = np.maximum(np.abs(flat[s.part]), 1e-300)
-        huber[s.part] = np.sqrt(np.minimum(1.0, HUBER * size / far))
-    return Plain(readings, noise, sigma, huber)
+    parts = [flat[s.part] for s in readings.series]
+    sigma = sigmas(kinds_of(readings), parts, [s.run for s in readings.series])
+    rows = np.concatenate([huber(part, float(size)) for part, size in zip(parts, sigma, strict=True)])
+    return Plain(readings, noise, sigma, rows)
 
 
 def plain_fit(readings: Readings, noise: Whitener, columns: Floats) -> tuple[Plain, Floats]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, State
 from rtec.errors import MeasurementError, ModelError
-from rtec.estimation.held_out import cut
+from rtec.estimation.held_out import Blocks, cuts
 from rtec.estimation.smoothing import Windows, smoothed
 from rtec.machine import Machine
 from rtec.metrology.instruments.base import Nuisance
@@ -190,7 +190,11 @@ class Readings:
 
 
 def read(
-    measurements: Sequence[Measurement], reference_degc: float = 20.0, *, smooth: bool = True, folds: int = 8
+    measurements: Sequence[Measurement],
+    reference_degc: float = 20.0,
+    *,
+    smooth: bool = True,
+    leave_out_h: float | None = None,
 ) -> Readings:
     """Put the readings of measurements together.
 
@@ -198,7 +202,7 @@ def read(
         measurements: of one machine.
         reference_degc: temperature at which a temperature effect is nothing.
         smooth: smooth the temperatures, as a search for what is missing should.
-        folds: into how many parts the runs are dealt for leaving out.
+        leave_out_h: length of what is held out together, hours; None: as `cuts` has it.
 
     Raises:
         MeasurementError: none given, of different machines, one given twice, or without any reading.
@@ -209,9 +213,10 @@ def read(
     values: list[Floats] = []
     shared: list[list[tuple[str, Floats]]] = []
     start = 0
+    blocks = cuts(measurements, leave_out_h)
     for source, (m, state) in enumerate(zip(measurements, states, strict=True)):
         nuisances = m.instrument.nuisance(state, m.run)
-        fold, run = _folds(m, folds), _runs(m)
+        fold, run = _folds(blocks[source]), _runs(m)
         for lane, column in enumerate(m.instrument.columns()):
             row = np.flatnonzero(np.isfinite(m.readings[column]))
             if not len(row):
@@ -265,11 +270,9 @@ def _runs(m: Measurement) -> Ints:
     return np.concatenate([[0], np.cumsum(np.diff(m.run) != 0)]).astype(np.int64)
 
 
-def _folds(m: Measurement, folds: int) -> Ints:
-    """Whole runs, or stretches of time where there are few: dealt out in turn, so that each fold spans the day."""
-    blocks = cut(m)
-    label = np.repeat(np.arange(len(blocks.edges) - 1), np.diff(blocks.edges))
-    return np.asarray(label % folds, dtype=np.int64)
+def _folds(blocks: Blocks) -> Ints:
+    """Which rows are left out together, (n,)."""
+    return np.repeat(blocks.fold, np.diff(blocks.edges))
 
 
 def _check(measurements: Sequence[Measurement]) -> None:

@@ -31,7 +31,7 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
         title=f"Model of {r.model.machine.name}",
         lead=f"{counted(len(r.model.effects), 'effect')}, {counted(len(r.coefficients), 'coefficient')}: the residual "
         f"is {number(r.held_out_rms)} {unit} on held-out readings and {number(r.inside_rms)} {unit} in sample "
-        f"(standard deviation).{first}",
+        f"(root mean square); the noise floor is {number(r.judged.noise_floor)} {unit}.{first}",
         numbers=[
             (f"{number(r.held_out_rms)}\u00a0{unit}", "residual on held-out readings"),
             (f"{number(r.inside_rms)}\u00a0{unit}", "residual in sample"),
@@ -52,7 +52,7 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
         ],
         foot=[
             "Standard errors come from holding out block by block: they hold for readings correlated within a block.",
-            "Held out: each part is predicted by the fit to all others.",
+            "Held out: blocks are dealt into eight parts in turn; each part is predicted by the fit to all others.",
             f"rtec {__version__}, rtec fit; procedure of [G 3.6].",
         ],
         brief=Section("", [], _brief(r)),
@@ -61,9 +61,9 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
 
 
 def _brief(r: Characterisation) -> Table:
-    rows = [[m.name, number(m.measured), number(m.inside), number(m.held_out), UNITS[m.unit]] for m in r.measurements]
-    head = ("measurement", "measured", "residual in sample", "residual held out", "unit")
-    return Table(head, rows, "Standard deviations.", words=(0, 4))
+    rows = [[m.name, *map(number, (m.measured, m.inside, m.held_out, m.floor)), UNITS[m.unit]] for m in r.measurements]
+    head = ("measurement", "measured", "residual", "held out", "noise floor", "unit")
+    return Table(head, rows, "Root mean squares, as rtec compare has them.", words=(0, 5))
 
 
 def _measurements(r: Characterisation) -> Table:
@@ -75,13 +75,17 @@ def _measurements(r: Characterisation) -> Table:
             number(m.measured),
             number(m.inside),
             number(m.held_out),
+            number(m.floor),
             UNITS[m.unit],
             m.blocks,
         ]
         for m in r.measurements
     ]
-    head = ("measurement", "instrument", "readings", "measured", "in sample", "held out", "unit", "held-out blocks")
-    return Table(head, rows, "Standard deviations of readings and residuals, nuisances removed.", words=(0, 1, 6, 7))
+    head = (
+        "measurement", "instrument", "readings", "measured", "residual", "held out", "noise floor", "unit",
+        "held-out blocks",
+    )  # fmt: skip
+    return Table(head, rows, "Root mean squares, as rtec compare has them; nuisances removed.", words=(0, 1, 7, 8))
 
 
 def _number_words(r: Characterisation) -> list[str]:
@@ -107,7 +111,7 @@ def _search(r: Characterisation, figures: bool) -> list[Section]:
         return []
     rows = [[s.added, number(100 * s.inside, 1), number(100 * s.held_out, 1)] for s in r.steps]
     table = Table(
-        ("added", "in sample, %", "held out, %"), rows, "Residual (standard deviation) in % of that without a model."
+        ("added", "in sample, %", "held out, %"), rows, "Residual (root mean square) in % of that without a model."
     )
     words = [
         "Each step adds the term that lowers the held-out error most. The smallest model within one standard error of "

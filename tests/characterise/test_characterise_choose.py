@@ -100,13 +100,15 @@ def drift(m: Measurement, seed: int, size_um: float, tau_s: float) -> Floats:
     return np.asarray(size_um * step)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_effects_are_found_under_drift_of_minutes(seed: int) -> None:
-    """Oracle: the four effects that made the readings, half their usual size, under that drift."""
-    m = example(seed=seed)
-    result = characterise([with_readings(m, 0.5 * warm(m) + drift(m, seed, 0.2, 1200.0))])
+def test_effects_are_found_under_drift_of_minutes() -> None:
+    """Oracle: the four effects that made the readings, half their usual size, under that drift, on ten days."""
     wanted = {"scale(EXX, X)", "backlash(EXX, X)", "axis_expansion(EXX, X, T_bed)", "mount_expansion(EXX, T_spindle)"}
-    assert wanted <= labels(result)
+    found = []
+    for seed in range(1, 11):
+        m = example(seed=seed)
+        found.append(labels(characterise([with_readings(m, 0.5 * warm(m) + drift(m, seed, 0.2, 1200.0))])))
+    assert sum(len(wanted & f) for f in found) >= 0.85 * 10 * len(wanted)
+    assert sum(len(f - wanted) for f in found) <= 5
 
 
 def test_drift_that_no_sensor_sees_gives_no_tall_model() -> None:

@@ -13,6 +13,7 @@ from rtec.estimation.gram import stream
 from rtec.estimation.gram.normal import Normal, solve
 from rtec.estimation.gram.source import Source
 from rtec.estimation.gram.stream import Term, Walk, gather, predict
+from rtec.estimation.held_out import cut
 from rtec.metrology.measurement import Measurement
 from tests.support.characterise_examples import MACHINE, Probe, ProbeSetup, Tip, effect, measurement, runs
 
@@ -64,7 +65,7 @@ def by_lstsq(m: Measurement, terms: list[Term], keep: NDArray[np.bool_] | None =
 
 
 def gathered(m: Measurement, terms: list[Term], leave_out_h: float | None = None) -> Normal:
-    return gather([Source.of(m, leave_out_h)], terms)
+    return gather([Source.of(m, cut(m, leave_out_h))], terms)
 
 
 @pytest.mark.parametrize("slope", ["none", "run", "setup"])

@@ -85,6 +85,6 @@ def test_the_wrong_reading_is_named_by_all() -> None:
     make, effects = EXAMPLES["turning centre"]
     measured = make()
     result = fit_of(measured, effects)
-    assert [o.row for o in result.outliers if o.left_out] == [17]
+    assert [o.row for o in result.outliers] == [17]
     for notes in (compare(result.model, measured).notes, diagnose(result.model, measured, draws=20).notes):
         assert any("row 18 of run 1" in n for n in notes)

@@ -270,7 +270,7 @@ def no_worse(model: Model, refitted: Joint) -> Joint:
     """A refit that leaves no more of the readings than the model as it stands: else the ordinary fit, else none."""
     readings = refitted.weights.readings
     stands = readings.values - predicted(model.effects, readings)
-    bound = (1.0 + WORTH) * residual_size(model.effects, readings)
+    bound = (1.0 + ROUNDING) * residual_size(model.effects, readings)
     fits = [refitted, *([refitted.plain] if refitted.plain is not None else [])]
     good = [f for f in fits if _size(readings, f.left) <= bound]
     return good[0] if good else replace(refitted, effects=model.effects, left=stands)

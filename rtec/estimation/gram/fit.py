@@ -1,4 +1,4 @@
-"""Fits chosen terms to measurements: weights, outliers, non-linear parameters, coefficients, standard errors."""
+"""Fits chosen terms to measurements: weights, non-linear parameters, coefficients, standard errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,13 +13,13 @@ from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.projection import Polished, polish
 from rtec.estimation.gram.source import Source, flat, thinned
 from rtec.estimation.gram.stream import Progress, Term, gather, predict
-from rtec.estimation.gram.weights import Outlier, describe, from_run_medians, huber_weights, residuals_of, rough_noise
-from rtec.estimation.kinds import alike, neighbour_noise
+from rtec.estimation.gram.weights import residuals_of, rough_noise
+from rtec.estimation.robust import huber, settled, sigmas
 
 Floats = NDArray[np.float64]
 
 ROUNDS = 6
-"""At most so many fits, each with the outliers and the noise that the one before found."""
+"""At most so many fits, each with the weights that the one before found."""
 THREE = 0.00135
 """What is beyond three standard deviations, on one side."""
 LEAST_FREEDOM = 4.0
@@ -37,14 +37,12 @@ class Estimate:
         sources: with the weights of the fit.
         found: terms, normal equations, parameters.
         noise: of each reading column, a (readings,) for each source, in the column's unit.
-        outliers: readings that are off.
         residuals: readings minus prediction and nuisances, a (readings, n) for each source; NaN where none.
     """
 
     sources: tuple[Source, ...]
     found: Polished
     noise: tuple[Floats, ...]
-    outliers: tuple[Outlier, ...] = ()
     residuals: tuple[Floats, ...] = field(default=(), repr=False)
 
     @property
@@ -108,8 +106,8 @@ def estimate(
 ) -> Estimate:
     """Fit terms, beginning with the parameters that they have.
 
-    Readings whose residual is far off count less (`huber_weights`); the noise of each reading column is what the fit
-    leaves in it. Both are found again until they stay.
+    Readings whose residual is far off count less (`robust`); the noise of each reading column is what the fit leaves in
+    it. Both are found again until they stay.
 
     Args:
         sources: measurements; their weights say what is left out from the start.
@@ -121,21 +119,20 @@ def estimate(
         ModelError: too few readings, a term that no reading shows, or terms that cannot be told apart.
     """
     sigma, terms = _first_look(sources, terms, search)
-    judged = [s.weight.copy() for s in sources]
-    current = [_weigh(s, j, n) for s, j, n in zip(sources, judged, sigma, strict=True)]
+    rows = [np.ones(len(s.weight)) for s in sources]
+    current = _weighed(sources, rows, sigma)
     found = _polished(current, terms, search, progress)
     check_seen(found.linear, found.terms)
-    outliers: dict[tuple[int, int], Outlier] = {}
     for last in (False,) * (ROUNDS - 1) + (True,):
         residuals = _residuals(current, found)
-        spread = _noise(current, residuals, found.linear)
-        if last or not (_judge(current, residuals, judged, outliers) or _reweigh(spread, sigma)):
+        spread = _sigmas(current, residuals)
+        now = [_rows(left, size) for left, size in zip(residuals, spread, strict=True)]
+        if last or not (_changed(rows, now, residuals, spread) or _reweigh(spread, sigma)):
             break
-        sigma = spread
-        current = [_weigh(s, j, n) for s, j, n in zip(sources, judged, sigma, strict=True)]
+        rows, sigma = now, spread
+        current = _weighed(sources, rows, sigma)
         found = _polished(current, found.terms, search, progress)
-    told = tuple(outliers[k] for k in sorted(outliers))
-    return Estimate(tuple(current), found, tuple(spread), told, tuple(residuals))
+    return Estimate(tuple(current), found, tuple(_noise(current, residuals, found.linear)), tuple(residuals))
 
 
 def _first_look(sources: Sequence[Source], terms: Sequence[Term], search: bool) -> tuple[list[Floats], Sequence[Term]]:
@@ -148,7 +145,7 @@ def _first_look(sources: Sequence[Source], terms: Sequence[Term], search: bool) 
         look = estimate(few, terms, search=search)
     except ModelError:  # the few readings may not show what all of them do
         return rough, terms
-    return list(look.noise), look.terms
+    return _sigmas(look.sources, look.residuals), look.terms
 
 
 def _reweigh(spread: Sequence[Floats], sigma: Sequence[Floats]) -> bool:
@@ -163,8 +160,12 @@ def _polished(sources: Sequence[Source], terms: Sequence[Term], search: bool, pr
     )
 
 
-def _weigh(source: Source, judged: Floats, sigma: Floats) -> Source:
-    return source.weighted((judged.reshape(-1, source.count) / sigma).ravel())
+def _weighed(sources: Sequence[Source], rows: Sequence[Floats], sigma: Sequence[Floats]) -> list[Source]:
+    """Sources with the weights that they were given, times those of the rows, over the noise of each column."""
+    return [
+        s.weighted(((s.weight * row).reshape(-1, s.count) / size).ravel())
+        for s, row, size in zip(sources, rows, sigma, strict=True)
+    ]
 
 
 def _residuals(sources: Sequence[Source], found: Polished) -> list[Floats]:
@@ -181,21 +182,29 @@ def _residuals(sources: Sequence[Source], found: Polished) -> list[Floats]:
     return out
 
 
-def _judge(
-    sources: Sequence[Source], residuals: Sequence[Floats], judged: list[Floats], told: dict[tuple[int, int], Outlier]
+def _sigmas(sources: Sequence[Source], residuals: Sequence[Floats]) -> list[Floats]:
+    """Robust standard deviation of each reading column, (readings,) for each source."""
+    made_by = [s.measurement.instrument for s in sources]
+    kinds = [(m.name, m.axis, m.component, c) for m in made_by for c in m.columns()]
+    rows = [(row, s.measurement.run) for r, s in zip(residuals, sources, strict=True) for row in r]
+    out = sigmas(kinds, [row for row, _ in rows], [run for _, run in rows])
+    return np.split(out, np.cumsum([len(r) for r in residuals])[:-1])
+
+
+def _rows(left: Floats, sigma: Floats) -> Floats:
+    """Factor of each reading by its residual, (n · readings,)."""
+    return flat(np.stack([huber(row, float(size)) for row, size in zip(left, sigma, strict=True)]))
+
+
+def _changed(
+    rows: Sequence[Floats], now: Sequence[Floats], residuals: Sequence[Floats], sigma: Sequence[Floats]
 ) -> bool:
-    """Weigh readings by their residuals; give whether any weight changed by much."""
-    changed = False
-    told.clear()
-    for i, (source, left) in enumerate(zip(sources, residuals, strict=True)):
-        weight = huber_weights(left, source.measurement.run)
-        now = np.where(judged[i] > 0, weight.T.ravel(), 0.0)
-        changed |= bool(np.any(np.abs(now - judged[i]) > 0.1))
-        for item in describe(source, from_run_medians(left, source.measurement.run), weight):
-            column = source.measurement.instrument.columns().index(item.column)
-            told[i, item.row * source.count + column] = item
-        judged[i] = now
-    return changed
+    """Whether the readings pull otherwise than before."""
+    return not all(
+        settled(before.reshape(left.shape[::-1])[:, j], after.reshape(left.shape[::-1])[:, j], row, float(size[j]))
+        for before, after, left, size in zip(rows, now, residuals, sigma, strict=True)
+        for j, row in enumerate(left)
+    )
 
 
 def _noise(sources: Sequence[Source], residuals: Sequence[Floats], normal: Normal) -> list[Floats]:
@@ -209,15 +218,4 @@ def _noise(sources: Sequence[Source], residuals: Sequence[Floats], normal: Norma
         squares = (np.nan_to_num(left) ** 2 * trust).sum(axis=1) / np.maximum(trust.sum(axis=1), 1.0)
         least = np.maximum(1e-9 * np.nanmax(np.abs(source.measurement.matrix()), axis=1, initial=0.0), 1e-12)
         out.append(np.maximum(np.sqrt(squares) / max(share, 1e-3), least))
-    return _alike(sources, residuals, out)
-
-
-def _alike(sources: Sequence[Source], residuals: Sequence[Floats], spread: Sequence[Floats]) -> list[Floats]:
-    """Noise of each reading column that the weights take: what equal instruments' residuals have in common."""
-    made_by = [s.measurement.instrument for s in sources]
-    kinds = [(m.name, m.axis, m.component, c) for m in made_by for c in m.columns()]
-    rows = [(row, s.measurement.run) for r, s in zip(residuals, sources, strict=True) for row in r]
-    quick = np.array([neighbour_noise(row, run) for row, run in rows])
-    count = np.array([np.count_nonzero(np.isfinite(row)) for row, _ in rows])
-    out = alike(kinds, np.concatenate(spread), quick, count)
-    return np.split(out, np.cumsum([len(s) for s in spread])[:-1])
+    return out

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+PARTS = 10
+"""Neighbouring blocks of a measurement are put together into so many."""
 RIDGE = 1e-11
 """Added to the scaled diagonal: a column that a part of the data does not show at all gets a zero there."""
 NOTHING = 1e-12
@@ -83,6 +85,26 @@ class Normal:
     def by_fold(self) -> Floats:
         """Sum over the blocks of each fold, (folds, columns + 1, columns + 1)."""
         return np.stack([self.gram[self.fold == f].sum(axis=0) for f in self.fold_numbers])
+
+    @cached_property
+    def by_part(self) -> "Normal":
+        """Neighbouring blocks of each measurement made one, and those of all measurements in the same order of time.
+
+        Drift that no sensor sees goes on from block to block: such a part says what a block says too surely.
+        """
+        part = np.zeros(len(self.fold), dtype=np.int64)
+        for s in np.unique(self.source):
+            mine = np.flatnonzero(self.source == s)
+            part[mine] = np.arange(len(mine)) * min(PARTS, len(mine)) // len(mine)
+        number, place = np.unique(part, return_inverse=True)
+        return replace(
+            self,
+            gram=np.stack([self.gram[part == p].sum(axis=0) for p in number]),
+            fold=number,
+            source=np.zeros_like(number),
+            readings=np.bincount(place, self.readings).astype(np.int64),
+            lost=np.bincount(place, self.lost).astype(np.float64),
+        )
 
     @cached_property
     def cells(self) -> tuple[Cell, ...]:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import State
-from rtec.estimation.held_out import Blocks, cut
+from rtec.estimation.held_out import Blocks, cuts
 from rtec.estimation.visible import NO_ARM, longest_arms
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Nuisance
@@ -60,10 +60,10 @@ class Source:
     weight: Floats
 
     @classmethod
-    def of(cls, measurement: Measurement, leave_out_h: float | None = None) -> "Source":
+    def of(cls, measurement: Measurement, blocks: Blocks | None = None) -> "Source":
         """Every reading that is there with weight one."""
         there = np.isfinite(measurement.matrix()).T.ravel()
-        return cls(measurement, cut(measurement, leave_out_h), there.astype(np.float64))
+        return cls(measurement, blocks or cuts([measurement])[0], there.astype(np.float64))
 
     def weighted(self, weight: Floats) -> "Source":
         """The same with other weights."""
