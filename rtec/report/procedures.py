@@ -202,22 +202,31 @@ TITLES = {
     "reversal": "Straightness by reversal of the arbor",
     "pair": "Straightness by a pair of probes and reversal",
     "face": "Straightness and orthogonality on a face",
+    "artefact": "Straightness by turning the artefact over",
 }
 SLOPES = {
-    "reversal": "slope of the line taken out: arbor against the motion",
-    "pair": "slope of the line taken out: arbor against the motion",
+    "reversal": "slope of the line taken out: motion against the spindle's axis",
+    "pair": "slope of the line taken out: motion against the spindle's axis",
     "face": "slope of the line taken out: orthogonality to the spindle's axis",
+    "artefact": "slope of the line taken out: how the artefact was set up",
 }
 STRAIGHTNESS_FORMULAS = {
     "reversal": "m1 = a - s [G 3.1], m2 = a + s [G 3.2], s = (m2 - m1)/2 [G 3.3]; best-fit line taken out.",
     "pair": "s = (p2 after - p1 before)/2 and (p2 before - p1 after)/2 [G 3.3], their mean; best-fit line taken out.",
     "face": "δ = -(m1 + m2)/2 [G 3.8]; best-fit line taken out, its slope is the orthogonality.",
+    "artefact": "m1 = s + a, turned over m2 = s - a, s = (m1 + m2)/2; best-fit line taken out.",
+}
+ARTEFACTS = {
+    "reversal": "profile of the arbor",
+    "pair": "profile of the arbor",
+    "face": "tilt of the face",
+    "artefact": "profile of the artefact",
 }
 
 
 def straightness_page(r: StraightnessResult, figures: bool = True) -> Page:
     """The page for one straightness; without figures it is what the terminal shows."""
-    se = f" ± {2 * r.point_se_um:.2f} µm a point" if np.isfinite(r.point_se_um) else ""
+    se = f" ± {2 * r.point_se_um:.2f} µm a point (k = 2)" if np.isfinite(r.point_se_um) else ""
     numbers = [(f"{r.peak_to_valley_um:.2f}\u00a0µm", "straightness, largest minus smallest")]
     if r.method == "face":
         numbers.append((f"{r.slope_urad:+.1f}\u00a0µrad", "orthogonality to the spindle's axis"))
@@ -227,13 +236,13 @@ def straightness_page(r: StraightnessResult, figures: bool = True) -> Page:
         ["standard error of a point", number(r.point_se_um), "µm"],
         [SLOPES[r.method], number(r.slope_urad), "µrad"],
         ["standard error of that slope", number(r.slope_se_urad), "µrad"],
-        ["sets of readings", str(r.repeats), ""],
+        ["sets of readings" + (", two a run" if r.method == "pair" else ""), str(r.repeats), ""],
     ]
     points = [
         [f"{x:g}", number(s, 3), number(a, 3)]
         for x, s, a in zip(r.position_mm, r.straightness_um, r.artefact_um, strict=True)
     ]
-    other = "tilt of the face e, µm" if r.method == "face" else "profile of the arbor a, µm"
+    other = f"{ARTEFACTS[r.method]} {'e' if r.method == 'face' else 'a'}, µm"
     figure = _straightness_figure(r) if figures else None
     head = [f"{r.axis.lower()}, mm", "straightness, µm", other]
     return Page(
@@ -250,7 +259,7 @@ def straightness_page(r: StraightnessResult, figures: bool = True) -> Page:
 
 
 def _straightness_figure(r: StraightnessResult) -> Figure:
-    below = "Tilt of the face, e" if r.method == "face" else "Profile of the arbor, best-fit line taken out"
+    below = ARTEFACTS[r.method].capitalize() + (", e" if r.method == "face" else ", best-fit line taken out")
     title = f"Straightness of {r.axis}: {r.peak_to_valley_um:.2f} µm"
     png = draw.straightness(
         title, f"{r.axis.lower()}, mm", r.position_mm, r.straightness_um, r.point_se_um, (below, r.artefact_um)

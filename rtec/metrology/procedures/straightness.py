@@ -1,6 +1,6 @@
 """Straightness [G 3.1-3.3, 3.6-3.8] and parallelism to the spindle [G 3.4-3.5], with probes on an arbor or a face.
 
-Straightness: an artefact and its reversal, a pair of probes, or a turned face. Probes read positive as the gap
+Straightness: an arbor and its reversal, a pair of probes, a turned face, or an artefact that is turned over. Probes read positive as the gap
 closes; probe 1 is on the positive side of the arbor, probe 2 on the negative one. The result is that of the probes'
 motion relative to the artefact, positive in the positive direction of the machine coordinate. With probes that read
 positive as the gap opens, give the readings with the other sign.
@@ -23,7 +23,7 @@ from rtec.metrology.procedures.fitting import BestLine, best_line
 from rtec.result import Result
 
 Floats = NDArray[np.float64]
-Method = Literal["reversal", "pair", "face"]
+Method = Literal["reversal", "pair", "face", "artefact"]
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,19 @@ class StraightnessResult(Result):
         method: how it was measured.
         position_mm: (n,), rising.
         straightness_um: (n,).
-        artefact_um: profile of the arbor for reversal and pair, tilt of the face for face, (n,); its own best-fit
-            line is taken out except for the face, where the line is what it shows.
+        artefact_um: profile of the arbor (reversal, pair) or artefact, tilt of the face for face, (n,); its own
+            best-fit line is taken out except for the face, where the line is what it shows.
         peak_to_valley_um: largest minus smallest straightness.
         rms_um: root mean square of the straightness.
-        slope_urad: slope of the line that was taken out. For reversal and pair it is the misalignment of the arbor;
-            for the face the orthogonality: of the motion to the spindle's axis, positive where the motion goes
-            towards positive as the position grows.
+        slope_urad: slope of the line that was taken out, positive where the motion goes towards positive as the
+            position grows. Where the spindle turns (reversal, pair, face) it is that of the motion against the
+            spindle's axis: how the arbor or disk sits in the spindle cancels like its form. Of an artefact that is
+            turned over by hand it is how the artefact was set up, and says nothing of the machine.
         slope_se_urad: its standard error: straightness itself counts as scatter about the line, so it errs on the
             large side.
         point_se_um: standard error of one point from repeats or from the two halves of the pair; NaN where nothing
             was repeated.
-        repeats: sets of readings.
+        repeats: sets of readings; a pair gives two each time.
         words: what the uncertainty rests on, and what this method cannot know.
         name: of the file, or of the measurement.
         axis: that moved.
@@ -94,6 +95,21 @@ def reversal(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> StraightnessR
     m1, m2 = _checked(position_mm, m1_um), _checked(position_mm, m2_um)
     words = ["The arbor turns with the spindle: an error of the spindle's 180° index counts as straightness."]
     return _result("reversal", position_mm, (m2 - m1) / 2, (m1 + m2) / 2, words)
+
+
+def artefact(position_mm: Floats, m1_um: Floats, m2_um: Floats) -> StraightnessResult:
+    """Straightness from one probe on an artefact before and after it was turned over: m1 = s + a, m2 = s - a.
+
+    Args:
+        position_mm: (n,).
+        m1_um, m2_um: readings, positive as the tool moves to positive, (n,) or (repeats, n).
+
+    Raises:
+        MeasurementError: as for `reversal`.
+    """
+    m1, m2 = _checked(position_mm, m1_um), _checked(position_mm, m2_um)
+    words = ["The slope of the line is how the artefact was set up: it says nothing of the machine."]
+    return _result("artefact", position_mm, (m1 + m2) / 2, (m1 - m2) / 2, words)
 
 
 def pair(position_mm: Floats, probe1_um: Floats, probe2_um: Floats) -> StraightnessResult:

@@ -16,6 +16,7 @@ from rtec.metrology.procedures.iso230_2 import Visits
 from rtec.metrology.procedures.straightness import (
     ParallelismResult,
     StraightnessResult,
+    artefact,
     face,
     pair,
     parallelism,
@@ -289,10 +290,10 @@ def straightness_of(measurement: Measurement) -> StraightnessResult:
             f"{name}: {len(plain)} runs before and {len(turned)} after reversal; each needs its partner"
         )
     try:
-        found = reversal(places, -np.stack(plain), np.stack(turned))
+        found = artefact(places, np.stack(plain), np.stack(turned))
     except MeasurementError as e:
         raise MeasurementError(f"{name}: {e}") from e
-    return replace(found, artefact_um=-found.artefact_um, name=name, axis=axis, notes={name: measurement.notes})
+    return replace(found, name=name, axis=axis, notes={name: measurement.notes})
 
 
 def _run(name: str, run: int, places: Floats, position: Floats, reading: Floats, rows: NDArray[np.bool_]) -> Floats:
