@@ -160,6 +160,29 @@ def test_a_laser_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "--machine" in capsys.readouterr().err
 
 
+def test_a_straightedge_that_is_turned_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: slide and straightedge of made-up forms, s + a and s - a; it was set up 12 µrad askew, in no spindle."""
+    z = np.arange(0.0, 301.0, 25.0)
+    columns = {
+        "run": np.repeat([1, 2], len(z)), "time_s": 10.0 * np.arange(2 * len(z)), "z_mm": np.r_[z, z],
+        "reading_um": np.r_[SLIDE + ARBOR, SLIDE - ARBOR] + 0.012 * np.r_[z, z],
+    }  # fmt: skip
+    head = {
+        "measurement": {"instrument": "straightness", "axis": "Z", "machine": "turning-centre"},
+        "setup": {"direction": "X", "reversed_runs": [2]},
+    }
+    file = measurement(tmp_path, "edge", head, columns)
+    r = as_json(["straightness", file, "--machine", MACHINE], capsys)
+    assert r["method"] == "artefact"
+    np.testing.assert_allclose(r["straightness_um"], SLIDE - SLIDE.mean(), atol=1e-9)
+    np.testing.assert_allclose(r["artefact_um"], ARBOR - np.polyval(np.polyfit(z, ARBOR, 1), z), atol=1e-9)
+    assert r["slope_urad"] == pytest.approx(12.0)
+    assert status(["straightness", file, "--machine", MACHINE]) == 0
+    said = capsys.readouterr().out
+    assert "how the artefact was set up" in said
+    assert "spindle" not in said
+
+
 def test_a_drift_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: probes 60 mm apart; the second reads with the other sign, which the set-up tells."""
     time = np.arange(0.0, 8 * 3600.0, 600.0)

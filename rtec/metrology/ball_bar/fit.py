@@ -193,9 +193,9 @@ ROUNDS = 3
 
 
 AGAINST = 3.0
-"""A further cause has to lessen the sum of squares by so many variances more than its parameters to be as likely."""
-SEPARATE = 1e-3
-"""A cause whose columns are less than this beside the others' is not separated from them."""
+"""Twice the logarithm of the odds that speak against a further cause before any reading: about one in five is there."""
+USUAL_UM = 1.0
+"""A cause that is there makes about so much of a circle, largest minus smallest."""
 LEAST_UM = 1e-6
 """Noise below this is none; what is known before the readings then still counts."""
 
@@ -269,8 +269,10 @@ def weight_of(gained: float, count: int) -> float:
 def allowing(solved: Solution, dropped: Sequence[Floats], circles: Sequence[CircleTest], noise: AngleNoise) -> Solution:
     """A solution that allows for causes which are not beyond chance and may be there all the same.
 
-    Each parameter is the mean of the fit without and with each of them, by the weights of both; the covariance holds
-    how far the two are apart. What noise hides of one cause then does not make another one surer than it is.
+    Each parameter is the mean of the fit without and with each of them, by the probabilities of both; the covariance
+    holds how far the two are apart. What noise hides of one cause then does not make another one surer than it is. A
+    cause that is there makes about `USUAL_UM` of a circle: where the readings would show far less, there is little that
+    noise can hide.
 
     Args:
         solved: without them.
@@ -283,20 +285,22 @@ def allowing(solved: Solution, dropped: Sequence[Floats], circles: Sequence[Circ
     power = max(solved.sigma_um, LEAST_UM) ** 2 * solved.correlation
     found, covariance = solved.found, solved.covariance
     for columns in dropped:
-        white = noise.whiten(circles, columns)
+        range_ = np.ptp(columns, axis=0)
+        if not (range_ > LEAST_UM).all():
+            continue
+        # In units of its usual size a cause is 0 ± 1 before the readings.
+        white = noise.whiten(circles, columns * (USUAL_UM / range_))
         share = basis.T @ white
         own = white - basis @ share
-        whole = np.linalg.norm(white, axis=0)
-        if not (np.linalg.norm(own, axis=0) > SEPARATE * whole).all():
-            continue
-        normal = np.linalg.pinv(own / whole, rcond=SEPARATE) / whole[:, None]
-        normal = normal @ normal.T
-        sizes = normal @ (own.T @ solved.residual)
-        weight = weight_of(float(sizes @ own.T @ solved.residual) / power, own.shape[1])
+        known = own.T @ own / power
+        after = np.linalg.inv(np.eye(len(known)) + known)
+        sizes = after @ (own.T @ solved.residual) / power
+        evidence = float(sizes @ own.T @ solved.residual) / power - float(np.linalg.slogdet(np.eye(len(known)) + known)[1])
+        weight = 1.0 / (1.0 + math.exp(min(0.5 * (AGAINST - evidence), 500.0)))
         shift = -inverse @ share
         apart = shift @ sizes
         found = found + weight * apart
-        covariance = covariance + weight * power * shift @ normal @ shift.T
+        covariance = covariance + weight * shift @ after @ shift.T
         covariance = covariance + weight * (1.0 - weight) * np.outer(apart, apart)
     return replace(solved, found=found, covariance=covariance)
 
