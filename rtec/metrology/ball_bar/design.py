@@ -188,14 +188,27 @@ class BarDesign:
 
     def second_order_um(self, kept: Sequence[int], values: Floats) -> Floats:
         """What the exact length adds to the first order, µm, (n,), for some of the parameters."""
-        moved = np.einsum("nkd,k->nd", self.tips[:, kept], values)
-        moved = (moved + np.einsum("nkd,k->nd", self.squares[:, kept], values**2)) * 1e-3
         before = np.linalg.norm(self.bar_mm, axis=1)
+        moved = self._moved_mm(kept, values)
         after = np.linalg.norm(self.bar_mm + moved, axis=1)
         exact = (2.0 * self.bar_mm * moved + moved**2).sum(axis=1) / (after + before) * 1e3
         along = self.bar_mm / before[:, None]
         first = np.einsum("nd,nkd,k->n", along, self.tips[:, kept], values)
         return np.asarray(exact - first, dtype=np.float64)
+
+    def slopes(self, kept: Sequence[int], values: Floats) -> Floats:
+        """Reading, µm, per unit of some of the parameters, (n, kept), at these values: the bar has turned."""
+        before = self.bar_mm / np.linalg.norm(self.bar_mm, axis=1, keepdims=True)
+        after = self.bar_mm + self._moved_mm(kept, values)
+        after = after / np.linalg.norm(after, axis=1, keepdims=True)
+        turned = np.einsum("nd,nkd->nk", after - before, self.tips[:, kept])
+        squares = np.einsum("nd,nkd->nk", after, self.squares[:, kept]) * (2.0 * values)
+        return np.asarray(self.columns[:, kept] + turned + squares, dtype=np.float64)
+
+    def _moved_mm(self, kept: Sequence[int], values: Floats) -> Floats:
+        """How far one ball has moved against the other, (n, 3)."""
+        first = np.einsum("nkd,k->nd", self.tips[:, kept], values)
+        return np.asarray((first + np.einsum("nkd,k->nd", self.squares[:, kept], values**2)) * 1e-3)
 
 
 def stacked_design(of: Sequence[Cause], circles: Sequence[CircleTest]) -> Floats:

@@ -189,11 +189,11 @@ def _value(
 
 Floats = NDArray[np.float64]
 ROUNDS = 3
-"""Linear fits in a row, each with the second order that the one before has found; a third changes nothing any more."""
+"""Steps to the exact length of the bar, each along the slopes where the last one ended; a fourth changes nothing."""
 
 
 AGAINST = 3.0
-"""Twice the logarithm of the odds that speak against a further cause before any reading: about one in five is there."""
+"""A further cause has to lessen the sum of squares by so many variances more than its parameters to be as likely."""
 USUAL_UM = 1.0
 """A cause that is there makes about so much of a circle, largest minus smallest."""
 LEAST_UM = 1e-6
@@ -237,20 +237,33 @@ def solve(
         circles: tests that they are of, in their order.
         noise: its shape.
     """
-    columns = noise.whiten(circles, design.columns[:, kept])
-    size = np.linalg.norm(columns, axis=0)
     prior = np.array([design.labels[i].prior for i in kept])
     # What is known before is one more reading of that parameter, as sure as it is against the readings' noise.
     before = np.diag(1.0 / prior)[np.isfinite(prior)]
-    found, scale = np.zeros(len(kept)), LEAST_UM
-    for _ in range(ROUNDS):
-        first_order = noise.whiten(circles, (reading_um - design.second_order_um(kept, found))[:, None])[:, 0]
-        whole = np.concatenate([columns, scale * before]) / size
-        found = np.linalg.lstsq(whole, np.append(first_order, np.zeros(len(before))), rcond=None)[0] / size
-        left = first_order - columns @ found
+
+    def residual(values: Floats) -> Floats:
+        made = design.columns[:, kept] @ values + design.second_order_um(kept, values)
+        return noise.whiten(circles, (reading_um - made)[:, None])[:, 0]
+
+    def spread(left: Floats) -> Number:
         sigma = float(np.sqrt(left @ left / max(len(left) - len(kept) + len(before), 1)))
-        rows = in_a_row(left, [len(c) for c in circles])
+        return sigma, in_a_row(left, [len(c) for c in circles])
+
+    found = np.zeros(len(kept))
+    left = residual(found)
+    columns = noise.whiten(circles, design.columns[:, kept])
+    size = np.linalg.norm(columns, axis=0)
+    sigma, rows = spread(left - columns @ (np.linalg.lstsq(columns / size, left, rcond=None)[0] / size))
+    for _ in range(ROUNDS):
         scale = max(sigma * np.sqrt(rows), LEAST_UM)
+        whole = np.concatenate([columns, scale * before]) / size
+        step = np.linalg.lstsq(whole, np.append(left, -scale * before @ found), rcond=None)[0] / size
+        found = found + step
+        left = residual(found)
+        columns = noise.whiten(circles, design.slopes(kept, found))
+        size = np.linalg.norm(columns, axis=0)
+        sigma, rows = spread(left)
+    scale = max(sigma * np.sqrt(rows), LEAST_UM)
     triangle = np.linalg.qr(np.concatenate([columns, scale * before]) / size, mode="r")
     inverse = np.linalg.solve(triangle, np.eye(len(kept))) / size[:, None]
     return Solution(found, sigma**2 * rows * inverse @ inverse.T, sigma, rows, columns, left)
@@ -266,43 +279,40 @@ def weight_of(gained: float, count: int) -> float:
     return 1.0 / (1.0 + math.exp(min(0.5 * (count + AGAINST - gained), 500.0)))
 
 
-def allowing(solved: Solution, dropped: Sequence[Floats], circles: Sequence[CircleTest], noise: AngleNoise) -> Solution:
+def allowing(solved: Solution, more: Sequence[Floats], circles: Sequence[CircleTest], noise: AngleNoise) -> Solution:
     """A solution that allows for causes which are not beyond chance and may be there all the same.
 
-    Each parameter is the mean of the fit without and with each of them, by the probabilities of both; the covariance
-    holds how far the two are apart. What noise hides of one cause then does not make another one surer than it is. A
-    cause that is there makes about `USUAL_UM` of a circle: where the readings would show far less, there is little that
-    noise can hide.
+    Each parameter is its mean over all that may be: nothing further, or one of these sets of causes, each with its
+    probability; the covariance holds how far they are apart. What noise hides of one cause then does not make another
+    one surer than it is. Before the readings all are at even odds, and a cause that is there makes about `USUAL_UM` of
+    a circle: where the readings would show far less, there is little that noise can hide.
 
     Args:
-        solved: without them.
-        dropped: their columns, (n, m) each.
+        solved: with nothing further.
+        more: columns of each set, (n, m) each.
         circles, noise: see `solve`.
     """
-    size = np.linalg.norm(solved.columns, axis=0)
-    basis, triangle = np.linalg.qr(solved.columns / size)
-    inverse = np.linalg.pinv(triangle) / size[:, None]
     power = max(solved.sigma_um, LEAST_UM) ** 2 * solved.correlation
-    found, covariance = solved.found, solved.covariance
-    for columns in dropped:
+    evidence, apart, within = [0.0], [np.zeros(len(solved.found))], [solved.covariance]
+    for columns in more:
         range_ = np.ptp(columns, axis=0)
         if not (range_ > LEAST_UM).all():
             continue
         # In units of its usual size a cause is 0 ± 1 before the readings.
         white = noise.whiten(circles, columns * (USUAL_UM / range_))
-        share = basis.T @ white
-        own = white - basis @ share
-        known = own.T @ own / power
-        after = np.linalg.inv(np.eye(len(known)) + known)
-        sizes = after @ (own.T @ solved.residual) / power
-        evidence = float(sizes @ own.T @ solved.residual) / power - float(np.linalg.slogdet(np.eye(len(known)) + known)[1])
-        weight = 1.0 / (1.0 + math.exp(min(0.5 * (AGAINST - evidence), 500.0)))
-        shift = -inverse @ share
-        apart = shift @ sizes
-        found = found + weight * apart
-        covariance = covariance + weight * shift @ after @ shift.T
-        covariance = covariance + weight * (1.0 - weight) * np.outer(apart, apart)
-    return replace(solved, found=found, covariance=covariance)
+        shift = -solved.covariance @ (solved.columns.T @ white) / power
+        precision = np.eye(white.shape[1]) + white.T @ (white + solved.columns @ shift) / power
+        after, slope = np.linalg.inv(precision), white.T @ solved.residual / power
+        sizes = after @ slope
+        evidence.append(0.5 * (float(sizes @ slope) - float(np.linalg.slogdet(precision)[1])))
+        apart.append(shift @ sizes)
+        within.append(solved.covariance + shift @ after @ shift.T)
+    weight = np.exp(np.array(evidence) - max(evidence))
+    weight /= weight.sum()
+    mean = weight @ apart
+    away = np.array(apart) - mean
+    covariance = np.einsum("m,mij->ij", weight, within) + (away.T * weight) @ away
+    return replace(solved, found=solved.found + mean, covariance=covariance)
 
 
 def in_a_row(left: Floats, lengths: Sequence[int]) -> float:
@@ -341,7 +351,8 @@ class Beyond:
         clearance_um: of both axes; readings where an axis still crosses it are not used.
         late_s: it may do so by so much later.
         beside: causes that are not separated from a pick: nothing of the pick is determined without them.
-        dropped: causes that were looked for and are not beyond chance, each with its parameters.
+        dropped: causes that were looked for and are not beyond chance, each by itself, and the same effect of both axes
+            together: a pair can hide where neither of them does.
     """
 
     picks: tuple[Pick, ...] = ()

@@ -10,6 +10,7 @@ Readings near the quadrants have a noise of their own: where the spikes are not 
 residual there must not pull at the rest.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -237,14 +238,13 @@ def _beside(picks: Sequence[Pick], left_out: Sequence[NotLookedFor]) -> Iterator
 
 
 def _dropped(work: SearchState, stays: Sequence[int]) -> Iterator[tuple[Cause, ...]]:
-    """What was dropped, the same effect of both axes together: a pair can hide where neither of them does."""
-    out: dict[str, list[Cause]] = {}
-    for i in work.everything:
-        if i not in stays:
-            candidate = work.table.tried[i]
-            key = candidate.effect if candidate.kind == "plain" else candidate.name
-            out.setdefault(key, []).extend(candidate.make((candidate.ways_mm or (0.0,))[work.way[i]]))
-    yield from map(tuple, out.values())
+    """What was dropped, each by itself, and the same effect of both axes together."""
+    dropped = [(work.table.tried[i], work.way[i]) for i in work.everything if i not in stays]
+    causes = {c.name: c.make((c.ways_mm or (0.0,))[way]) for c, way in dropped}
+    yield from causes.values()
+    for (one, _), (other, _) in itertools.combinations(dropped, 2):
+        if one.effect == other.effect and one.axis != other.axis and one.kind == "plain":
+            yield causes[one.name] + causes[other.name]
 
 
 def _too_few(table: CandidateTable, count: int) -> Iterator[NotLookedFor]:

@@ -1,9 +1,9 @@
 """Straightness [G 3.1-3.3, 3.6-3.8] and parallelism to the spindle [G 3.4-3.5], with probes on an arbor or a face.
 
-Straightness: an arbor and its reversal, a pair of probes, a turned face, or an artefact that is turned over. Probes read positive as the gap
-closes; probe 1 is on the positive side of the arbor, probe 2 on the negative one. The result is that of the probes'
-motion relative to the artefact, positive in the positive direction of the machine coordinate. With probes that read
-positive as the gap opens, give the readings with the other sign.
+Straightness: an arbor and its reversal, a pair of probes, a turned face, or an artefact that is turned over. Probes
+read positive as the gap closes; probe 1 is on the positive side of the arbor, probe 2 on the negative one. The result
+is that of the probes' motion relative to the artefact, positive in the positive direction of the machine coordinate.
+With probes that read positive as the gap opens, give the readings with the other sign.
 
 Parallelism: two probes 180° apart read a turning arbor at two or more places along the motion. Its mean over a turn
 frees a reading from the arbor's eccentricity; the difference of the probes frees it from the arbor's taper. The
