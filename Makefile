@@ -131,20 +131,21 @@ install-venv: check-paths
 install-files: check-paths
 	install -d $(DESTDIR)$(UNITS) $(DESTDIR)$(PREFIX)/lib/sysusers.d $(DESTDIR)$(SYSCONFDIR)/udev/rules.d \
 	  $(DESTDIR)$(PREFIX)/share/doc/rtec $(DESTDIR)$(SYSCONFDIR)/rtec
-	sed -e 's|@PREFIX@|$(PREFIX)|g; s|@SYSCONFDIR@|$(SYSCONFDIR)|g' systemd/rtec@.service.in > $(DESTDIR)$(UNITS)/rtec@.service
+	for unit in rtec@ rtec-telemetry@; do sed -e 's|@PREFIX@|$(PREFIX)|g; s|@SYSCONFDIR@|$(SYSCONFDIR)|g' \
+	  systemd/$$unit.service.in > $(DESTDIR)$(UNITS)/$$unit.service || exit 1; done
 	install -m 644 systemd/rtec.sysusers $(DESTDIR)$(PREFIX)/lib/sysusers.d/rtec.conf
 	install -m 644 systemd/70-rtec.rules $(DESTDIR)$(SYSCONFDIR)/udev/rules.d/70-rtec.rules
-	install -m 644 systemd/network.conf docs/service.md docs/runbook.md $(DESTDIR)$(PREFIX)/share/doc/rtec
+	install -m 644 systemd/network.conf docs/service.md docs/runbook.md docs/telemetry.md $(DESTDIR)$(PREFIX)/share/doc/rtec
 	cd configs && find machines models sim turning-centre-sim.toml -name '*.toml' | while read -r f; do \
 	  to="$(DESTDIR)$(SYSCONFDIR)/rtec/$$f"; [ -e "$$to" ] || { install -D -m 644 "$$f" "$$to" && sed -i '/^log_folder = /d' "$$to"; } || exit 1; done
 	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || { systemd-sysusers && systemctl daemon-reload && udevadm control --reload; }
 
 uninstall: check-paths  ## remove what make install made; configurations, state and logs stay
-	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || { systemctl stop 'rtec@*.service'; \
-	  for link in /etc/systemd/system/*.wants/rtec@*.service; do [ ! -h "$$link" ] || systemctl disable "$$(basename "$$link")"; done; }
+	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || { systemctl stop 'rtec@*.service' 'rtec-telemetry@*.service'; \
+	  for link in /etc/systemd/system/*.wants/rtec@*.service /etc/systemd/system/*.wants/rtec-telemetry@*.service; do [ ! -h "$$link" ] || systemctl disable "$$(basename "$$link")"; done; }
 	rm -rf $(DESTDIR)$(LIB) $(DESTDIR)$(PREFIX)/share/doc/rtec
 	rm -f $(DESTDIR)$(PREFIX)/bin/rtec $(DESTDIR)$(PREFIX)/share/bash-completion/completions/rtec \
-	  $(DESTDIR)$(UNITS)/rtec@.service $(DESTDIR)$(PREFIX)/lib/sysusers.d/rtec.conf \
+	  $(DESTDIR)$(UNITS)/rtec@.service $(DESTDIR)$(UNITS)/rtec-telemetry@.service $(DESTDIR)$(PREFIX)/lib/sysusers.d/rtec.conf \
 	  $(DESTDIR)$(SYSCONFDIR)/udev/rules.d/70-rtec.rules
 	[ -n "$(DESTDIR)" ] || [ ! -d /run/systemd/system ] || { systemctl daemon-reload && udevadm control --reload; }
 	@echo "$(SYSCONFDIR)/rtec, /var/lib/rtec, /var/log/rtec and the user rtec stay; remove them by hand"

@@ -36,6 +36,7 @@ from rtec.cli import (
     simulate,
     studio,
     table,
+    telemetry,
 )
 from rtec.cli import control as ctl
 from rtec.cli import control as status_command
@@ -93,6 +94,7 @@ GROUPS: Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]] = {
     },
     "Look": {
         "status": status_command.status,
+        "telemetry": telemetry.telemetry,
         "log": log.app,
         "machine": machine.app,
         "drivers": drivers.drivers,

@@ -153,9 +153,15 @@ class Desk:
     def status(self) -> dict[str, Any]:
         """Everything that the daemon reports of itself."""
         status, model = self.daemon.status, self.daemon.setup.model
+        per_mm = {axis.name: axis.counts_per_mm for axis in model.machine.axes}
         total, newest = self.daemon.recent_events(EVENTS)
         age_s = (self.clock.now_ns() - status.time_ns) * 1e-9 if status.time_ns else None
-        facts = {**vars(status), "flags": [f.name for f in status.flags], "reasons": status.reasons}
+        facts = {
+            **vars(status),
+            "position_mm": {axis: counts / per_mm[axis] for axis, counts in status.counts.items()},
+            "flags": [f.name for f in status.flags],
+            "reasons": status.reasons,
+        }
         content = {
             **self.origin,
             "model": model.name,

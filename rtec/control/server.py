@@ -330,6 +330,7 @@ def _origin(setup: Setup) -> dict[str, Any]:
         "config": str(setup.path.resolve()),
         "machine": setup.machine.name,
         "axes": list(setup.machine.axis_names),
+        "sensors": list(setup.machine.sensor_names),
         "rate_hz": setup.file.run.rate_hz,
         "pid": os.getpid(),
         "started": wall_clock_iso(),

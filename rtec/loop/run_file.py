@@ -3,7 +3,6 @@
 It is read whole and checked whole, with everything that it names; all faults are reported at once.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,14 +18,13 @@ from rtec.correction.tables.predict import grid_mm, table_axes
 from rtec.correction.tables.table import CompensationTable
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.step import Inputs, StepSettings, loop_faults
+from rtec.loop.telemetry_tables import LOOPBACK, TelemetryTable, is_place
 from rtec.machine import Machine, load_machine
 from rtec.model import Model, load_model
 from rtec.quantities import DegreesCelsius, MicrometresPositive, Millimetres, MillimetresPositive, RevolutionsPerMinute
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
 
-PLACE: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|\*|[^:/\[\]\s]+):(?P<port>\d{1,5})")
 NO_DEVICES: Final = {"role": {"counts": "none", "actuator": "none"}, "device": {}}
-LOOPBACK: Final = re.compile(r"(127\.\d{1,3}\.\d{1,3}\.\d{1,3}|localhost):\d{1,5}")
 
 
 class ControlTable(Strict):
@@ -60,8 +58,7 @@ class ControlTable(Strict):
     @model_validator(mode="after")
     def _places(self) -> Self:
         if self.prometheus is not None:
-            match = PLACE.fullmatch(self.prometheus)
-            if match is None or not 0 < int(match["port"]) < 65536:
+            if not is_place(self.prometheus):
                 raise ValueError(f'prometheus: {self.prometheus!r} is not "host:port"')
         if self.prometheus is not None and not LOOPBACK.fullmatch(self.prometheus):
             raise ValueError(
@@ -212,6 +209,7 @@ class RunFile(Strict):
         log: rules for the logs in `log_folder`.
         control: sockets of the daemon.
         table: compensation tables that the daemon rewrites.
+        telemetry: what `rtec telemetry` publishes.
         capture: how `rtec replay` reads a logic-analyser capture.
         hil: the simulated machine behind the buses; `rtec hil` alone reads it.
     """
@@ -227,6 +225,7 @@ class RunFile(Strict):
     log: LogTable = Field(default_factory=LogTable)
     control: ControlTable = Field(default_factory=ControlTable)
     table: TableRewrites | None = None
+    telemetry: TelemetryTable = Field(default_factory=TelemetryTable)
     capture: CaptureTable | None = None
     hil: dict[str, Any] | None = None
 

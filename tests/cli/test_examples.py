@@ -22,6 +22,7 @@ NOT_RUN = {
     "hil": "takes 80 s: tests/hil",
     "ctl": "needs a running daemon: tests/control",
     "status": "needs a running daemon: tests/control",
+    "telemetry": "needs a broker: tests/telemetry",
     "run": "ends after 10 s, or never: tests/hil",
     "log tail": "follows without end: tests/cli/test_cli_log.py",
     "diagnose": "half a minute: tests/tutorial",

@@ -55,10 +55,11 @@ def unit(installed: Path) -> dict[str, list[str]]:
 
 @needs_make
 @needs_systemd
-def test_systemd_finds_nothing_wrong(installed: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["rtec", "rtec-telemetry"])
+def test_systemd_finds_nothing_wrong(installed: Path, tmp_path: Path, name: str) -> None:
     """`systemd-analyze verify`, of an instance; only units that every system has are missing here."""
-    instance = tmp_path / "rtec@mill.service"
-    text = (installed / UNIT).read_text().replace("/usr/bin/rtec", "/bin/true")
+    instance = tmp_path / f"{name}@mill.service"
+    text = (installed / UNIT).with_name(f"{name}@.service").read_text().replace("/usr/bin/rtec", "/bin/true")
     instance.write_text(text)
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(instance)],
@@ -101,6 +102,20 @@ def test_the_unit_says_what_the_daemon_does(unit: dict[str, list[str]]) -> None:
     assert unit["RuntimeDirectoryPreserve"] == ["yes"]  # the ledger outlives a kill in there
     folders = [unit[f"{name}Directory"][0] for name in ("Runtime", "State", "Logs")]
     assert folders == ["rtec/%i"] * 3
+
+
+@needs_make
+def test_what_publishes_has_the_network_and_no_device(installed: Path) -> None:
+    """Oracle: what `rtec telemetry` does: it asks a local socket, speaks TCP, ends with 130."""
+    unit = directives((installed / UNIT).with_name("rtec-telemetry@.service").read_text())
+    assert unit["ExecStart"] == ["/usr/bin/rtec telemetry /etc/rtec/%i.toml"]
+    assert unit["RestrictAddressFamilies"] == ["AF_UNIX AF_INET AF_INET6"]
+    assert unit["DevicePolicy"] == ["closed"]
+    assert "DeviceAllow" not in unit
+    assert "LimitRTPRIO" not in unit
+    assert unit["SuccessExitStatus"] == ["130"]
+    assert unit["KillMode"] == ["mixed"]
+    assert "RuntimeDirectory" not in unit  # the daemon's socket is there; this must not make or remove it
 
 
 @needs_make

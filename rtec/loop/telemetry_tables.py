@@ -1,0 +1,82 @@
+"""`[telemetry]` of a run file: what `rtec telemetry` publishes in the network of a shop, and to whom.
+
+The daemon itself reads none of it: it checks the keys with the rest of its file, and stays off the network.
+"""
+
+import re
+from pathlib import Path
+from typing import Annotated, Final, Self
+
+from pydantic import Field, model_validator
+
+from rtec.tomlfile import Strict
+
+PLACE: Final = re.compile(r"(?P<host>\[[0-9a-fA-F:.]+\]|\*|[^:/\[\]\s]+):(?P<port>\d{1,5})")
+LOOPBACK: Final = re.compile(r"(127\.\d{1,3}\.\d{1,3}\.\d{1,3}|localhost):\d{1,5}")
+_TOPIC: Final = re.compile(r"[^\s+#/$][^\s+#/]*(/[^\s+#/]+)*")
+
+
+def is_place(text: str) -> bool:
+    """Is it "host:port"?"""
+    match = PLACE.fullmatch(text)
+    return match is not None and 0 < int(match["port"]) < 65536
+
+
+def host_and_port(place: str) -> tuple[str, int]:
+    """Give both of them."""
+    host, _, port = place.rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+class MqttTable(Strict):
+    """`[telemetry.mqtt]`: the broker that values and events are sent to.
+
+    Attributes:
+        broker: "host:port" of the broker.
+        topic: first part of every topic; not given: "rtec/NAME" with the run file's name.
+        period_s: time from one message with values to the next.
+        tls: speak TLS, and check the broker's certificate.
+        ca_file: certificate that the broker's is checked against; not given: those that this computer trusts.
+        certificate_file: of this client, where the broker asks for one.
+        key_file: its private key.
+        user: name at the broker.
+        password_file: file with that user's password and nothing else.
+    """
+
+    broker: str
+    topic: str | None = None
+    period_s: Annotated[float, Field(ge=0.1, le=3600)] = 1.0
+    tls: bool = True
+    ca_file: Path | None = None
+    certificate_file: Path | None = None
+    key_file: Path | None = None
+    user: str | None = None
+    password_file: Path | None = None
+
+    @model_validator(mode="after")
+    def _safe(self) -> Self:
+        if not is_place(self.broker):
+            raise ValueError(f'broker: {self.broker!r} is not "host:port"')
+        if self.topic is not None and not _TOPIC.fullmatch(self.topic):
+            raise ValueError(f"topic: {self.topic!r}: names with '/' between them, without blanks, '+', '#', '$' first")
+        if (self.certificate_file is None) != (self.key_file is None):
+            raise ValueError("certificate_file and key_file go together: give both or none")
+        if (self.user is None) != (self.password_file is None):
+            raise ValueError("user and password_file go together: give both or none")
+        if not self.tls and (self.ca_file or self.certificate_file):
+            raise ValueError("ca_file and certificate_file are of TLS: take out `tls = false`")
+        if not self.tls and self.password_file and not LOOPBACK.fullmatch(self.broker):
+            raise ValueError(
+                "password_file: without TLS everybody on the network reads the password: take out `tls = false`"
+            )
+        return self
+
+
+class TelemetryTable(Strict):
+    """`[telemetry]`: what `rtec telemetry` publishes; nothing where it is not given. All of it is read-only.
+
+    Attributes:
+        mqtt: values and events to an MQTT broker.
+    """
+
+    mqtt: MqttTable | None = None

@@ -1,0 +1,69 @@
+"""Follows a daemon by its local socket, for reading only, and keeps its newest status."""
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from rtec.control.messages import RequestError, read_answer, request
+from rtec.control.places import of_config
+from rtec.errors import RtecError
+from rtec.telemetry.values import stands
+
+LARGEST_STATUS: Final = 4 * 1024 * 1024
+SILENT_S: Final = 15.0
+"""A daemon that sends no status for so long is lost; `status_hz` is 0.1 at least."""
+AGAIN_S: Final = 0.5
+"""Rest before the next attempt to reach a daemon that does not run."""
+
+
+class Follower:
+    """Keeps the newest status while `follow` runs.
+
+    Args:
+        config: the run file of the daemon.
+        name: of the protocol, as the daemon's events show it.
+
+    Attributes:
+        found: the newest status; None where no daemon answers.
+    """
+
+    def __init__(self, config: Path, name: str) -> None:
+        self._config, self._name = config, name
+        self.found: Mapping[str, Any] | None = None
+
+    @property
+    def live(self) -> Mapping[str, Any] | None:
+        """The newest status if its values are those of now; else None."""
+        return None if self.found is None or stands(self.found) else self.found
+
+    @property
+    def state(self) -> str:
+        """In words: "running", "loop stands" or "no daemon"."""
+        return "no daemon" if self.found is None else "running" if self.live else "loop stands"
+
+    async def follow(self) -> None:
+        """Follow until cancelled, over restarts of the daemon."""
+        while True:
+            for path in of_config(self._config):
+                try:
+                    await self._read(path)
+                except (OSError, RequestError, RtecError, EOFError, TimeoutError, asyncio.LimitOverrunError):
+                    continue
+                finally:
+                    self.found = None
+            await asyncio.sleep(AGAIN_S)
+
+    async def _read(self, path: Path) -> None:
+        reader, writer = await asyncio.open_unix_connection(path, limit=LARGEST_STATUS)
+        try:
+            writer.write(request("as", 0, name=self._name, role="read") + b"\n" + request("watch", 1) + b"\n")
+            while True:
+                async with asyncio.timeout(SILENT_S):
+                    answer = read_answer(await reader.readuntil(b"\n"))
+                if "error" in answer or "refused" in answer:
+                    raise RtecError(str(answer))
+                if "status" in answer:
+                    self.found = answer
+        finally:
+            writer.close()

@@ -1,0 +1,195 @@
+"""MQTT: retained state with its last will, values with one message in flight, events (`docs/mqtt.md`)."""
+
+import asyncio
+import json
+import re
+import ssl
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from rtec.errors import ConfigError
+from rtec.loop.telemetry_tables import MqttTable, host_and_port
+from rtec.telemetry.follower import Follower
+from rtec.telemetry.values import OF_AXIS, OF_MACHINE, OF_SENSOR, axes, conditions, instant, machine, sensors
+
+SCHEMA: Final = 1
+PATIENCE_S: Final = 10.0
+"""A broker that does not confirm a message within this time is left, and looked for again."""
+KEEPALIVE_S: Final = 15
+"""Half as long again without a sign of life, and the broker sends the last will."""
+FIRST_WAIT_S: Final = 1.0
+LONGEST_WAIT_S: Final = 30.0
+AGAIN_S: Final = 60.0
+"""So often the retained state is sent though it has not changed: a broker can have lost it."""
+LONGEST_PASSWORD: Final = 4096
+_TOPIC_LEVEL: Final = re.compile(r"[\s+#/$]")
+
+Say = Callable[[str], None]
+
+
+def prepare(table: MqttTable, base: Path) -> dict[str, Any]:
+    """Give what a connection needs beside its will.
+
+    Args:
+        table: of the run file.
+        base: its folder.
+
+    Raises:
+        ConfigError: a file cannot be used, or `aiomqtt` is not installed.
+    """
+    try:
+        import aiomqtt  # noqa: F401 (is it there?)
+    except ImportError as error:
+        raise ConfigError("[telemetry.mqtt] needs the package aiomqtt: pip install 'rtec[mqtt]'") from error
+    host, port = host_and_port(table.broker)
+    options: dict[str, Any] = {"hostname": host, "port": port, "keepalive": KEEPALIVE_S, "timeout": PATIENCE_S}
+    options["max_queued_incoming_messages"] = 1  # what nobody asked for is thrown away
+    if table.tls:
+        options["tls_context"] = _tls(table, base)
+    if table.user is not None and table.password_file is not None:
+        options |= {"username": table.user, "password": _password(base / table.password_file)}
+    return options
+
+
+def _tls(table: MqttTable, base: Path) -> ssl.SSLContext:
+    try:
+        context = ssl.create_default_context(cafile=None if table.ca_file is None else base / table.ca_file)
+        if table.certificate_file is not None and table.key_file is not None:
+            context.load_cert_chain(base / table.certificate_file, base / table.key_file, password=_no_password)
+    except (OSError, ValueError) as error:  # SSLError is an OSError
+        raise ConfigError(f"[telemetry.mqtt] ca_file, certificate_file or key_file: {error}") from error
+    return context
+
+
+def _no_password() -> str:
+    raise ValueError("the private key is encrypted; rtec has nobody to ask for its password: give one that is not")
+
+
+def _password(path: Path) -> str:
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(LONGEST_PASSWORD)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"[telemetry.mqtt] password_file {path}: cannot be read: {error}") from error
+    return text.removesuffix("\n").removesuffix("\r")
+
+
+def units() -> dict[str, str]:
+    """The unit of every key that has one."""
+    return {q.key: q.unit for q in (*OF_AXIS, *OF_SENSOR, *OF_MACHINE) if q.unit}
+
+
+def state(follower: Follower) -> dict[str, Any]:
+    """The retained state: what runs, and the units of the values."""
+    content: dict[str, Any] = {"schema": SCHEMA, "state": follower.state}
+    if (found := follower.found) is not None:
+        content |= {key: found[key] for key in ("machine", "model", "rtec_version", "axes", "sensors", "started")}
+    return {**content, "units": units()}
+
+
+def values(found: Mapping[str, Any]) -> dict[str, Any]:
+    """One message with everything that changes."""
+    return {
+        "schema": SCHEMA,
+        "utc": instant(found),
+        **machine(found),
+        "axes": axes(found),
+        "temperatures": sensors(found),
+        "conditions": [vars(condition) for condition in conditions(found)],
+    }
+
+
+def server(task: Any, say: Say) -> "Publisher":
+    """Give what serves a task of `rtec.telemetry.processes`."""
+    topic = task.table.topic or f"rtec/{_TOPIC_LEVEL.sub('-', task.config.stem)}"
+    return Publisher(task.table, task.config.parent, topic, say)
+
+
+class Publisher:
+    """Publishes what a follower reads, and looks for the broker again and again.
+
+    One message is under way at a time, until the broker confirms it: a slow one gets fewer, and none that are old.
+
+    Args:
+        table: of the run file.
+        base: its folder.
+        topic: first part of the topics.
+        say: for people.
+    """
+
+    def __init__(self, table: MqttTable, base: Path, topic: str, say: Say) -> None:
+        import aiomqtt
+
+        self._table, self._topic, self._say = table, topic, say
+        will = aiomqtt.Will(f"{topic}/state", _text({"schema": SCHEMA, "state": "offline"}), qos=1, retain=True)
+        self._options = {**prepare(table, base), "identifier": topic.replace("/", "-"), "will": will}
+        self._wait_s = FIRST_WAIT_S
+        self._heard = ""
+        self._events: tuple[int, int] | None = None
+
+    async def serve(self, follower: Follower) -> None:
+        """Publish until cancelled."""
+        import aiomqtt
+
+        while True:
+            try:
+                await self._talk(follower)
+            except aiomqtt.MqttError as error:
+                self._say(f"broker {self._table.broker}: {error}; tried again in {self._wait_s:g} s")
+            await asyncio.sleep(self._wait_s)
+            self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
+
+    async def _talk(self, follower: Follower) -> None:
+        import aiomqtt
+
+        async with aiomqtt.Client(**self._options) as client:
+            self._say(f"connected to the broker {self._table.broker}, topics {self._topic}/…")
+            await client.subscribe(f"{self._topic}/state", qos=1)
+            listening = asyncio.create_task(self._listen(client))
+            try:
+                await self._publish(client, follower)
+            except asyncio.CancelledError:  # in order: the will is not for this
+                offline = _text({"schema": SCHEMA, "state": "offline"})
+                await client.publish(f"{self._topic}/state", offline, qos=1, retain=True, timeout=1.0)
+                raise
+            finally:
+                listening.cancel()
+
+    async def _publish(self, client: Any, follower: Follower) -> None:
+        said, now, since_s = "", asyncio.get_running_loop().time, 0.0
+        while True:
+            text = _text(state(follower))
+            if text != said or self._heard != said or now() - since_s > AGAIN_S:
+                self._heard = said = text
+                await client.publish(f"{self._topic}/state", text, qos=1, retain=True)
+                since_s, self._wait_s = now(), FIRST_WAIT_S
+            if (found := follower.live) is not None:
+                await client.publish(f"{self._topic}/values", _text(values(found)), qos=1)
+            if (found := follower.found) is not None:
+                await self._send_events(client, found)
+            await asyncio.sleep(self._table.period_s)
+
+    async def _listen(self, client: Any) -> None:
+        """Hear what is retained as state: a broker that stood still can send an old will behind the new state."""
+        async for message in client.messages:
+            if message.topic.value == f"{self._topic}/state":
+                self._heard = bytes(message.payload).decode(errors="replace")
+
+    async def _send_events(self, client: Any, found: Mapping[str, Any]) -> None:
+        for event in self._new_events(found):
+            await client.publish(f"{self._topic}/events", _text({"schema": SCHEMA, **event}), qos=1)
+        self._events = (found["pid"], found["events_total"])
+
+    def _new_events(self, found: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Those since the last message; of a daemon that was not followed before, none that are old."""
+        if self._events is None:
+            return []
+        pid, total = self._events
+        new = found["events_total"] - (total if pid == found["pid"] else 0)
+        events: list[dict[str, Any]] = found["events"]
+        return events[-new:] if new > 0 else []
+
+
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, allow_nan=False, ensure_ascii=False, separators=(",", ":"))

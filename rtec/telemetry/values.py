@@ -1,0 +1,129 @@
+"""What is published, whatever the protocol: quantities with units, and the reasons of the guard as conditions."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final, Literal
+
+from rtec.correction.guard import HOLD_REASONS, REASONS, Flag
+from rtec.loop.clock import wall_clock_ns
+from rtec.text import clean
+
+STANDS_S: Final = 1.0
+"""A newest row that is older: the loop stands, and nothing that it said is a value of now."""
+ORDERED: Final = Flag.ORDERED_HOLD | Flag.ORDERED_OFF
+Level = Literal["fault", "warning"]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One kind of value.
+
+    Attributes:
+        key: its name; ends with the unit where it has one.
+        unit: "mm", "um", "degc", "s", "rpm"; "" where it has none.
+        words: what it is, for people.
+    """
+
+    key: str
+    unit: str
+    words: str
+
+
+OF_AXIS: Final = (
+    Quantity("position_mm", "mm", "Position by the encoder counts, without the correction"),
+    Quantity("requested_um", "um", "Correction that the model asks for"),
+    Quantity("applied_um", "um", "Correction that is applied"),
+    Quantity("residual_um", "um", "Residual of the last measurement, root mean square"),
+)
+OF_SENSOR: Final = (
+    Quantity("temperature_degc", "degc", "Temperature"),
+    Quantity("age_s", "s", "Age of the temperature"),
+)
+OF_MACHINE: Final = (
+    Quantity("spindle_rpm", "rpm", "Spindle speed"),
+    Quantity("mode", "", "Mode that is ordered: on, hold or off"),
+    Quantity("cycles", "", "Cycles of the loop"),
+    Quantity("deadlines_missed", "", "Deadlines that the loop missed"),
+)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Something that keeps the correction from being the requested one, or a part that does not work.
+
+    Attributes:
+        code: stays the same while it lasts: name of a flag, "device NAME" or "part NAME".
+        level: "fault": the correction is held, or a device or part is in trouble; else "warning".
+        text: in words.
+    """
+
+    code: str
+    level: Level
+    text: str
+
+
+def axes(found: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
+    """The values of each axis, by `OF_AXIS`; None is not known."""
+    status, residual = found["status"], found["left"]["axes"]
+    return {
+        axis: {
+            "position_mm": status["position_mm"].get(axis),
+            "requested_um": status["requested_um"].get(axis),
+            "applied_um": status["applied_um"].get(axis),
+            "residual_um": residual.get(axis, {}).get("rms_um"),
+        }
+        for axis in found["axes"]
+    }
+
+
+def sensors(found: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
+    """The values of each temperature sensor, by `OF_SENSOR`."""
+    status = found["status"]
+    degc, age_s = status["degc"], status["degc_age_s"]
+    return {
+        name: {
+            "temperature_degc": degc.get(name),
+            "age_s": None if degc.get(name) is None else age_s.get(name),
+        }
+        for name in found["sensors"]
+    }
+
+
+def machine(found: Mapping[str, Any]) -> dict[str, float | str | None]:
+    """The values of the whole machine, by `OF_MACHINE`."""
+    status = found["status"]
+    return {
+        "spindle_rpm": status["spindle_rpm"],
+        "mode": status["mode"] or None,
+        "cycles": status["cycles"],
+        "deadlines_missed": status["misses"],
+    }
+
+
+def conditions(found: Mapping[str, Any]) -> Iterator[Condition]:
+    """Everything that is wrong now, or that somebody ordered."""
+    status = found["status"]
+    for flag, text in REASONS.items():
+        if flag.name in status["flags"]:
+            held = int(flag) & HOLD_REASONS and not flag & ORDERED
+            yield Condition(str(flag.name), "fault" if held else "warning", text)
+    for name, texts in status["devices"].items():
+        yield Condition(clean(f"device {name}"), "fault", clean("; ".join(texts)))
+    for name, text in status["parts"].items():
+        yield Condition(clean(f"part {name}"), "fault", clean(text))
+    if status["log"]:
+        yield Condition("log", "warning", clean(status["log"]))
+
+
+def stands(found: Mapping[str, Any]) -> bool:
+    """Does the loop stand still, or has it not begun? Then a status has no values of now."""
+    age_s = found["status_age_s"]
+    return age_s is None or age_s > STANDS_S
+
+
+def instant(found: Mapping[str, Any] | None = None) -> str:
+    """Date and time of a status' newest row, or of now: UTC, ISO 8601 with milliseconds."""
+    age_s = 0.0 if found is None else found["status_age_s"] or 0.0
+    at = datetime.fromtimestamp(wall_clock_ns() * 1e-9 - age_s, UTC)
+    return at.strftime("%Y-%m-%dT%H:%M:%S.") + f"{at.microsecond // 1000:03d}Z"
