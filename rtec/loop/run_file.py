@@ -57,9 +57,8 @@ class ControlTable(Strict):
 
     @model_validator(mode="after")
     def _places(self) -> Self:
-        if self.prometheus is not None:
-            if not is_place(self.prometheus):
-                raise ValueError(f'prometheus: {self.prometheus!r} is not "host:port"')
+        if self.prometheus is not None and not is_place(self.prometheus):
+            raise ValueError(f'prometheus: {self.prometheus!r} is not "host:port"')
         if self.prometheus is not None and not LOOPBACK.fullmatch(self.prometheus):
             raise ValueError(
                 f'prometheus: {self.prometheus!r} is not "127.0.0.1:PORT" or "localhost:PORT": it asks for no key, '
