@@ -49,7 +49,7 @@ OF_MACHINE: Final = (
 
 
 @dataclass(frozen=True)
-class Condition:
+class StatusCondition:
     """Something that keeps the correction from being the requested one, or a part that does not work.
 
     Attributes:
@@ -101,19 +101,19 @@ def machine(found: Mapping[str, Any]) -> dict[str, float | str | None]:
     }
 
 
-def conditions(found: Mapping[str, Any]) -> Iterator[Condition]:
+def conditions(found: Mapping[str, Any]) -> Iterator[StatusCondition]:
     """Everything that is wrong now, or that somebody ordered."""
     status = found["status"]
     for flag, text in REASONS.items():
         if flag.name in status["flags"]:
             held = int(flag) & HOLD_REASONS and not flag & ORDERED
-            yield Condition(str(flag.name), "fault" if held else "warning", text)
+            yield StatusCondition(str(flag.name), "fault" if held else "warning", text)
     for name, texts in status["devices"].items():
-        yield Condition(clean(f"device {name}"), "fault", clean("; ".join(texts)))
+        yield StatusCondition(clean(f"device {name}"), "fault", clean("; ".join(texts)))
     for name, text in status["parts"].items():
-        yield Condition(clean(f"part {name}"), "fault", clean(text))
+        yield StatusCondition(clean(f"part {name}"), "fault", clean(text))
     if status["log"]:
-        yield Condition("log", "warning", clean(status["log"]))
+        yield StatusCondition("log", "warning", clean(status["log"]))
 
 
 def stands(found: Mapping[str, Any]) -> bool:
