@@ -3,8 +3,8 @@
 The noise floor: from repeats where there are enough of them, else from a fitted noise model.
 
 Repeats are readings of other runs at the same pose, in the same direction, at the same speeds and load, at nearly the
-same temperatures. What they differ by is noise, whatever the model is; what the model predicts of the small changes of
-temperature between them is taken out.
+same temperatures; also of other files by the same instrument in the same set-up. What they differ by is noise, whatever
+the model is; what the model predicts of the small changes of temperature between them is taken out.
 
 The fitted noise model is white noise, drift and an offset of each run, found by restricted maximum likelihood. So
 that what the model misses is not taken for drift, everything that goes smoothly with position, direction, speeds,
@@ -12,6 +12,7 @@ load and temperatures is projected out first.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,24 +37,28 @@ SHARE = 0.1
 SMALL = 1e-12
 
 
-def repeats_floor(readings: Readings, series: Series, left: Floats) -> float | None:
+def repeats_floor(readings: Readings, series: Sequence[Series], left: Floats) -> float | None:
     """Root mean square of the noise from repeats; None where there are too few.
 
     Args:
-        readings: that the series belongs to.
-        series: reading column.
-        left: its residuals, nuisances taken out, (n,).
+        readings: that the series belong to.
+        series: one reading column, or those of several files by one instrument in one set-up.
+        left: residuals of all readings, nuisances taken out, (m,).
     """
-    if series.run[-1] == 0:
+    run = np.concatenate([readings.run[s.part] for s in series])
+    if run[0] == run[-1]:
         return None
-    pose, warm = _pose_codes(readings, series), _temperatures(readings, series)
+    values, warm = np.concatenate([left[s.part] for s in series]), _temperatures(readings, series)
+    if warm is None:
+        return None
+    pose = _pose_codes(readings, series)
     square, freedom, held = 0.0, 0, 0
-    order = np.lexsort((np.arange(len(series)), pose))
+    order = np.lexsort((np.arange(len(run)), pose))
     for place in np.split(order, np.flatnonzero(np.diff(pose[order])) + 1):
-        for group in _groups(place, series.run, warm):
-            off = left[group] - left[group].mean()
+        for group in _groups(place, run, warm):
+            off = values[group] - values[group].mean()
             square, freedom, held = square + float(off @ off), freedom + len(group) - 1, held + len(group)
-    if freedom < FEWEST or held < SHARE * len(series):
+    if freedom < FEWEST or held < SHARE * len(run):
         return None
     return math.sqrt(square / freedom)
 
@@ -70,26 +75,36 @@ def _groups(place: Ints, run: Ints, warm: Floats) -> list[Ints]:
     return [np.array(g) for g in out if len(g) > 1]
 
 
-def _pose_codes(readings: Readings, series: Series) -> Ints:
-    """A number for each pose with direction, speeds and load, (n,)."""
-    state = readings.states[series.source]
-    keys = [np.round(readings.poses_mm[series.source][series.row] / SAME_MM)]
-    for axis in readings.machine.axes:
-        keys.append(np.sign(state.value(axis.direction_channel)[series.row])[:, None])
-        if axis.velocity_channel in state.channels:
-            keys.append(np.round(state.channels[axis.velocity_channel][series.row])[:, None])
-    for name, step in (("spindle_rpm", SAME_RPM), ("load_kg", 0.1), ("feed_mm_min", 1.0)):
-        if name in state.channels:
-            keys.append(np.round(np.nan_to_num(state.channels[name][series.row]) / step)[:, None])
-    return np.asarray(np.unique(np.concatenate(keys, axis=1), axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+def _pose_codes(readings: Readings, series: Sequence[Series]) -> Ints:
+    """A number for each pose with direction, speeds and load, (n,); what was not recorded counts as zero."""
+    axes = readings.machine.axes
+    steps = {a.velocity_channel: 1.0 for a in axes} | {"spindle_rpm": SAME_RPM, "load_kg": 0.1, "feed_mm_min": 1.0}
+    rows = []
+    for s in series:
+        state, keys = readings.states[s.source], [np.round(readings.poses_mm[s.source][s.row] / SAME_MM)]
+        keys += [np.sign(state.value(a.direction_channel)[s.row])[:, None] for a in axes]
+        for name, step in steps.items():
+            value = state.channels[name][s.row] if name in state.channels else np.zeros(len(s))
+            keys.append(np.round(np.nan_to_num(value) / step)[:, None])
+        rows.append(np.concatenate(keys, axis=1))
+    whole = np.concatenate(rows)
+    return np.asarray(np.unique(whole, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
-def _temperatures(readings: Readings, series: Series) -> Floats:
-    """Temperatures, (n, sensors); a missing one counts as unchanged."""
-    state = readings.states[series.source]
-    names = [s for s in readings.machine.sensor_names if s in state.channels]
-    columns = [np.nan_to_num(state.channels[s][series.row]) for s in names]
-    return np.stack(columns, axis=1) if columns else np.zeros((len(series), 0))
+def _temperatures(readings: Readings, series: Sequence[Series]) -> Floats | None:
+    """Temperatures, (n, sensors); a missing one counts as unchanged in its file.
+
+    None of files that recorded no temperature in common: between two days it may have changed.
+    """
+    states = [readings.states[s.source] for s in series]
+    names = [t for t in readings.machine.sensor_names if all(t in state.channels for state in states)]
+    if len(states) > 1 and readings.machine.sensor_names and not names:
+        return None
+    columns = [
+        np.concatenate([np.nan_to_num(state.channels[t][s.row]) for state, s in zip(states, series, strict=True)])
+        for t in names
+    ]
+    return np.stack(columns, axis=1) if columns else np.zeros((sum(len(s) for s in series), 0))
 
 
 def draws(whitener: Whitener, tails: Floats, count: int, rng: np.random.Generator) -> Floats:
@@ -212,16 +227,38 @@ def noise_floors(readings: Readings, left: Floats, flexible: Whitener) -> list[F
         flexible: from `flexible_noise`.
     """
     rms = rms_by_series(readings, left)
-    out = []
-    for s, n, whole, most in zip(readings.series, flexible.noises, floors(flexible), rms, strict=True):
-        repeated = repeats_floor(readings, s, left[s.part])
+    out, across = [], _across_files(readings, left)
+    for s, n, whole, most, other in zip(readings.series, flexible.noises, floors(flexible), rms, across, strict=True):
+        repeated = repeats_floor(readings, [s], left)
         # Noise is never more than what is left.
         quick = min(_quick(s, n), float(most))
+        if repeated is None and other is not None and other < quick:
+            repeated = other
         fitted = min(float(whole), float(most))
         drift = math.sqrt(max(fitted**2 - quick**2, 0.0))
         source: FloorFrom = "short-time differences" if repeated is None else "repeats"
         value = quick if repeated is None else repeated
         out.append(Floor(value, source, drift, repeated, fitted))
+    return out
+
+
+def _across_files(readings: Readings, left: Floats) -> list[float | None]:
+    """Noise of each series from repeats in other files; None where there are too few.
+
+    It may lower the floor, never raise it: files that differ by more than their readings scatter contradict each other,
+    or something changed between them, and that is no noise.
+    """
+    known: dict[int, float | None] = {}
+    out = []
+    for s in readings.series:
+        made_by = readings.measurements[s.source].instrument
+        same = [
+            x for x in readings.series if x.column == s.column and readings.measurements[x.source].instrument == made_by
+        ]
+        first = same[0].start
+        if first not in known:
+            known[first] = repeats_floor(readings, same, left) if len(same) > 1 else None
+        out.append(known[first])
     return out
 
 
