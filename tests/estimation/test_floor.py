@@ -30,7 +30,9 @@ def passed_once(name: str, rough_um: Floats, seed: int, degc: float = 20.0) -> M
     error = np.concatenate([rough_um, rough_um[::-1]])
     readings = {"reading_um": error + rng.normal(0.0, 5.0) + NOISE_UM * rng.standard_normal(n)}
     made = make_instrument("laser_linear", {}, "X", None, machine, "test")
-    return Measurement(name, made, machine, np.ones(n, dtype=np.int64), 20.0 * np.arange(n), channels, readings)
+    return Measurement(
+        name, made, machine, np.ones(n, dtype=np.int64), np.linspace(0.0, 20.0 * n, n), channels, readings
+    )
 
 
 ROUGH = 4.0 * np.random.default_rng(5).standard_normal(TARGETS)
