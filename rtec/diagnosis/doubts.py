@@ -55,6 +55,8 @@ NEAR_REFIT = 1.05
 SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and how many places are tried."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
+BEYOND = 0.05
+"""Share of the travel by which a position may lie beyond it."""
 FLAT, MUCH = 1.5, 5.0
 """Readings of less than so many times the noise are flat; a model that says more than so many times has much to say."""
 FEW_RUNS = 4
@@ -305,12 +307,24 @@ class _Edits:
                 continue
             suspect, check = "its unit or its scale in the file may be wrong", "that column"
             for factor in CHANNEL_FACTORS:
+                if not self._within_travel(channel, factor):
+                    continue
                 by = f"{factor:g}" if abs(factor) >= 1.0 else f"1/{1.0 / factor:g}"
                 residual = self.residual({channel: lambda s, c=channel, f=factor: f * s.channels[c]})  # type: ignore[misc]
                 yield _Edit(residual, "wrong_channel", f"{channel} times {by}", suspect, check)
             if channel in self.model.machine.sensor_names:
                 residual = self.residual({channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8})  # type: ignore[misc]
                 yield _Edit(residual, "wrong_channel", f"{channel} read as °F", suspect, check)
+
+    def _within_travel(self, channel: str, factor: float) -> bool:
+        """Whether a position times a factor is where the axis can be; true of all other channels."""
+        axis = next((a for a in self.model.machine.axes if a.channel == channel), None)
+        if axis is None:
+            return True
+        low, high = axis.travel_mm
+        beyond = BEYOND * (high - low)
+        places = [factor * s.channels[channel] for s in self.readings.states if channel in s.channels]
+        return all(low - beyond <= float(np.nanmin(p)) and float(np.nanmax(p)) <= high + beyond for p in places)
 
     def _exchanged(self) -> Iterator[_Edit]:
         sensors = [n for n in self.model.machine.sensor_names if all(n in s.channels for s in self.readings.states)]

@@ -1,44 +1,38 @@
-"""Smooths temperatures in time: noise of a sensor decides between thermal rivals that else look alike."""
+"""Smooths temperatures in time: noise of a sensor decides between thermal rivals that else look alike.
 
+A temperature is taken to creep: its rate walks at random, and how fast is what makes the readings likeliest. The best
+curve under that is a cubic smoothing spline, found by a Kalman filter and a pass back (Rauch, Tung and Striebel 1965)
+in time proportional to the number of readings. Where a temperature jumps, another curve begins.
+"""
+
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.jit import njit
+
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-HALVES_S = (960.0, 480.0, 240.0, 120.0)
-"""Halves of the windows that are tried, the widest first."""
+
 ABOUT = 5
-"""So many readings about an instant decide whether a line goes through them."""
-OFF, ROUGH = 1.25, 2.0
-"""A line goes through them where their mean is off by less than so many of its standard deviations, and their mean
-square is below so many times the noise's."""
+"""Fewer readings are no curve."""
 QUANTUM = 0.29
 """Standard deviation of steps of one, 1/√12."""
-
-
-@dataclass(frozen=True)
-class _Window:
-    """Readings about each instant, and their sums: the same for every sensor that has read each time."""
-
-    t: Floats
-    first: Ints
-    last: Ints
-    n: Floats
-    st: Floats
-    stt: Floats
-
-    @classmethod
-    def of(cls, t: Floats, first: Ints, last: Ints, weight: Floats) -> "_Window":
-        n, st, stt = (_between(x, first, last) for x in (weight, weight * t, weight * t * t))
-        return cls(t, first, last, n, st, stt)
+JUMP, LARGE = 30.0, 0.1
+"""Between neighbours so many standard deviations apart, and so much of all that a sensor saw, it jumped."""
+MOST = 4000
+"""So many readings tell how fast a rate walks as well as all do."""
+TRIED, CLOSE = 16, 0.1
+"""Walks that are tried at the most, and how close the logarithm of their time is found."""
+FILLED_S = 960.0
+"""A missing reading is filled where another is at most so far away."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """Instants, and the windows about them.
+    """Instants of readings.
 
     Attributes:
         time_s: not falling, (n,).
@@ -46,52 +40,41 @@ class Windows:
 
     time_s: Floats
 
-    @cached_property
-    def whole(self) -> tuple[_Window, ...]:
-        """Of sensors that have read each time, the widest first."""
-        out = []
-        for half_s in HALVES_S:
-            t = (self.time_s - self.time_s[0]) / half_s
-            first, last = np.searchsorted(t, t - 1.0, "left"), np.searchsorted(t, t + 1.0, "right")
-            out.append(_Window.of(t, first, last, np.ones(len(t))))
-        return tuple(out)
-
 
 def smoothed(windows: Windows, value: Floats) -> Floats:
-    """Straight line through the readings of a window about each instant; NaN readings are passed over.
-
-    The window is the widest whose lines leave nothing but noise about the instant: wide while a temperature creeps,
-    none while it jumps.
+    """Give the likeliest creeping curve through readings; NaN readings are passed over.
 
     Args:
-        windows: about the n instants.
+        windows: the n instants.
         value: (n,).
 
     Returns:
         (n,); a NaN reading is filled where it has neighbours.
     """
-    good = np.isfinite(value)
-    if good.sum() < ABOUT:
+    time_s, good = windows.time_s, np.isfinite(value)
+    seen = np.flatnonzero(good)
+    if len(seen) < ABOUT:
         return value
-    sigma = noise_of(value[good])
-    out, done = value.copy(), np.zeros(len(value), dtype=bool)
-    for window in windows.whole:
-        line, own = _lines(window, value, good)
-        left = np.where(good & np.isfinite(line), value - line, 0.0)
-        count = _about(good.astype(np.float64))
-        # A wide window's line hardly knows the reading itself; a narrow one's does, and leaves less than the noise.
-        share = np.sqrt(np.clip(1.0 - own, 0.05, 1.0))
-        mean = np.abs(_about(left)) / np.sqrt(np.maximum(count, 1.0)) / (sigma * share)
-        square = _about(left**2) / np.maximum(count, 1.0) / (sigma * share) ** 2
-        fits = ~done & np.isfinite(line) & (mean < OFF) & (square < ROUGH)
-        out = np.where(fits, line, out)
-        done |= fits
+    sigma = noise_of(value[seen])
+    far = max(JUMP * sigma, LARGE * float(np.ptp(value[seen])))
+    breaks = np.flatnonzero(np.abs(np.diff(value[seen])) > far) + 1
+    edges = [0, *breaks.tolist(), len(seen)]
+    parts = [(seen[a], seen[b - 1] + 1) for a, b in itertools.pairwise(edges) if b - a >= ABOUT]
+    curves = [(time_s[a:b] - time_s[a], (value[a:b] - value[a]) / sigma) for a, b in parts if time_s[b - 1] > time_s[a]]
+    if not curves:
+        return value
+    walk, out = _likeliest(curves), value.copy()
+    for (a, b), curve in zip([p for p in parts if time_s[p[1] - 1] > time_s[p[0]]], curves, strict=True):
+        made = spline(*curve, walk) * sigma + value[a]
+        out[a:b] = np.where(good[a:b] | _near(time_s[a:b], good[a:b]), made, np.nan)
     return out
 
 
-def _about(x: Floats) -> Floats:
-    """Sum over the readings about each instant."""
-    return np.convolve(x, np.ones(ABOUT), mode="same")
+def _near(time_s: Floats, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which instants have a reading close by on either side, (n,); the first and last have."""
+    seen = time_s[good]
+    at = np.clip(np.searchsorted(seen, time_s), 1, len(seen) - 1)
+    return np.asarray(np.minimum(np.abs(time_s - seen[at - 1]), np.abs(seen[at] - time_s)) <= FILLED_S)
 
 
 def noise_of(value: Floats) -> float:
@@ -102,25 +85,98 @@ def noise_of(value: Floats) -> float:
     return float(max(1.4826 * np.median(np.abs(bend)) / np.sqrt(1.5), QUANTUM * quantum, 1e-12))
 
 
-def _lines(window: _Window, value: Floats, good: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """The line at each instant, and its variance over that of a reading."""
-    t, first, last = window.t, window.first, window.last
-    mean = float(value[good].mean())
-    v = np.where(good, value - mean, 0.0)
-    if not good.all():
-        window = _Window.of(t, first, last, good.astype(np.float64))
-    n, st, stt = window.n, window.st, window.stt
-    sv, stv = _between(v, first, last), _between(v * t, first, last)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        centre = st / n
-        spread = stt - n * centre * centre
-        level = spread > 1e-6 * np.maximum(n, 1.0)
-        slope = np.where(level, (stv - centre * sv) / spread, 0.0)
-        line = sv / n + slope * (t - centre) + mean
-        own = 1.0 / n + np.where(level, (t - centre) ** 2 / spread, 0.0)
-    return line, own
+def _likeliest(curves: Sequence[tuple[Floats, Floats]]) -> float:
+    """How fast the rate of all curves walks, in variance of the noise a second cubed."""
+    from scipy.optimize import minimize_scalar
+
+    step = -(-sum(len(t) for t, _ in curves) // MOST)
+    few = [(t[::step].copy(), v[::step].copy()) for t, v in curves]
+    few = [(t[np.isfinite(v)], v[np.isfinite(v)]) for t, v in few]
+    few = [(t, v) for t, v in few if len(t) > 2 and t[-1] > t[0]]
+    apart = np.concatenate([np.diff(t) for t, _ in few] or [np.ones(1)])
+    shortest, span = float(np.median(apart[apart > 0.0])), max([float(t[-1]) for t, _ in few], default=1.0)
+    nothing = np.empty((0, 5))
+    # Over this time the walk bends a line by as much as the mean of its readings is off.
+    found = minimize_scalar(
+        lambda x: sum(creep(t, v, shortest / np.exp(4.0 * x), nothing) for t, v in few),
+        bounds=(np.log(shortest), np.log(max(span, 2.0 * shortest))),
+        method="bounded",
+        options={"maxiter": TRIED, "xatol": CLOSE},
+    )
+    return shortest / float(np.exp(4.0 * found.x))
 
 
-def _between(x: Floats, first: Ints, last: Ints) -> Floats:
-    total = np.concatenate([[0.0], np.cumsum(x)])
-    return np.asarray(total[last] - total[first])
+@njit
+def creep(time_s: Floats, value: Floats, walk: float, kept: Floats) -> float:
+    """Filter forward; give −2 log likelihood, up to a constant, and keep what is known after each reading.
+
+    Args:
+        time_s: not falling, (n,).
+        value: over the standard deviation of a reading; the first is none that is missing, NaN where one is, (n,).
+        walk: variance that the rate gains a second.
+        kept: written: value, rate, and their variances and covariance, (n, 5); or empty, and nothing is kept.
+    """
+    n, keeps = len(time_s), len(kept) > 0
+    start = 1
+    while start < n - 1 and (time_s[start] <= time_s[0] or not np.isfinite(value[start])):
+        start += 1
+    dt = time_s[start] - time_s[0]
+    x, rate = value[start], (value[start] - value[0]) / dt
+    a, b, c = 1.0, 1.0 / dt, 2.0 / (dt * dt) + walk * dt / 3.0
+    cost = 0.0
+    for i in range(start, n):
+        if i > start:
+            dt = time_s[i] - time_s[i - 1]
+            x += dt * rate
+            a += dt * (2.0 * b + dt * c) + walk * dt**3 / 3.0
+            b += dt * c + walk * dt**2 / 2.0
+            c += walk * dt
+            if np.isfinite(value[i]):
+                off, s = value[i] - x, a + 1.0
+                cost += np.log(s) + off * off / s
+                x += a / s * off
+                rate += b / s * off
+                c -= b * b / s
+                b -= a * b / s
+                a -= a * a / s
+        if keeps:
+            kept[i, 0], kept[i, 1], kept[i, 2], kept[i, 3], kept[i, 4] = x, rate, a, b, c
+    if keeps:
+        kept[:start, 2] = -1.0
+    return cost
+
+
+@njit
+def spline(time_s: Floats, value: Floats, walk: float) -> Floats:
+    """Give the curve that is likeliest by all readings, (n,); arguments as of `creep`."""
+    n = len(time_s)
+    kept = np.empty((n, 5))
+    creep(time_s, value, walk, kept)
+    out = np.empty(n)
+    x, rate = kept[n - 1, 0], kept[n - 1, 1]
+    out[n - 1] = x
+    for i in range(n - 2, -1, -1):
+        dt = time_s[i + 1] - time_s[i]
+        a, b, c = kept[i, 2], kept[i, 3], kept[i, 4]
+        if a < 0.0:
+            x -= dt * rate
+            out[i] = x
+            continue
+        # What was expected at the next reading, and the gain of what all that follow say of it.
+        mine, its = kept[i, 0] + dt * kept[i, 1], kept[i, 1]
+        p = a + dt * (2.0 * b + dt * c) + walk * dt**3 / 3.0
+        q = b + dt * c + walk * dt**2 / 2.0
+        r = c + walk * dt
+        det = p * r - q * q
+        if det <= 0.0:
+            out[i] = kept[i, 0]
+            x, rate = kept[i, 0], kept[i, 1]
+            continue
+        one, two = a + dt * b, b + dt * c
+        g, h = (one * r - b * q) / det, (b * p - one * q) / det
+        k, m = (two * r - c * q) / det, (c * p - two * q) / det
+        dx, dr = x - mine, rate - its
+        x = kept[i, 0] + g * dx + h * dr
+        rate = kept[i, 1] + k * dx + m * dr
+        out[i] = x
+    return out

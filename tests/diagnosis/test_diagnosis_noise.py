@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 
 from rtec.estimation.noise import Noise, Whitener, find_noise, minutes, noise_bounds
 from rtec.estimation.readings import read
-from rtec.estimation.smoothing import Windows, smoothed
+from rtec.estimation.smoothing import Windows, smoothed, spline
 from rtec.estimation.whitening import drift_draws, gains, innovations, likelihood, noise_cost, walk
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -143,6 +143,29 @@ def test_smoothing_keeps_a_straight_line_and_lowers_noise() -> None:
     holes = line.copy()
     holes[[5, 50, 51]] = np.nan
     np.testing.assert_allclose(smoothed(Windows(t), holes), line, atol=1e-9)
+
+
+def test_smoothing_is_the_cubic_spline_of_its_walk() -> None:
+    """Oracle: the dense least squares of readings and of the walk's own covariance, at uneven times with a gap."""
+    rng = np.random.default_rng(5)
+    t = np.sort(np.concatenate([rng.uniform(0.0, 900.0, 25), rng.uniform(2000.0, 2600.0, 15)]))
+    y, walk = np.cumsum(rng.standard_normal(40)), 3e-6
+    low, high = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
+    low, high = low - t[0], high - t[0]
+    prior = walk * (low**2 * (3.0 * high - low) / 6.0)
+    line = np.stack([np.ones(40), t], axis=1)
+    weight = np.linalg.inv(prior + np.eye(40))
+    at = np.linalg.solve(line.T @ weight @ line, line.T @ weight @ y)
+    best = line @ at + prior @ weight @ (y - line @ at)
+    np.testing.assert_allclose(spline(t, y, walk), best, atol=1e-3)
+
+
+def test_a_jump_of_a_temperature_stays_a_jump() -> None:
+    """Oracle: the levels on either side; noise falls on both."""
+    t = np.arange(0.0, 30000.0, 60.0)
+    level = np.where(t > 15000.0, 25.0, 20.0)
+    made = smoothed(Windows(t), level + 0.03 * np.random.default_rng(1).standard_normal(len(t)))
+    assert float(np.abs(made - level).max()) < 0.03
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(90.0, "90 s"), (1800.0, "30 min"), (9000.0, "2.5 h")])

@@ -211,7 +211,13 @@ class _Answer:
 
     def _pitch(self, winner: Refitted) -> Alike | None:
         """The screw of another pitch that the winner may be, where the machine file's does not give the wave."""
-        return pitch_in_doubt(self.s.candidates[winner.number].effect, winner.theta, self.s.model.machine)
+        effect = self.s.candidates[winner.number].effect
+        axis = getattr(effect, "axis", None)
+        if any(
+            f.effect.effect == "cyclic_screw" and getattr(f.effect, "axis", None) == axis for f in self.s.model.effects
+        ):
+            return None  # the wave once a turn is in the model: the pitch is right
+        return pitch_in_doubt(effect, winner.theta, self.s.model.machine)
 
     def _doubts(self, accepted: bool) -> tuple[Doubt, ...]:
         """Those about the record, and about the machine file where the finding raises them."""

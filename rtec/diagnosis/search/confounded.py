@@ -140,22 +140,26 @@ def diverse(order: Sequence[int], kinds: Sequence[str], most: int, of_a_kind: in
 
 
 AT_PITCH = 0.03
-"""A period that is off by less than this share is that of the screw, or of its coupling."""
-FIRST_OF_SCREW = (1.0, 2.0)
-"""Times that a screw's error and its coupling's come round in one turn."""
+"""A period that is off by less than this share is that of the screw."""
+ASKS = ("cyclic_pole", "coupling_misalignment")
+"""Waves that a screw of another pitch makes as well."""
 
 
 def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine) -> Alike | None:
-    """A wave of a period that the machine file's pitch does not give: the file may be wrong; None for anything else."""
+    """A wave of a period that is not the machine file's pitch: the file may be wrong; None for anything else.
+
+    Twice a turn without a wave once a turn is a screw of half the pitch as well as a coupling.
+    """
     period = period_mm(effect, theta)
-    if effect.effect != "cyclic_pole" or period is None:
+    if effect.effect not in ASKS or period is None:
         return None
     axis = machine.axis(str(getattr(effect, "axis", "")))
-    if axis.pitch_mm is None or any(abs(period * k / axis.pitch_mm - 1.0) < AT_PITCH for k in FIRST_OF_SCREW):
+    if axis.pitch_mm is None or abs(period / axis.pitch_mm - 1.0) < AT_PITCH:
         return None
+    fits = "as well" if effect.effect == "coupling_misalignment" else "better"
     why = (
         f"a screw of pitch {significant(period, 3)} mm makes the same wave, and the machine file says pitch_mm = "
-        f"{axis.pitch_mm:g}: these readings fit better with {significant(period, 3)}"
+        f"{axis.pitch_mm:g}: these readings fit {fits} with {significant(period, 3)}"
     )
     test = f"read the pitch of {axis.name} from the screw or its data sheet, and correct pitch_mm if it is wrong"
     return Alike(

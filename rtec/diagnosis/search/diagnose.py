@@ -19,7 +19,7 @@ from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import PERIODS, WITHIN
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, far_better, prepare
+from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen, screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, without_idle
@@ -147,7 +147,8 @@ class _Search:
         found = screen(readings, self.candidates, projected, lambda d, t: self.stage("weighing candidates", d, t), same)
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
-        tried = self._led(self.refits.anew(found, self.refits.second_look()))
+        again = self.refits.anew(found, self.refits.second_look())
+        tried = led(again, self._prior_odds + SURE, prepared.base, readings)
         best = tried[0] if tried else None
         accepted = best is not None and self._accepts(best, p)
         named, share, unknown = self._adequate(best if accepted else None)
@@ -175,19 +176,6 @@ class _Search:
                 self._undecided(best, p) if not (accepted and named) and unknown is None else None,
             )
         )  # fmt: skip
-
-    def _led(self, tried: list[Refitted]) -> list[Refitted]:
-        """The best first: the likeliest, or one that is sure as well and predicts held-out runs far better.
-
-        Slow drift that is free to follow the readings makes up for much that an effect does not explain; of runs
-        that were held out it predicts nothing.
-        """
-        if not tried or not tried[0].holds:
-            return tried
-        first = tried[0]
-        sure = [t for t in tried if t.holds and t.log_evidence - self._prior_odds > SURE and far_better(t, first)]
-        lead = max(sure, key=lambda t: t.log_evidence, default=first)
-        return [lead, *(t for t in tried if t is not lead)]
 
     def _undecided(self, best: Refitted | None, p: float) -> RunsDiffer | None:
         """What the runs differ by where the best candidate may explain it and too few runs decide."""

@@ -220,6 +220,47 @@ def far_better(one: Judged, other: Judged) -> bool:
 
 Stage = Callable[[str, int, int], None]
 
+PART, UNSURE = 0.01, math.log(20.0)
+"""A candidate of which another leaves less than this share, by norm, is a case of it; and evidence below which of
+further numbers nobody is sure."""
+
+
+def led(tried: list[Refitted], bar: float, base: Floats, readings: Readings) -> list[Refitted]:
+    """The best first: the likeliest, or one that is sure as well and predicts held-out runs far better.
+
+    Slow drift that is free to follow the readings makes up for much that an effect does not explain; of runs that were
+    held out it predicts nothing. Where a case of fewer numbers is nearly as likely, that one leads.
+
+    Args:
+        tried: the likeliest first.
+        bar: evidence of one that is sure.
+        base: columns of the current model, (m, p).
+        readings: the readings.
+    """
+    if not tried or not tried[0].holds:
+        return tried
+    first = tried[0]
+    sure = [t for t in tried if t.holds and t.log_evidence > bar and far_better(t, first)]
+    lead = max(sure, key=lambda t: t.log_evidence, default=first)
+    known = Projected.of(lead.fit.whitener, base, readings.values)
+    leaner = [
+        t
+        for t in tried
+        if t.holds and lead.log_evidence - t.log_evidence < UNSURE and _is_case(t.columns, lead.columns, known)
+    ]
+    lead = max(leaner, key=lambda t: t.log_evidence, default=lead)
+    return [lead, *(t for t in tried if t is not lead)]
+
+
+def _is_case(lean: Floats, rich: Floats, known: Projected) -> bool:
+    """Whether columns, (m, k), are in the span of more columns, as far as these readings show."""
+    if lean.shape[1] >= rich.shape[1]:
+        return False
+    mine, whole = (known.take_out(known.whitener(c)) for c in (lean, rich))
+    q = orthonormal(whole)
+    return float(np.linalg.norm(mine - q @ (q.T @ mine))) < PART * float(np.linalg.norm(mine))
+
+
 TOP, OF_A_KIND, MOST = 7, 3, 14
 """So many of the best are fitted anew, at most so many of them one effect of one component with other arguments.
 
