@@ -72,11 +72,31 @@ class MqttTable(Strict):
         return self
 
 
+class MtconnectTable(Strict):
+    """`[telemetry.mtconnect]`: where an MTConnect agent finds the adapter.
+
+    Attributes:
+        listen: "host:port" that the agent connects to; "*:7878": on every network of this computer.
+        period_s: time from one look at the daemon to the next; only what has changed is sent.
+    """
+
+    listen: str = "127.0.0.1:7878"
+    period_s: Annotated[float, Field(ge=0.01, le=3600)] = 0.1
+
+    @model_validator(mode="after")
+    def _place(self) -> Self:
+        if not is_place(self.listen):
+            raise ValueError(f'listen: {self.listen!r} is not "host:port"')
+        return self
+
+
 class TelemetryTable(Strict):
     """`[telemetry]`: what `rtec telemetry` publishes; nothing where it is not given. All of it is read-only.
 
     Attributes:
         mqtt: values and events to an MQTT broker.
+        mtconnect: an adapter for an MTConnect agent.
     """
 
     mqtt: MqttTable | None = None
+    mtconnect: MtconnectTable | None = None

@@ -62,6 +62,7 @@ def served(task: Task) -> Iterator[list[str]]:
             asyncio.run(run())
         except BaseException as error:  # noqa: BLE001 (shown by the test)
             failed.append(error)
+            said.append(str(error))
 
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
@@ -72,7 +73,7 @@ def served(task: Task) -> Iterator[list[str]]:
         if thread.is_alive():
             loop.call_soon_threadsafe(ended.set)
         thread.join(LONG_S)
-    assert failed == []
+    assert failed == [], failed
 
 
 class Broker:
