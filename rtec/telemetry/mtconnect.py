@@ -105,7 +105,7 @@ def _text(text: str) -> str:
 
 
 @dataclass
-class Shown:
+class SentToAgent:
     """What one agent has been sent."""
 
     available: bool | None = None
@@ -151,7 +151,7 @@ class _Agent:
     writer: asyncio.StreamWriter
     heard_s: float
     pings: bool = False
-    shown: Shown = field(default_factory=Shown)
+    shown: SentToAgent = field(default_factory=SentToAgent)
 
 
 class Adapter:

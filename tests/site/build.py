@@ -44,8 +44,8 @@ SECTIONS: Mapping[str, Sequence[str]] = {
     "Tutorials": ("tutorial.md", "campaign.md", "studio.md", "python.md"),
     "How-to": (
         "runbook.md", "init.md", "service.md", "control.md", "telemetry.md", "mqtt.md", "mtconnect.md",
-        "measurements.md", "procedures.md", "fit.md", "compare.md", "diagnose.md", "plan.md", "ball-bar.md", "grid-encoder.md",
-        "tables.md", "linuxcnc.md", "write-an-effect.md", "write-a-driver.md", "hil.md",
+        "measurements.md", "procedures.md", "fit.md", "compare.md", "diagnose.md", "plan.md", "ball-bar.md",
+        "grid-encoder.md", "tables.md", "linuxcnc.md", "write-an-effect.md", "write-a-driver.md", "hil.md",
     ),
     "Reference": (
         "reference/keys.md", "reference/api.md", "files.md", "effects.md", "instruments.md", "drivers.md",
