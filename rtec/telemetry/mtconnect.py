@@ -120,7 +120,8 @@ class SentToAgent:
             everything: keys of all values.
         """
         at, available = instant(found), found is not None
-        new = values(found) if found is not None else dict.fromkeys(everything, (UNAVAILABLE,))
+        lost: tuple[str, ...] = (UNAVAILABLE,)
+        new = values(found) if found is not None else dict.fromkeys(everything, lost)
         active = {c.code: c for c in conditions(found)} if found is not None else {}
         began = available is not self.available
         if began:

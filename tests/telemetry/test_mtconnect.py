@@ -35,7 +35,7 @@ NS = "{urn:mtconnect.org:MTConnectDevices:1.4}"
 TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z")
 NUMBER = re.compile(r"-?\d+(\.\d+)?|UNAVAILABLE")
 NMTOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
-TYPES = {
+TYPES: dict[str, dict[str, str | None]] = {
     "SAMPLE": {"POSITION": "MILLIMETER", "DISPLACEMENT": "MILLIMETER", "TEMPERATURE": "CELSIUS",
                "ROTARY_VELOCITY": "REVOLUTION/MINUTE"},
     "EVENT": {"AVAILABILITY": None, "MESSAGE": None},
@@ -208,14 +208,14 @@ def test_conditions_are_the_reasons_of_the_guard(
         agent.until(ready)
         daemon._status.flags = Flag.STALE_COUNTS | Flag.ORDERED_HOLD | Flag.HELD | Flag.OVER_WARNING_LIMIT
         daemon._status.devices = {"box|1": ["silent|1", "dead"]}
-        agent.until(lambda a: len(a.active["system"]) == 2 and a.active["hardware"])
+        agent.until(lambda a: len(a.active["system"] or ()) == 2 and a.active["hardware"])
         over, hold = REASONS[Flag.OVER_WARNING_LIMIT], REASONS[Flag.ORDERED_HOLD]
         assert agent.active["communications"] == {"STALE_COUNTS": ("FAULT", REASONS[Flag.STALE_COUNTS])}
         assert agent.active["system"] == {"OVER_WARNING_LIMIT": ("WARNING", over), "ORDERED_HOLD": ("WARNING", hold)}
         assert agent.active["hardware"] == {"device box/1": ("FAULT", "silent/1; dead")}
         daemon._status.flags = Flag.ORDERED_HOLD | Flag.HELD
         daemon._status.devices = {}
-        agent.until(lambda a: not a.active["hardware"] and len(a.active["system"]) == 1)
+        agent.until(lambda a: not a.active["hardware"] and len(a.active["system"] or ()) == 1)
         assert agent.active["communications"] == {}
         assert agent.active["system"] == {"ORDERED_HOLD": ("WARNING", hold)}
 
@@ -237,10 +237,11 @@ def test_unavailable_on_loss(setup: Setup, runtime_folder: Path, items: dict[str
         running.enter_context(Control(setup, daemon, RealClock()))
         agent = stack.enter_context(Agent(place, items))
         agent.until(ready)
-        for lose, again in (
+        losses: list[tuple[Callable[[], object], Callable[[], object]]] = [
             (lambda: setattr(daemon, "stands", True), lambda: setattr(daemon, "stands", False)),
             (running.close, lambda: running.enter_context(Control(setup, daemon, RealClock()))),
-        ):
+        ]
+        for lose, again in losses:
             lose()
             agent.until(lambda a: a.values["avail"] == "UNAVAILABLE" and not any(a.active.values()))
             agent.until(lambda a: set(a.values.values()) == {"UNAVAILABLE"} and [*a.active.values()] == 4 * [None])
