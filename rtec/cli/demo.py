@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report, figures and result.")] = Path("out/demo"),
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the day.")] = 1,
+    hours: Annotated[
+        float, typer.Option("--hours", min=0.5, max=24.0, help="Hours of work; the night is twice as long.")
+    ] = 8.0,
     model_out: Annotated[
         Path | None, typer.Option("--model-out", help="Write the fitted model here, for `rtec run`.")
     ] = None,
@@ -37,13 +40,14 @@ def demo(
 
     The model in configs/models was made by: `rtec demo --model-out configs/models/turning-centre.toml`
 
-    A turning centre works for 8 hours from cold and cools overnight, once uncorrected and once corrected by the same
-    loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the machine. rtec finds it in
-    the residual and adds it, and the error falls. Writes report.html, figures and result.json.
+    A turning centre works for 8 hours from cold (`--hours 1` is done sooner) and cools overnight, once uncorrected and
+    once corrected by the same loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the
+    machine. rtec finds it in the residual and adds it, and the error falls. Writes report.html, figures, result.json.
     """
     from secrets import randbelow
 
     from rtec.cli.common import stages
+    from rtec.demo.day import Plan
     from rtec.demo.page import write_report
     from rtec.demo.story import config_folder, tell_story
     from rtec.model import save_model
@@ -53,7 +57,12 @@ def demo(
         hidden_seed = randbelow(10_000)
     with stages() as stage:
         story = tell_story(
-            seed, config_folder(configs), stage, hidden_seed=None if no_hidden else hidden_seed, hidden=hidden
+            seed,
+            config_folder(configs),
+            stage,
+            Plan(warm_h=hours, night_h=2.0 * hours),
+            hidden_seed=None if no_hidden else hidden_seed,
+            hidden=hidden,
         )
         stage("drawing the report", 0, 1)
         page = write_report(story, out)

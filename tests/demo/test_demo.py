@@ -295,8 +295,9 @@ def test_command(
     """Oracle: exit status and output of the command line, with the story already told."""
     asked: list[int] = []
 
-    def tell(seed: int, configs: Path, stage: Any, hidden_seed: int | None, hidden: str | None) -> Story:
+    def tell(seed: int, configs: Path, stage: Any, plan: Plan, hidden_seed: int | None, hidden: str | None) -> Story:
         asked.append(seed)
+        assert plan == Plan(warm_h=1.5, night_h=3.0)
         assert (hidden_seed, hidden) == (None, None)
         stage("measuring day", 1, 2)
         assert configs == CONFIGS
@@ -305,6 +306,7 @@ def test_command(
     monkeypatch.setattr(story, "tell_story", tell)
     model_file = tmp_path / "model.toml"
     words = ["demo", "--seed", "5", "--out", str(tmp_path / "out"), "--model-out", str(model_file), "--no-hidden"]
+    words += ["--hours", "1.5"]
     assert main.status([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["seed"] == SEED
     assert load_model(model_file, told.model.machine).hash == told.model.hash

@@ -7,13 +7,16 @@ outside of it.
 
 import functools
 import inspect
+import json
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
+from base64 import b64decode
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 
@@ -41,7 +44,10 @@ from rtec.sim.campaign.campaign import Simulated
 
 ROOT = Path(__file__).parents[2]
 SECTIONS: Mapping[str, Sequence[str]] = {
-    "Tutorials": ("tutorial.md", "campaign.md", "studio.md", "python.md"),
+    "Tutorials": (
+        "tutorial.md", "campaign.md", "studio.md", "python.md", "notebooks/predict-and-plot.md",
+        "notebooks/files-to-a-missing-effect.md", "notebooks/write-an-effect.md",
+    ),
     "How-to": (
         "runbook.md", "init.md", "service.md", "control.md", "telemetry.md", "mqtt.md", "mtconnect.md",
         "measurements.md", "procedures.md", "fit.md", "compare.md", "diagnose.md", "plan.md", "ball-bar.md",
@@ -80,6 +86,7 @@ RESULTS: tuple[type, ...] = (
     Replayed,
 )
 LISTS = {"Args:": "Arguments", "Returns:": "Returns", "Raises:": "Errors", "Attributes:": "Attributes"}
+DOWNLOAD = "download it"
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#\s]+)(#[^)]*)?\)")
 
 
@@ -89,8 +96,10 @@ def pages() -> list[Path]:
 
 
 def gather(folder: Path) -> None:
-    """Lay out the site's sources: a link to a file that is no page becomes its name."""
+    """Lay out the site's sources: a notebook becomes a page, a link to a file that is no page becomes its name."""
     shutil.copytree(ROOT / "docs", folder, dirs_exist_ok=True)
+    for notebook in sorted((folder / "notebooks").glob("*.ipynb")):
+        notebook.with_suffix(".md").write_text(notebook_page(notebook), encoding="utf-8")
     for name, page in BESIDE.items():
         text = (ROOT / name).read_text(encoding="utf-8")
         (folder / page).write_text(text.replace("](docs/", "]("), encoding="utf-8")
@@ -105,8 +114,35 @@ def _link(here: Path, found: re.Match[str]) -> str:
     words, target = found[1], found[2]
     if (moved := BESIDE.get(target.removeprefix("../"))) is not None:
         return f"[{words}]({moved})"
+    if target.endswith(".ipynb") and words != DOWNLOAD:
+        return f"[{words}]({target.removesuffix('.ipynb')}.md)"
     inside = (here / target).is_file() or "://" in target
     return found[0] if inside else f"`{words.strip('`')}`"
+
+
+def notebook_page(path: Path) -> str:
+    """A notebook as Markdown: its texts, its code, and what the code printed; figures are written beside it."""
+    head, *rest = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    out = ["".join(head["source"]), f"This page is a notebook that runs as it is: [{DOWNLOAD}]({path.name})."]
+    for number, cell in enumerate(rest):
+        text = "".join(cell["source"])
+        out.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
+        for k, output in enumerate(cell.get("outputs", ())):
+            out.append(_printed(output, path.with_name(f"{path.stem}-{number}-{k}.png")))
+    return "\n\n".join(out) + "\n"
+
+
+def _printed(output: Mapping[str, Any], figure: Path) -> str:
+    """One output of a cell: a figure, a table or text."""
+    data = output.get("data", {})
+    if "image/png" in data:
+        figure.write_bytes(b64decode("".join(data["image/png"])))
+        return f"![figure of the cell above]({figure.name})"
+    if "text/html" in data:
+        # Markdown ends a block of HTML at an empty line, and takes indented lines for code.
+        lines = re.sub(r"<style.*?</style>", "", "".join(data["text/html"]), flags=re.DOTALL).splitlines()
+        return "\n".join(line.strip() for line in lines if line.strip())
+    return f"```text\n{''.join(output.get('text') or data['text/plain']).rstrip()}\n```"
 
 
 def config(source: Path, out: Path) -> str:

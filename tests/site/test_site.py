@@ -3,6 +3,7 @@
 Oracles: Zensical's strict build, which refuses a link that leads nowhere; the built files, read as text.
 """
 
+import json
 import re
 from collections.abc import Iterator
 from html.parser import HTMLParser
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import rtec
-from tests.site.build import SECTIONS, build
+from tests.site.build import ROOT, SECTIONS, build
 
 FETCHED = {"src", "srcset", "data", "poster", "action"}
 LAZY = ("mermaid", "glightbox", "pyodide", 'data-md-component="source"', "ace-editor")
@@ -67,6 +68,19 @@ def test_every_page_and_figure_is_there(site: Path) -> None:
         assert page.is_file(), name
         shown = re.findall(r'<img[^>]*src="([^"]+)"', page.read_text(encoding="utf-8"))
         assert all((page.parent / figure).is_file() for figure in shown), name
+
+
+def test_a_notebook_is_a_page_with_its_tables_and_figures(site: Path) -> None:
+    """Oracle: the notebook itself: its first heading, the code and the outputs, by their kinds."""
+    for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        outputs = [o.get("data", {}) for c in cells for o in c.get("outputs", ())]
+        page = (site / "notebooks" / f"{path.stem}.html").read_text(encoding="utf-8")
+        assert page.count('<img alt="figure of the cell above"') == sum("image/png" in o for o in outputs)
+        tables = sum("text/html" in o and "image/png" not in o for o in outputs)
+        assert page.count("<table") == tables, path.stem
+        assert page.count('class="language-python highlight"') == sum(c["cell_type"] == "code" for c in cells)
+        assert (site / "notebooks" / path.name).read_bytes() == path.read_bytes()
 
 
 def test_the_api_has_every_function(site: Path) -> None:
