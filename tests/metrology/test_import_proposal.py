@@ -5,7 +5,8 @@ the diagnosis; tables written by hand; the README of the real data.
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from rtec.machine import load_machine
 from rtec.metrology.files.load import load_measurement
 from rtec.metrology.importing import Imported, ImportProposal, import_measurement, import_table, load_map, propose
 from rtec.metrology.importing.rows import condition
-from tests.support.foreign_tables import ANSWERS, WRITTEN, date_and_time, rows, semicolons
+from tests.support.foreign_tables import ANSWERS, BEGAN, WRITTEN, Row, comma, date_and_time, rows, semicolons
 from tests.support.real_data import real_file
 
 ROOT = Path(__file__).parents[2]
@@ -46,6 +47,37 @@ def test_five_foreign_tables_are_one_command_away(way: str, tmp_path: Path, caps
     assert m.run.tolist() == [1 + i // 11 for i in range(66)]
     again = import_table(file, load_map(tmp_path / "laser-x-map.toml"))
     np.testing.assert_array_equal(again.columns["reading_um"], m.readings["reading_um"])
+
+
+def excel(data: list[Row]) -> str:
+    """A title, names, units with gaps, an empty column, a remark, and a last line that is no row."""
+    out = ["Positioniermessung X;;;;;;", "Datum;Uhrzeit;Sollposition;;Abweichung;Mutter;Bemerkung", ";;mm;;µm;°C;"]
+    for i, (t, x, e, nut) in enumerate(data):
+        when, mark = BEGAN + timedelta(seconds=t), "Tür offen" if i == 5 else ""
+        out.append(f"{when:%d.%m.%Y;%H:%M:%S};{comma(x)};;{comma(e)};{comma(nut)};{mark}")
+    return "\ufeff" + "\r\n".join([*out, "", "Ende der Messung;;;;;;"]) + "\r\n"
+
+
+def in_um(data: list[Row]) -> str:
+    """Nominal and actual position in µm, with points between thousands."""
+    out = ["Zeit in s;Soll in µm;Ist in µm;Mutter in °C"]
+    for t, x, e, nut in data:
+        places = (f"{v:,.3f}".translate(str.maketrans(",.", ".,")) for v in (1000.0 * x, 1000.0 * x + e))
+        out.append(";".join([comma(t), *places, comma(nut)]))
+    return "\n".join(out)
+
+
+@pytest.mark.parametrize("written", [excel, in_um])
+def test_tables_of_german_offices(written: Callable[[list[Row]], str], tmp_path: Path) -> None:
+    """Oracle: the numbers that were written."""
+    file, data = put(tmp_path, written(rows())), rows()
+    nut = next(q.key for q in propose(file, MACHINE).questions if q.key.startswith("sensor of"))
+    proposal = propose(file, MACHINE, {}, {"axis": "X", nut: "T_x_nut", "instrument": "laser_linear"})
+    columns = import_table(file, proposal.import_map()).columns
+    t, x, e, degc = (np.array(v) for v in zip(*data, strict=True))
+    np.testing.assert_array_equal(columns["time_s"], t)
+    for name, values, within in (("x_mm", x, 1e-12), ("reading_um", e, 1e-8), ("T_x_nut_degc", degc, 1e-12)):
+        np.testing.assert_allclose(np.asarray(columns[name]), values, atol=within)
 
 
 def put(folder: Path, content: str | bytes, name: str = "file.csv") -> Path:

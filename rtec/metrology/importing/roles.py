@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtec.effects.derived import direction_track
 from rtec.errors import MeasurementError
@@ -27,6 +28,7 @@ from rtec.metrology.readers.base import Floats, ForeignTable, number_or_none
 from rtec.metrology.readers.delimited import unit_named
 from rtec.metrology.readers.layout import Guess
 from rtec.metrology.units import UNITS, convert
+from rtec.wording import counted
 
 DATES = (
     "%d.%m.%Y", "%d.%m.%y", "%Y-%m-%d", "%Y/%m/%d", "%Y.%m.%d", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%m-%d-%Y",
@@ -36,6 +38,8 @@ CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:
 JOINS = (" ", "T", "-", "_", ", ")
 TRIED = 400
 """Cells that a form of time is tried on."""
+FEW_LINES = 2
+"""So many lines without a time are remarks above or below the rows, not readings that lost theirs."""
 LEAVE = "leave out"
 LENGTH_HINT = "um, mm, inch; for counts the size of one, such as 2.5 um"
 UNIX = (1e8, 5e9)
@@ -99,7 +103,7 @@ class ColumnRoles:
             run = self._runs(measurement)
         self._directions(measurement)
         out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.told.get("run", run))}
-        if rows := dict(self.told.get("rows", {})) or self._rows():
+        if rows := dict(self.told.get("rows", {})) or self._rows(time.get("column")):
             out["rows"] = rows
         return out | {"column": self.columns}
 
@@ -147,8 +151,10 @@ class ColumnRoles:
         """Texts that are date and time; date and time of day in two columns; time of day alone."""
         clock = None
         dates: list[tuple[str, tuple[str, ...]]] = []
+        whole = self._is_row()
         for name in self._free(texts=True):
-            cells = [str(v) for v in self.table.columns[name] if v][:TRIED]
+            cells = [str(v) for v, row in zip(self.table.columns[name], whole, strict=True) if v and row]
+            cells = cells[:TRIED]
             if not cells:
                 continue
             if "T" in cells[0] and (forms := ["iso"] if _iso(cells) else []):
@@ -170,6 +176,12 @@ class ColumnRoles:
             self.use[name] = ("time_s", f"date, {day}")
             return _When(clock[0], {"date": name, "format": f"{day} {clock[1]}"}, f"time of day, {clock[1]}")
         return _When(clock[0], {"format": clock[1]}, f"time of day, {clock[1]}; no date in the file")
+
+    def _is_row(self) -> NDArray[np.bool_]:
+        """Lines with more than one cell; `End of test;;;` is none."""
+        columns = self.table.columns.values()
+        filled = sum(np.array([_filled(v) for v in column], dtype=np.int64) for column in columns)
+        return np.asarray(filled > 1) if len(self.table.columns) > 2 else np.ones(len(self.table), dtype=np.bool_)
 
     def _which(self, name: str, forms: list[str]) -> str:
         """Day before month, or month before day: asked where the cells allow both."""
@@ -292,8 +304,15 @@ class ColumnRoles:
         unit = self.units.get(name, "")
         kind = UNITS[unit].kind if unit else ""
         if unit in ("um", "nm", "mil", "uinch") or kind == "angle":
-            return not has(name, "nominal")
+            return not has(name, "nominal") and not self._is_actual_place(name)
         return has(name, "deviation") and kind in ("", "length")
+
+    def _is_actual_place(self, name: str) -> bool:
+        """Is it where the axis was, not how far off: does it go through what a nominal position in its unit does?"""
+        if not has(name, "actual") or has(name, "deviation"):
+            return False
+        same = [n for n in self._free() if is_nominal(n) and self.units.get(n) == self.units.get(name)]
+        return any(np.ptp(self._finite(name)) > 0.5 * np.ptp(self._finite(n)) > 0.0 for n in same)
 
     def _is_position(self, name: str) -> bool:
         unit = self.units.get(name, "")
@@ -494,10 +513,22 @@ class ColumnRoles:
         self.guesses.append(Guess("run", target, f"{target} turns round {turns} times: each way is a run"))
         return {"direction_of": target}
 
-    def _rows(self) -> dict[str, Any]:
-        """Of a log the rows with a reading."""
-        readings = [c["from"] for n, c in self.columns.items() if n.startswith("reading")]
-        return {"require": readings} if self.is_log and readings else {}
+    def _rows(self, clock: str | None) -> dict[str, Any]:
+        """Of a log the rows with a reading; of a table those with a time, where a line or two has none."""
+        if self.is_log:
+            readings = [c["from"] for n, c in self.columns.items() if n.startswith("reading")]
+            return {"require": readings} if readings else {}
+        if clock is None:
+            return {}
+        without = sum(not _filled(v) for v in self.table.columns[clock])
+        if not 0 < without <= FEW_LINES:
+            return {}
+        self.guesses.append(Guess("rows.require", [clock], f"{counted(without, 'line')} without a time: no row"))
+        return {"require": [clock]}
+
+
+def _filled(value: object) -> bool:
+    return value is not None and value != "" and value == value  # noqa: PLR0124 - NaN is not equal to itself
 
 
 def _fit(cells: Sequence[str], form: str) -> bool:

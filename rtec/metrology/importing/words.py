@@ -106,8 +106,8 @@ NOT_BARE: Final = frozenset({"f", "d", "t", "g", "1", "'", '"', "in", "h"})
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name, small: `mcu_posZ [mm]` gives mcu, pos, z."""
-    bare = re.sub(r"[\[(][^\])]*[\])]\s*$", "", name)
+    """The words of a name, small: `mcu_posZ [mm]` gives mcu, pos, z; `Soll in µm` gives soll."""
+    bare = re.sub(r"([\[(][^\])]*[\])]|\sin\s+\S+)\s*$", "", name)
     apart = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", bare)
     return [w.lower() for w in re.split(r"[^A-Za-zÀ-ÿ0-9+]+", apart) if w]
 

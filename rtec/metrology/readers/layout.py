@@ -367,7 +367,9 @@ def _skips(rows: Rows, skip: int) -> bool:
 def _units(cells: Sequence[str]) -> bool:
     words = [c.strip("[]() ") for c in cells]
     known = [w for w in words if w and unit_named(w)]
-    return bool(known) and all(not w or unit_named(w) or w == "-" for w in words) and len(known) * 2 >= len(words)
+    # Columns without a unit (date, remark) are empty in such a line: two units are enough where nothing else is in it.
+    enough = len(known) >= min(2, len(words) / 2)
+    return enough and all(not w or unit_named(w) or w == "-" for w in words)
 
 
 def _names_over(
