@@ -181,7 +181,9 @@ def judge_whole(seed: int) -> Judged:
     there |= {"delay"} if m["lead_ms"] else set()
     names = {"side_a": f"play_{a}_{b}", "wave_a": f"cyclic_{a}", "stick_a": f"spike_{a}"}
     there |= {name for cause, name in names.items() if m[cause]}
+    either = {v.name: {v.name, *v.with_} for v in found.fitted.values}
     named = {_by_feed(p.candidate.name) for p in found.found.beyond.picks}
+    wrong = {n for n in named if not either.get(n, {n}) & there}
     limits = {_by_feed(n.candidate.name): n.limit for n in found.found.not_found if not n.with_}
     sizes = truth | {f"cyclic_{a}": m["wave_a"], f"spike_{a}": m["stick_a"]}
     above = tuple(n for n in sorted(there - named) if n in limits and abs(sizes[n]) > limits[n])
@@ -189,7 +191,7 @@ def judge_whole(seed: int) -> Judged:
     return Judged(
         "whole", seed, noise, len(z), sum(abs(x) <= 3.0 for x in z), inside,
         tuple((v.name, x) for v, x in zip(sure, z, strict=True) if abs(x) > 3.0), found.explained, found.explained_bb,
-        tuple(sorted(named - there)), missed, tuple(z), above, _headline(m, bars, found),
+        tuple(sorted(wrong)), missed, tuple(z), above, _headline(m, bars, found),
     )  # fmt: skip
 
 

@@ -170,8 +170,10 @@ def _spike(
             of = shape_of(effect, gain=-2.0, theta={"s0": way_mm})
 
             def shape(where: At) -> Floats:
+                if not mine(where.circle):
+                    return np.zeros(len(where.circle))
                 # Coming away from the + end the axis moves to minus.
-                here = (where.circle.way(place) * sign < 0.0) & mine(where.circle)
+                here = where.circle.way(place) * sign < 0.0
                 return np.where(here, of(where), 0.0)
 
             return shape

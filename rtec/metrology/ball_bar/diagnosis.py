@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtec.metrology.ball_bar.causes import same_feed
 from rtec.metrology.ball_bar.circle import CircleTest, circles_of
 from rtec.metrology.ball_bar.design import SETTING_UP, Centre, NotLookedFor, table_of, with_setup
-from rtec.metrology.ball_bar.fit import Beyond, Fitted, FittedValue, fit, weight_of
+from rtec.metrology.ball_bar.fit import NAMED_SE, Beyond, Fitted, FittedValue, fit, weight_of
 from rtec.metrology.ball_bar.iso230_4 import (
     BothWays,
     CircleHarmonic,
@@ -233,8 +233,6 @@ Floats = NDArray[np.float64]
 WINDOW_DEG = 5.0
 RESIDUAL = "residual"
 """Name among the shares of what no cause explains."""
-NAMED_SE = 4.0
-"""A cause of so many standard errors may be named in the headline."""
 
 
 @dataclass(frozen=True)

@@ -196,6 +196,8 @@ AGAINST = 3.0
 """A further cause has to lessen the sum of squares by so many variances more than its parameters to be as likely."""
 USUAL_UM = 1.0
 """A cause that is there makes about so much of a circle, largest minus smallest."""
+NAMED_SE = 4.0
+"""A cause of so many standard errors may be named by itself."""
 LEAST_UM = 1e-6
 """Noise below this is none; what is known before the readings then still counts."""
 
@@ -482,7 +484,7 @@ def _longer(pick: Pick) -> Cause:
 
 def _joined(design: BarDesign, values: Sequence[FittedValue]) -> dict[str, str]:
     """Groups that are shown as one because the readings do not separate them, each with the name of them all."""
-    sure = {v.name for v in values if v.low > 0.0 or v.high < 0.0}
+    sure = {v.name for v in values if abs(v.value) > NAMED_SE * v.se}
     out: dict[str, str] = {}
     for names in design.by_readings.confounded:
         groups = dict.fromkeys(c.group for c in design.labels if c.name in names and _of_machine(c))

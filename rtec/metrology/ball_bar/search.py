@@ -80,6 +80,10 @@ class SearchState:
         """White columns of [BB]'s parameters and of some candidates."""
         return np.concatenate([self.base, *(self.own[i][self.way[i]] for i in places)], axis=1)
 
+    def white_of(self, places: Sequence[int]) -> Floats:
+        """White columns of some candidates."""
+        return np.concatenate([self.own[i][self.way[i]] for i in places], axis=1)
+
     def plain(self, places: Sequence[int]) -> Floats:
         """The same not made white."""
         return np.concatenate([self.table.base, *(self.table.columns[i][self.way[i]] for i in places)], axis=1)
@@ -154,6 +158,10 @@ SMALLEST_UM = 0.05
 """A cause that makes less of a circle than this is none."""
 SURE_SE = 4.0
 """A size of so many standard errors is beyond doubt."""
+SURE_ODDS = 6.0
+"""Twice the logarithm of the odds from which on readings decide between two causes: 20 to 1."""
+SWAPS, SMALLEST_SWAP = 3, 0.1
+"""Causes are changed for others that explain more, so many times at most and for so many variances at least."""
 FOUND_SE = 5.5
 """A cause of so many standard errors would have been found: `FAMILY` asks for four and a half, noise may take one."""
 NOISE_ROUNDS = 2
@@ -219,14 +227,23 @@ def search(
         work = work_of(table, reading, likeliest, work.way)
     work = work_of(table, reading, worst, work.way)
     rows = in_a_row(least(work, work.everything).left, [len(c) for c in table.circles])
-    stays, chance = _eliminate(work, rows)
+    stays, chance = _eliminate(work, rows, work.everything)
+    for _ in range(SWAPS):
+        better = min(_instead(work, stays, rows), key=lambda i: i.lost, default=None)
+        if better is None or better.lost > -SMALLEST_SWAP:
+            break
+        kept = [i for i in stays if i not in better.unit]
+        stays, chance = _eliminate(work, rows, sorted([*kept, *better.other]))
+    rivals = tuple(_rivals(work, stays, rows))
     picks = tuple(_pick(work, stays, i, p) for i, p in zip(stays, chance, strict=True))
     # The ways are finer now than those on the list.
     best = replace(table, columns=tuple(_at_best(work, picks)))
     noise = judged(work_of(best, reading, work.noise, (0,) * len(work.way)), window_deg)[0]
     beside = tuple(_beside(picks, table.left_out))
     beyond = Beyond(picks, noise, clearance, late_s, beside, tuple(_dropped(work, stays)))
-    return CausesFound(beyond, tuple(_limits(work, stays, rows)), table.left_out)
+    open_ = {r.candidate.name for r in rivals}
+    not_found = tuple(n for n in _limits(work, stays, rows) if n.candidate.name not in open_)
+    return CausesFound(beyond, not_found, (*table.left_out, *rivals))
 
 
 def _beside(picks: Sequence[Pick], left_out: Sequence[NotLookedFor]) -> Iterator[Cause]:
@@ -239,12 +256,11 @@ def _beside(picks: Sequence[Pick], left_out: Sequence[NotLookedFor]) -> Iterator
 
 def _dropped(work: SearchState, stays: Sequence[int]) -> Iterator[tuple[Cause, ...]]:
     """What was dropped, each by itself, and the same effect of both axes together."""
-    dropped = [(work.table.tried[i], work.way[i]) for i in work.everything if i not in stays]
-    causes = {c.name: c.make((c.ways_mm or (0.0,))[way]) for c, way in dropped}
-    yield from causes.values()
-    for (one, _), (other, _) in itertools.combinations(dropped, 2):
-        if one.effect == other.effect and one.axis != other.axis and one.kind == "plain":
-            yield causes[one.name] + causes[other.name]
+    dropped = [i for i in work.everything if i not in stays]
+    tried = {i: work.table.tried[i] for i in dropped}
+    causes = {i: c.make((c.ways_mm or (0.0,))[work.way[i]]) for i, c in tried.items()}
+    yield from (causes[i] for i in dropped if tried[i].kind != "plain")
+    yield from (tuple(c for i in unit for c in causes[i]) for unit in _units(work, dropped))
 
 
 def _too_few(table: CandidateTable, count: int) -> Iterator[NotLookedFor]:
@@ -276,10 +292,59 @@ def _reading(table: CandidateTable) -> Floats:
     return reading - table.design.second_order_um(kept, found)
 
 
-def _eliminate(work: SearchState, rows: float) -> tuple[tuple[int, ...], tuple[float, ...]]:
+@dataclass(frozen=True)
+class Swap:
+    """Causes that could be there instead of some that stay.
+
+    Attributes:
+        unit, other: places of those that stay and of the others.
+        lost: by so many variances of the noise the others explain less.
+    """
+
+    unit: tuple[int, ...]
+    other: tuple[int, ...]
+    lost: float
+
+
+def _instead(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[Swap]:
+    """What could be there instead, one cause for one, or two of the same effect for two."""
+    others = tuple(_units(work, [i for i in work.everything if i not in stays]))
+    power = least(work, stays).sigma ** 2 * rows
+    for unit in _units(work, stays):
+        basis, left = work.beside([i for i in stays if i not in unit])
+        most = gain(basis, left, work.white_of(unit))
+        for other in others:
+            if len(other) == len(unit):
+                yield Swap(unit, other, (most - gain(basis, left, work.white_of(other))) / power)
+
+
+def _units(work: SearchState, places: Sequence[int]) -> Iterator[tuple[int, ...]]:
+    """Plain causes one by one, and the same effect of both axes together."""
+    plain = [i for i in places if work.table.tried[i].kind == "plain"]
+    yield from ((i,) for i in plain)
+    for i, j in itertools.combinations(plain, 2):
+        one, other = work.table.tried[i], work.table.tried[j]
+        if one.effect == other.effect and one.axis != other.axis:
+            yield i, j
+
+
+def _rivals(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[NotLookedFor]:
+    """Causes that do nearly as well as some that stay: of which of them it is, nothing is said."""
+    twins: dict[int, list[str]] = {}
+    for swap in _instead(work, stays, rows):
+        if swap.lost < SURE_ODDS:
+            for i in swap.other:
+                twins.setdefault(i, []).extend(work.table.tried[k].name for k in swap.unit)
+    for i, names in twins.items():
+        titles = " and ".join(work.table.tried[k].title for k in stays if work.table.tried[k].name in names)
+        why = f"it does as well as {titles}"
+        yield NotLookedFor(replace(work.table.tried[i], missing=why), why, tuple(dict.fromkeys(names)))
+
+
+def _eliminate(work: SearchState, rows: float, start: Sequence[int]) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Drop the least significant until all that stay are; their places, and how often chance would make each."""
-    stays = list(work.everything)
-    tried = len(stays)
+    stays = list(start)
+    tried = len(work.everything)
     while stays:
         chance = _chances(work, stays, least(work, stays), rows)
         worst = int(np.argmax(chance))
