@@ -38,12 +38,13 @@ SERVO = ("delay", "gain_")
 
 def beyond_section(d: BallBarDiagnosis) -> Section:
     """The section of the page."""
-    return Section("Dynamic effects and the drive", [*_servo(d), *_left_out(d), *_wanted(d)], _table(d))
+    text = [*_servo(d), *_rivals(d), *_left_out(d), *_wanted(d)]
+    return Section("Dynamic effects and the drive", text, _table(d))
 
 
 def _servo(d: BallBarDiagnosis) -> list[str]:
     """What one feed cannot separate: the servo's part from scale and squareness."""
-    open_ = [n for n in d.found.left_out if n.candidate.name.startswith(SERVO) and n.twins]
+    open_ = [n for n in d.found.left_out if n.candidate.name.startswith(SERVO) and n.twins and not n.rival]
     feeds = feeds_of(d.circles)
     one = f"All tests were run at one feed, {feeds[0]:g} mm/min, which"
     why = "These tests" if len(feeds) > 1 else one
@@ -51,11 +52,23 @@ def _servo(d: BallBarDiagnosis) -> list[str]:
     return [f"{why} cannot separate {pairs}. Their sum is in the table above."] if open_ else []
 
 
+def _rivals(d: BallBarDiagnosis) -> list[str]:
+    """What does nearly as well as a cause that was found."""
+    out: dict[str, list[str]] = {}
+    for n in d.found.left_out:
+        if n.rival:
+            out.setdefault(_titles(d, n), []).append(n.candidate.title)
+    return [
+        f"Instead of {found} it may be {' and '.join(other)}: the readings do not decide."
+        for found, other in out.items()
+    ]
+
+
 def _left_out(d: BallBarDiagnosis) -> list[str]:
     """What these tests cannot show, other than the servo's part."""
     out: dict[str, list[str]] = {}
     for n in d.found.left_out:
-        if not (n.candidate.name.startswith(SERVO) and n.twins):
+        if not n.rival and not (n.candidate.name.startswith(SERVO) and n.twins):
             why = f"not separated from {_titles(d, n)}" if n.twins else n.why
             out.setdefault(why, []).append(n.candidate.title)
     return [f"Not tested: {', '.join(titles)}: {why}." for why, titles in out.items()]

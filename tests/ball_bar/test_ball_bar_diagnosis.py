@@ -10,8 +10,8 @@ from rtec.errors import MeasurementError
 from rtec.metrology.ball_bar.causes import causes
 from rtec.metrology.ball_bar.circle import CircleTest, circle_of, circles_of
 from rtec.metrology.ball_bar.design import Rank, design_of
-from rtec.metrology.ball_bar.diagnosis import diagnose
-from rtec.metrology.ball_bar.fit import fit
+from rtec.metrology.ball_bar.diagnosis import chosen, diagnose
+from rtec.metrology.ball_bar.fit import Beyond, fit
 from rtec.metrology.ball_bar.iso230_4 import both_ways, harmonics, roundness
 from rtec.metrology.measurement import Measurement
 from tests.support.ball_bar_examples import bar, bb_reading_um, gantry, recorded
@@ -224,9 +224,11 @@ def test_the_model_is_chosen_as_the_paper_advises() -> None:
 
 
 def test_straight_guides_are_seldom_taken_for_bent() -> None:
-    """Oracle: nothing bent is there; 100 seeds, at most 3 may be taken for bent."""
-    taken = [diagnose(made(TABLE_2, GIVEN, 0.3, seed, step_deg=2.0)).fitted.model for seed in range(100)]
+    """Oracle: nothing bent is there; 100 seeds, at most 3 may be taken for bent; of 5 with dynamic causes none."""
+    tests = [made(TABLE_2, GIVEN, 0.3, seed, step_deg=2.0) for seed in range(100)]
+    taken = [chosen(circles_of(given), "auto", 5.0, "shared", Beyond())[0].model for given in tests]
     assert taken.count("non-linear") <= 3
+    assert {diagnose(given).fitted.model for given in tests[:5]} == {"linear"}
 
 
 def test_shares_are_ranked_and_add_up() -> None:

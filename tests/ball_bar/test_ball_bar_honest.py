@@ -59,6 +59,18 @@ def test_a_height_that_was_measured_gives_the_bend_back() -> None:
     assert "bend X out of plane" in ball_bar_page(d, figures=False).lead
 
 
+def test_a_scale_allows_for_what_the_height_hides() -> None:
+    """Oracle: a perfect machine, both heights off by 0.12 mm: as a bend that is 0.1 mm out of plane, which makes a flat
+    bar 50 nm longer, and that looks like a scale. Its interval holds the true 0, and no bend is named."""
+    bars = [replace(b, height_um=120.0 if b.h else 0.0) for b in THREE]
+    d = diagnose(recordings(TrueMachine("tool", "XY"), bars, 0.02), "non-linear", dynamic=False)
+    for name in ("scale_x", "scale_y"):
+        v = d.fitted.value(name)
+        assert abs(v.value) > 0.2, "else this shows nothing"
+        assert v.low < 0.0 < v.high
+    assert d.named is None
+
+
 # ---- 2: a bar of unknown length
 
 
@@ -194,6 +206,23 @@ def test_a_spike_of_a_machine_that_is_late_keeps_its_height() -> None:
     assert {p.candidate.name for p in d.found.beyond.picks} == {"gain_x", "gain_y", "spike_x_f1000", "spike_x_f3000"}
     for name in ("spike_x_plus_f1000", "spike_x_minus_f3000"):
         assert abs(d.fitted.value(name).value - 6.0) < 4.0 * d.fitted.value(name).se + 0.05, name
+
+
+# ---- between causes that do as well, nothing is decided
+
+
+def test_a_cause_that_does_as_well_is_named_beside_it() -> None:
+    """Oracle: plain servo loops. Two plays do nearly as well: the one other test in that sense has the other feed."""
+    m = TrueMachine("tool", "YZ", {"ex": -6.0, "ey": 1.4, "roll": 198.65, "lead_ms": -0.4446, "lag_ms": 14.12})
+    bars = (THREE[0], replace(THREE[1], height_um=-63.4), replace(THREE[2], height_um=-46.9))
+    d = diagnose(recordings(m, (*bars, Bar(0.0, 150.0, "cw", 3000.0)), 0.365, 60219))
+    assert {p.candidate.name for p in d.found.beyond.picks} == {"delay", "gain_y", "gain_z"}
+    assert set(d.fitted.value("gain_y").with_) == {"play_y_z", "play_z_y"}
+    assert abs(d.fitted.value("gain_y").value - 99.7) < 3.0 * d.fitted.value("gain_y").se
+    said = " ".join(render(ball_bar_page(d, figures=False)).split())
+    assert "Instead of servo gain error of Y: too short by, for each m/s² and servo gain error of Z: too short" in said
+    assert "it may be lateral play of Y along Z and lateral play of Z along Y: the readings do not decide." in said
+    assert not {"play_y_z", "play_z_y"} & {n.candidate.name for n in d.found.not_found}
 
 
 # ---- 8: a carriage that turns with its guide

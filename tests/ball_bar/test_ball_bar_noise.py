@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from rtec.metrology.ball_bar.circle import CircleTest, circle_of
-from rtec.metrology.ball_bar.noise import AngleNoise, find_noise
+from rtec.metrology.ball_bar.circle import CircleTest, circle_of, circles_of
+from rtec.metrology.ball_bar.fit import Solution, allowing
+from rtec.metrology.ball_bar.noise import WHITE, AngleNoise, find_noise
 from tests.support.ball_bar_dynamic import wander
 from tests.support.ball_bar_examples import bar, gantry, recorded
+from tests.support.ball_bar_truth import THREE, TrueMachine, recordings
 
 
 def circles(step_deg: float) -> tuple[CircleTest, ...]:
@@ -57,3 +60,33 @@ def test_a_noise_that_wanders_is_told_from_a_white_one() -> None:
     assert best.way_rad == pytest.approx(0.3, rel=0.6)
     assert worst.share * worst.way_rad >= best.share * best.way_rad
     assert find_noise(tests, columns, white, 1.0, 5.0)[0].share < 0.05
+
+
+@pytest.mark.parametrize("there_um", [0.0, 0.06, 0.12])
+def test_what_may_be_there_is_allowed_for_by_its_evidence(there_um: float) -> None:
+    """Oracle: Bayes' rule integrated on a grid: a cause of 0 ± 1 µm at even odds beside one that is nearly as it."""
+    angle = np.deg2rad(np.arange(0.5, 360.0, 1.0))
+    circle = circles_of(recordings(TrueMachine("tool", "XY"), THREE[:1]))
+    known, other = np.cos(2 * angle)[:, None], (0.45 * np.cos(2 * angle) + 0.2 * np.cos(4 * angle))[:, None]
+    sigma, rng = 0.2, np.random.default_rng(3)
+    reading = 0.3 * known[:, 0] + there_um * other[:, 0] + sigma * rng.standard_normal(len(angle))
+    found = np.linalg.lstsq(known, reading, rcond=None)[0]
+    alone = Solution(found, sigma**2 * np.linalg.inv(known.T @ known), sigma, 1.0, known, reading - known @ found)
+    allowed = allowing(alone, [other], circle, WHITE)
+    # The grid: of the cause in units of its usual size, and of the parameter about its value.
+    unit = other[:, 0] / np.ptp(other)
+    size, value = np.linspace(-6.0, 6.0, 4001), found[0] + np.linspace(-1.5, 1.5, 3001)
+    a, b, c = known[:, 0] @ known[:, 0], known[:, 0] @ unit, unit @ unit
+    left = [reading @ reading, reading @ known[:, 0], reading @ unit]
+
+    def power(v: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
+        squares = left[0] - 2 * left[1] * v - 2 * left[2] * s + a * v**2 + 2 * b * v * s + c * s**2
+        return np.asarray(np.exp(-0.5 * (squares - float(alone.residual @ alone.residual)) / sigma**2))
+
+    without = power(value, np.zeros(1))
+    prior = np.exp(-0.5 * size**2) / np.sqrt(2 * np.pi) * (size[1] - size[0])
+    beside = np.array([float(power(v, size) @ prior) for v in value])
+    weight = without + beside
+    mean = float(weight @ value / weight.sum())
+    assert allowed.found[0] == pytest.approx(mean, abs=1e-4)
+    assert allowed.errors[0] == pytest.approx(np.sqrt(float(weight @ (value - mean) ** 2 / weight.sum())), rel=1e-3)

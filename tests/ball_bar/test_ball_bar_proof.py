@@ -21,8 +21,8 @@ def judged(kind: str, count: int) -> list[Judged]:
 @pytest.mark.xdist_group(GROUP)
 def test_parameters_are_within_three_standard_errors() -> None:
     """Machines with some causes beyond [BB]'s: at least 95 % of parameters; and most 95 % intervals hold the truth."""
-    found = summary(judged("mixed", 6))
-    assert found["parameters"] > 140
+    found = summary(judged("mixed", 3))
+    assert found["parameters"] > 70
     assert found["within_three_se"] >= 0.97
     assert found["in_95_interval"] >= 0.85
     assert found["falsely_named"] == 0
@@ -32,9 +32,9 @@ def test_parameters_are_within_three_standard_errors() -> None:
 def test_whole_machines_of_every_kind_are_read_honestly() -> None:
     """Tool-side, table-side and mixed machines in three planes, 0 to 4 causes, heights and lengths unknown: parameters
     within three standard errors, no cause that is not there, none missed above its limit, headlines right."""
-    found = summary(judged("whole", 10))
-    assert found["parameters"] > 90
-    assert found["within_three_se"] >= 0.99
+    found = summary(judged("whole", 6))
+    assert found["parameters"] > 50
+    assert found["within_three_se"] >= 0.98
     assert 0.8 <= found["rms_z"] <= 1.2
     assert found["falsely_named"] == found["missed_above_limit"] == 0
     assert found["headline_right"] == 1.0
@@ -44,7 +44,7 @@ def test_whole_machines_of_every_kind_are_read_honestly() -> None:
 @pytest.mark.parametrize("kind", ["all", "sine"])
 def test_nine_tenths_of_the_variance_are_explained_where_everything_is_wrong(kind: str) -> None:
     """On each machine; [BB]'s parameters alone leave far more, a fifth to a half."""
-    machines = judged(kind, 4)
+    machines = judged(kind, 2)
     assert min(j.explained for j in machines) >= 0.9
     found = summary(machines)
     assert found["bb_alone_mean"] < 0.8
@@ -53,8 +53,8 @@ def test_nine_tenths_of_the_variance_are_explained_where_everything_is_wrong(kin
 
 @pytest.mark.xdist_group(GROUP)
 def test_clean_machines_are_not_called_dynamic() -> None:
-    """White noise and noise that wanders: of 14 machines at most one is told of a cause that it does not have."""
-    machines = judged("bb", 8) + judged("wander", 6)
+    """White noise and noise that wanders: of 8 machines at most one is told of a cause that it does not have."""
+    machines = judged("bb", 4) + judged("wander", 4)
     assert sum(bool(j.false_names) for j in machines) <= 1
     assert summary(machines)["within_three_se"] >= 0.95
 

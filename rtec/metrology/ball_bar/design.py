@@ -169,6 +169,10 @@ class BarDesign:
         """Of the parameters, (k)."""
         return tuple(c.name for c in self.labels)
 
+    def rows(self, keep: NDArray[np.bool_]) -> "BarDesign":
+        """Only these readings, (n,)."""
+        return BarDesign(self.labels, self.columns[keep], self.tips[keep], self.squares[keep], self.bar_mm[keep])
+
     @cached_property
     def known(self) -> tuple[int, ...]:
         """Places of the parameters of which something is known before any reading."""
@@ -318,12 +322,14 @@ class NotLookedFor:
         why: in words.
         twins: names of what it is not separated from; none where it cannot be seen at all.
         parts: sizes of known parameters, by name, that make the same readings as one unit of it.
+        rival: it was looked for, and does nearly as well as its twins, which were found.
     """
 
     candidate: ExtraCause
     why: str
     twins: tuple[str, ...] = ()
     parts: Mapping[str, float] = field(default_factory=dict)
+    rival: bool = False
 
     def goes_into(self, factors: Mapping[str, float]) -> bool:
         """Is it not separated from what is determined of some parameters, a sum with these factors by name?"""

@@ -73,7 +73,7 @@ def wanted(
         centre: see `design_of`.
         in_time: the servo phase is taken as one time in all tests.
     """
-    open_ = [x.candidate.name for x in left_out if not x.candidate.missing]
+    open_ = [x.candidate.name for x in left_out if not x.candidate.missing and not x.rival]
     out = []
     for words, circle in _ideas(circles) if open_ else ():
         if any(_same_test(circle, c) for c in circles):
@@ -390,7 +390,7 @@ class BallBarDiagnosis(Result):
             ],
             "not_looked_for": [
                 {"name": n.candidate.name, "title": n.candidate.title, "why": n.why,
-                 "not_separated_from": list(n.twins)}
+                 "not_separated_from": list(n.twins), "does_as_well": n.rival}
                 for n in self.found.left_out
             ],
             "tests_to_add": [

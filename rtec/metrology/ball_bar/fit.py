@@ -427,8 +427,10 @@ def fit(
     """
     beyond = beyond or Beyond()
     more = [*(c for p in beyond.picks for c in causes_of(p)), *beyond.beside]
-    used = used_rows(circles, window_deg, beyond)
-    near = design_of(used, bent=bent, centre=centre, more=more)
+    keep = [_used(c, window_deg, beyond) for c in circles]
+    used = tuple(c.rows(k) for c, k in zip(circles, keep, strict=True))
+    whole = design_of(circles, bent=bent, centre=centre, more=more)
+    near = whole.rows(np.concatenate(keep))
     reading = np.concatenate([c.reading_um for c in used])
     kept = list(near.rank.kept)
     if len(reading) - len(kept) < len(kept):
@@ -446,7 +448,7 @@ def fit(
     combinations = _combinations(near, kept, solved, wide, joined)
     values = tuple(replace(v, group=joined.get(v.group, v.group)) for v in values)
     heights = _heights(near, numbers, joined)
-    parts = _parts(circles, design_of(circles, bent=bent, centre=centre, more=more), fitted, joined)
+    parts = _parts(circles, whole, fitted, joined)
     after = tuple(c.reading_um - np.sum([p[i] for p in parts.values()], axis=0) for i, c in enumerate(circles))
     return Fitted(
         "non-linear" if bent else "linear", values, combinations, heights, near.rank, parts, after, solved.sigma_um,
@@ -454,11 +456,11 @@ def fit(
     )  # fmt: skip
 
 
-def used_rows(circles: Sequence[CircleTest], window_deg: float, beyond: Beyond) -> tuple[CircleTest, ...]:
-    """The readings that a fit uses."""
+def _used(circle: CircleTest, window_deg: float, beyond: Beyond) -> NDArray[np.bool_]:
+    """The readings of a test that a fit uses, (n,)."""
     if not beyond.picks:
-        return tuple(c.rows(~c.near_quadrant(window_deg)) for c in circles)
-    return tuple(c.rows(~c.taking_up(beyond.clearance_um, beyond.late_s)) for c in circles)
+        return ~circle.near_quadrant(window_deg)
+    return ~circle.taking_up(beyond.clearance_um, beyond.late_s)
 
 
 def causes_of(pick: Pick) -> tuple[Cause, ...]:

@@ -338,7 +338,7 @@ def _rivals(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[No
     for i, names in twins.items():
         titles = " and ".join(work.table.tried[k].title for k in stays if work.table.tried[k].name in names)
         why = f"it does as well as {titles}"
-        yield NotLookedFor(replace(work.table.tried[i], missing=why), why, tuple(dict.fromkeys(names)))
+        yield NotLookedFor(work.table.tried[i], why, tuple(dict.fromkeys(names)), rival=True)
 
 
 def _eliminate(work: SearchState, rows: float, start: Sequence[int]) -> tuple[tuple[int, ...], tuple[float, ...]]:
