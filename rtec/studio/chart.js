@@ -1,6 +1,8 @@
 // A plot whose colours follow the theme, whose points light up in all plots beside it, and which moves from one state
 // to the next. Data come as plain numbers; texts are text: Plotly's own markup is taken out of them.
 const charts = new Set();
+// Numbers of the readings that are marked in every plot of the page; and whether that is changing.
+let marked = null, marking = false;
 const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 function colours(value, style) {
@@ -17,7 +19,6 @@ export default {
   async mounted() {
     const { Plotly } = await import("nicegui-plotly");
     this.Plotly = Plotly;
-    this.selected = null;
     await this.draw();
     if (!this.$el.isConnected) return;
     charts.add(this);
@@ -30,6 +31,7 @@ export default {
   },
   unmounted() {
     charts.delete(this);
+    if (!charts.size) marked = null; // another page, or other readings
     this.resized?.disconnect();
     this.themed?.disconnect();
     if (this.Plotly) this.Plotly.purge(this.$el);
@@ -40,6 +42,7 @@ export default {
   methods: {
     styled() {
       const { data, layout } = colours(this.moved ?? this.options, getComputedStyle(document.body));
+      for (const trace of data) if (trace.ids && marked !== null) trace.selectedpoints = this.lit(trace);
       return { data, layout, config: { displaylogo: false, responsive: false, scrollZoom: false,
         modeBarButtonsToRemove: ["toImage", "autoScale2d"] } };
     },
@@ -51,14 +54,10 @@ export default {
       const ids = (event) => (event?.points ?? []).map((p) => p.data.ids ? Number(p.data.ids[p.pointIndex]) : NaN)
         .filter((id) => !Number.isNaN(id));
       this.$el.on("plotly_selected", (event) => {
-        if (!event) return;
-        const found = ids(event);
-        this.$emit("brush", found);
-        for (const chart of charts) chart.light(new Set(found));
+        if (event) this.mark(ids(event));
       });
       this.$el.on("plotly_deselect", () => {
-        this.$emit("brush", []);
-        for (const chart of charts) chart.light(null);
+        if (marked !== null) this.mark(null);
       });
       this.$el.on("plotly_hover", (event) => {
         const found = ids(event);
@@ -70,15 +69,18 @@ export default {
         else if (event["xaxis.autorange"]) this.$emit("zoom", null);
       });
     },
-    light(wanted) {
-      if (wanted === null && this.selected === null) return;
-      this.selected = wanted;
-      this.$el.data.forEach((trace, k) => {
-        if (!trace.ids) return;
-        const points = wanted === null ? null : [];
-        if (wanted !== null) trace.ids.forEach((id, i) => { if (wanted.has(Number(id))) points.push(i); });
-        this.Plotly.restyle(this.$el, { selectedpoints: [points] }, [k]);
-      });
+    lit(trace) {
+      return trace.ids.reduce((points, id, i) => { if (marked.has(Number(id))) points.push(i); return points; }, []);
+    },
+    async mark(found) {
+      if (marking) return;
+      marking = true;
+      this.$emit("brush", found ?? []);
+      marked = found && new Set(found);
+      // Without the box that was drawn: Plotly would select by it again, in its own plot only.
+      await this.Plotly.relayout(this.$el, { selections: [] });
+      await Promise.all([...charts].filter((c) => c.options.data.some((trace) => trace.ids)).map((c) => c.draw()));
+      marking = false;
     },
     // Moves every trace of the same length from where it is to where it will be, and leaves the rest as it is.
     morph(options, ms) {

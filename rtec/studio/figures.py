@@ -23,6 +23,8 @@ Figure = dict[str, Any]
 MOST, WORST = 12_000, 2_000
 """Readings that are drawn at once; of these, so many with the largest residual."""
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
+FEW, LARGE, SMALL = 2_000, 9, 6
+"""Up to so many readings are drawn large; sizes of both."""
 CELLS, LEAST = 24, 3
 WAYS = 2
 DIGITS = 5
@@ -105,8 +107,8 @@ def _points(s: "SeriesView", rows: Ints, x: Floats, y: Floats, name: str, **mark
         "x": numbers(x[rows]),
         "y": numbers(y[rows]),
         "ids": [str(s.first + int(r)) for r in rows],
-        "marker": {"size": 6, "opacity": 0.75, **marker},
-        "selected": {"marker": {"opacity": 1.0, "size": 9}},
+        "marker": {"size": LARGE if len(rows) <= FEW else SMALL, "opacity": 0.75, **marker},
+        "selected": {"marker": {"opacity": 1.0, "size": LARGE + 2}},
         "unselected": {"marker": {"opacity": 0.12}},
         "hovertemplate": f"%{{x:.5g}}, %{{y:.3f}} {s.unit}<extra></extra>",
     }
@@ -193,9 +195,10 @@ def residual_over(
 
 def _predicted(s: "SeriesView", x: Floats) -> list[Figure]:
     out = []
-    for name, mask, tint, _ in ways(s.direction):
+    for name, mask, tint, symbol in ways(s.direction):
         at, mean = by_place(x[mask], s.predicted[mask])
-        line = {"color": tint if name else "@ink", "width": 3}
+        # Both directions are seen where they are predicted alike.
+        line = {"color": tint if name else "@ink", "width": 3, "dash": "dash" if symbol == "triangle-down" else "solid"}
         shown = f"predicted{name}"
         out.append(
             {

@@ -5,6 +5,7 @@ of the page. Results come back through a pipe of our own child; no file and no c
 """
 
 import asyncio
+import contextlib
 import multiprocessing
 import sys
 import traceback
@@ -70,8 +71,15 @@ def _context() -> "multiprocessing.context.ForkServerContext":
 
 
 def _work(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[Any, ...]) -> None:
+    with contextlib.suppress(BrokenPipeError):  # nobody waits for it any more
+        _report(pipe, task, args)
+
+
+def _report(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[Any, ...]) -> None:
     try:
         pipe.send(("done", task(_Line(pipe), *args)))
+    except BrokenPipeError:
+        raise
     except RtecError as e:
         pipe.send(("failed", str(e)))
     except Exception as e:  # noqa: BLE001 - whatever it is, the page shows that it ended

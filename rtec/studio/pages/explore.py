@@ -217,7 +217,10 @@ def _layout3(machine: Machine) -> dict[str, Any]:
         f"{axis}axis": _axis3(f"{axis.upper()}, mm") | {"range": ranges[k].tolist()} for k, axis in enumerate("xyz")
     }
     scene |= {"aspectmode": "manual", "aspectratio": dict(zip("xyz", (1.2 * ratio).tolist(), strict=True))}
-    scene |= {"uirevision": "kept", "camera": {"eye": {"x": 0.9, "y": -1.35, "z": 0.6}}}
+    scene |= {
+        "uirevision": "kept",
+        "camera": {"eye": {"x": 1.15, "y": -1.75, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.12}},
+    }
     return figures.layout(scene=scene, dragmode="orbit", margin={"l": 0, "r": 0, "t": 40, "b": 0})
 
 

@@ -62,7 +62,7 @@ class _LivePage:
             with ui.element("div").classes("row"):
                 for name, (text, question) in ORDERS.items():
                     button(text, partial(self._ask, name, text, question), main=name == "hold")
-                self._mark = ui.input("Mark: a text beside the log").props("outlined dense")
+                self._mark = ui.input("Text beside the log", placeholder="new tool").props("outlined dense")
                 button("Mark", self._set_mark)
         else:
             Words("p", "This studio only looks: start it with --role operate for the buttons.", "small")
