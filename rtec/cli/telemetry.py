@@ -17,7 +17,7 @@ def telemetry(
         typer.Option(metavar="FILE", help="Write the device file of an MTConnect agent, and end.", show_default=False),
     ] = None,
 ) -> None:
-    """Publishes the status of a running daemon: MQTT, MTConnect. It only reads, and the daemon may start later.
+    """Publishes the status of a running daemon: MQTT, MTConnect, OPC UA. It only reads, and the daemon may start later.
 
     Ctrl-C ends it.
 

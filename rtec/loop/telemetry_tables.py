@@ -90,13 +90,39 @@ class MtconnectTable(Strict):
         return self
 
 
+class OpcuaTable(Strict):
+    """`[telemetry.opcua]`: an OPC UA server that can only be read; SignAndEncrypt, or nothing.
+
+    Attributes:
+        listen: "host:port" that clients connect to; "*:4840": on every network of this computer.
+        period_s: time from one look at the daemon to the next.
+        certificate_file: the server's certificate (PEM), with its application URI.
+        key_file: its private key (PEM, not encrypted).
+        trusted_folder: certificates of the clients that may connect (PEM or DER), and nothing else.
+    """
+
+    listen: str = "127.0.0.1:4840"
+    period_s: Annotated[float, Field(ge=0.05, le=3600)] = 0.1
+    certificate_file: Path
+    key_file: Path
+    trusted_folder: Path
+
+    @model_validator(mode="after")
+    def _place(self) -> Self:
+        if not is_place(self.listen):
+            raise ValueError(f'listen: {self.listen!r} is not "host:port"')
+        return self
+
+
 class TelemetryTable(Strict):
     """`[telemetry]`: what `rtec telemetry` publishes; nothing where it is not given. All of it is read-only.
 
     Attributes:
         mqtt: values and events to an MQTT broker.
         mtconnect: an adapter for an MTConnect agent.
+        opcua: a server for OPC UA clients.
     """
 
     mqtt: MqttTable | None = None
     mtconnect: MtconnectTable | None = None
+    opcua: OpcuaTable | None = None

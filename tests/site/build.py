@@ -50,7 +50,7 @@ SECTIONS: Mapping[str, Sequence[str]] = {
     ),
     "How-to": (
         "runbook.md", "init.md", "service.md", "control.md", "telemetry.md", "mqtt.md", "mtconnect.md",
-        "measurements.md", "procedures.md", "fit.md", "compare.md", "diagnose.md", "plan.md", "ball-bar.md",
+        "opcua.md", "measurements.md", "procedures.md", "fit.md", "compare.md", "diagnose.md", "plan.md", "ball-bar.md",
         "grid-encoder.md", "tables.md", "linuxcnc.md", "write-an-effect.md", "write-a-driver.md", "hil.md",
     ),
     "Reference": (

@@ -37,6 +37,7 @@ class LivingDaemon(FakeDaemon):
     def status(self) -> Status:
         """Of now."""
         self.asked += 1
+        self._status.cycles += 1
         self._status.time_ns = RealClock().now_ns() - (10**10 if self.stands else 0)
         return self._status
 
@@ -193,10 +194,13 @@ def certificates(folder: Path, *names: str) -> Path:
         )
         builder = builder.add_extension(x509.BasicConstraints(name == "ca", None), critical=True)
         if name != "ca":
-            names_of = [x509.DNSName("localhost"), x509.IPAddress(ip_address("127.0.0.1"))]
+            names_of: list[x509.GeneralName] = [x509.DNSName("localhost"), x509.IPAddress(ip_address("127.0.0.1"))]
+            names_of.append(x509.UniformResourceIdentifier(f"urn:{name}"))
             builder = builder.add_extension(x509.SubjectAlternativeName(names_of), critical=False)
             usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
             builder = builder.add_extension(x509.ExtendedKeyUsage(usage), critical=False)
+            allowed = (True, True, True, True, False, False, False, False, False)
+            builder = builder.add_extension(x509.KeyUsage(*allowed), critical=True)
         pem = serialization.Encoding.PEM
         certificate = builder.sign(keys["ca"], hashes.SHA256())
         (folder / f"{name}.pem").write_bytes(certificate.public_bytes(pem))
