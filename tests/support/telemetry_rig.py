@@ -25,6 +25,8 @@ from rtec.loop.clock import RealClock
 from rtec.telemetry.processes import Task, serve
 from tests.support.control_rig import LONG_S, FakeDaemon, free_place
 
+START_S = 90.0
+"""A process that starts imports much, at a low priority: on a busy PC it takes its time."""
 BEGIN, END = datetime(2020, 1, 1, tzinfo=UTC), timedelta(days=36500)
 
 
@@ -177,7 +179,7 @@ class Subscriber:
     def until(self, wanted: Callable[[str, Mapping[str, Any]], bool]) -> tuple[bool, dict[str, Any]]:
         """The next message that is wanted: was it retained, and its content."""
         while True:
-            topic, retained, text = self._lines.get(timeout=LONG_S).split(" ", 2)
+            topic, retained, text = self._lines.get(timeout=START_S).split(" ", 2)
             content = json.loads(text)
             if wanted(topic, content):
                 return retained == "1", content
