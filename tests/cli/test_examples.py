@@ -15,6 +15,7 @@ import pytest
 from typer.main import get_command
 
 from rtec.cli.main import GROUPS, app, status
+from tests.cli.test_procedures_cli import arbor, circles, dat, spindle
 
 NOT_RUN = {
     "demo": "takes a minute: tests/demo",
@@ -30,12 +31,8 @@ NOT_RUN = {
     "fit configs": "chooses among everything, half a minute: tests/characterise",
     "import": "asks: tests/metrology",
     "init lathe": "asks, or opens devices: tests/commission",
-    "straightness": "its table: tests/metrology",
-    "parallelism": "its table: tests/metrology",
-    "drift": "its table: tests/metrology",
     "ballbar": "its measurements: tests/ball_bar",
     "grid": "its measurements: tests/metrology",
-    "iso230 x-axis": "a file of ecmc: tests/metrology",
     "replay configs/capture.toml": "a capture: tests/replay",
     "plan machine.toml": "planned circles: tests/diagnosis",
     "add model.toml --expr": "a search, half a minute: tests/diagnosis",
@@ -103,6 +100,15 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         assert status(["fit", "machine.toml", "laser-x.csv", "-o", "model.toml", *fit]) == 0
         shutil.copy("model.toml", "better.toml")
         assert status(["run", "configs/turning-centre-sim.toml", "--duration", "0.5", "--log", "run.arrows"]) == 0
+        arbor(Path("z-arbor.csv"))
+        circles(Path("z-circles.csv"))
+        dat(Path("x-axis_ISO230.dat"))
+        table = Path(spindle(Path("spindle.csv")))
+        named = {"radial1_um": "ch1_um", "radial2_um": "ch2_um", "axial_um": "ch5_um"}
+        text = table.read_text(encoding="utf-8")
+        for name, channel in named.items():
+            text = text.replace(name, channel, 1)
+        table.write_text(text, encoding="utf-8")
         Path("logs").mkdir(exist_ok=True)
         shutil.copy("run.arrows", "logs/run.arrows")
         yield folder
