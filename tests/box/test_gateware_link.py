@@ -12,7 +12,8 @@ from collections.abc import Iterator
 import pytest
 
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant, crc32, unstuff
-from tests.support.gateware import Chip, GatewareBox, frame, line_times, missing
+from tests.support import gateware
+from tests.support.gateware import GatewareBox, frame, line_times, missing
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 MS = 1_000_000
@@ -132,6 +133,18 @@ def test_counters_wrap_at_their_width(bits: int) -> None:
     both.hard.close()
 
 
+@pytest.mark.parametrize("faster", [-0.025, 0.0, 0.02])
+def test_the_other_end_has_a_clock_of_its_own(faster: float) -> None:
+    """At 4 clocks a bit, as on the boards. Oracle: a bit is looked at between 0.5 and 0.75 of it, and there are 9.5."""
+    with gateware.chip(BAUD=1_000_000) as chip:
+        chip.pace(faster)
+        for n in range(40):  # the frames meet the chip's clock at different instants
+            chip.send(frame(HELLO, n))
+            chip.settle()
+            chip.run(n, [0, 0])
+        assert [int.from_bytes(body[2:4], "little") for body in bodies(chip.received())] == list(range(40))
+
+
 def test_at_4_khz_no_latch_of_three_axes_is_lost() -> None:
     """READ and COMMAND every 250 µs at 12 MHz and 3 Mbaud. Oracle: the numbers asked, and axes that move as one."""
     read_us, command_us, lost = line_times()
@@ -154,7 +167,7 @@ def test_the_limit_holds_whatever_is_asked(both: Both) -> None:
 
 def test_spi_carries_the_same_frames_and_each_start_has_its_number() -> None:
     """Oracle: INFO and STATE as docs/rtec-box-link.md says; the number of the start is boot.v's own."""
-    chip = Chip(2, SPI=1)
+    chip = gateware.chip(SPI=1)
     numbers = []
     for wait in (1000, 3456):
         chip.reset()
@@ -173,3 +186,14 @@ def test_spi_carries_the_same_frames_and_each_start_has_its_number() -> None:
     chip.run(20_000, [123, -45])
     assert [chip.ledger(i).inserted for i in range(2)] == [4, -4]
     chip.close()
+
+
+@pytest.mark.parametrize("piece", [1, 7])
+def test_an_answer_over_spi_may_be_read_in_pieces(piece: int) -> None:
+    """Each transfer ends with the select line. Oracle: INFO as docs/rtec-box-link.md says, its CRC."""
+    with gateware.chip(SPI=1) as chip:
+        chip.run(500, [0, 0])
+        chip.spi(frame(HELLO, 9))
+        chip.run(3000, [0, 0])
+        (info,) = bodies(b"".join(chip.spi(bytes(piece)) for _ in range(70 // piece)))
+    assert (info[1], info[2:4], info[10]) == (0x81, b"\x09\x00", 2)

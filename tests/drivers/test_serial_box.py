@@ -12,10 +12,12 @@ import pytest
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import VirtualClock
 from rtec_drivers.box.driver import SerialBoxDriver
+from tests.support import box_rig
 from tests.support.box_rig import MS, MemoryBench, in_memory, options
 from tests.support.conformance import MACHINE
 
 TIMEOUT_NS = 600_000
+each_box = box_rig.each_box
 
 
 @pytest.fixture
@@ -265,7 +267,9 @@ def test_a_run_starts_on_a_box_that_remembers_a_fault(monkeypatch: pytest.Monkey
         assert "sees, or saw, a fault" in str(faults_of(bench, 1)[0])
         assert faults_of(bench, 3) == [None] * 3
     with in_memory(monkeypatch) as bench:
-        bench.box._saw_fault = True
+        bench.box.encoder_fault = True
+        bench.box.tick(bench.clock.now_ns() + MS)
+        bench.box.encoder_fault = False
         bench.driver.__exit__(None, None, None)
         bench.driver.__enter__()
         assert "sees, or saw, a fault" in str(faults_of(bench, 1)[0])
@@ -292,7 +296,8 @@ def test_opening_alone_resumes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_order_that_the_box_does_not_take_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten may be lost on the way."""
     with in_memory(monkeypatch) as bench:
-        monkeypatch.setattr(bench.box, "_resume", lambda *_: b"")
+        write, resume = bench.line.write, 0x04
+        bench.line.write = lambda data: None if data[3] == resume else write(data)  # type: ignore[method-assign]
         errors = faults_of(bench, 30)
     assert errors[:10] == [None] * 10
     assert all("does not take the order to resume" in str(e) for e in errors[12:])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from rtec.loop.clock import Clock, RealClock, VirtualClock
@@ -17,11 +18,22 @@ from rtec_drivers.box.options import BoxOptions
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 from rtec_drivers.pty_peer import PtyPeer, WireFaults
 from tests.support.conformance import MACHINE
+from tests.support.gateware import GatewareBox, missing
 
 MS = 1_000_000
 SPEED = {"X": 400.0, "Z": 400.0}
 FASTEST_COUNTS_PER_MS = 800
 START_NS = 10**12
+
+
+@pytest.fixture(
+    params=["software", pytest.param("gateware", marks=pytest.mark.skipif(bool(missing()), reason=missing()))],
+    autouse=True,
+)
+def each_box(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module that takes this in runs its tests twice: on the box in software, and on the simulated gateware."""
+    if request.param == "gateware":
+        monkeypatch.setattr(f"{__name__}.BoxSimulator", GatewareBox)
 
 
 class MemoryLine:

@@ -40,6 +40,18 @@ module box #(
 );
   wire [32*AXES-1:0] asked;
   wire [AXES-1:0] fault;
+  reg [AXES-1:0] broken_then, broken_now;  // synchronised
+  always @(posedge clk) {broken_now, broken_then} <= {broken_then, broken};
+
+  // Counting begins when every filter has seen its line for longer than the longest filter.
+  localparam SETTLED = 16;  // 2 ** SETTLED clocks, also for the relay
+  reg [SETTLED:0] settled;
+  reg starting;
+  always @(posedge clk) begin
+    settled  <= rst ? 0 : settled + !settled[SETTLED];
+    starting <= rst || settled[SETTLED:FILTER_BITS+1] == 0;
+  end
+
   reg [AXES-1:0] on_its_way;
   wire clear_fault, resumed, heard, held;
   wire [31:0] time_us;
@@ -60,16 +72,16 @@ module box #(
         above <= wanted > most;
         below <= wanted < -most;
         waits <= wanted;
-        target <= rst ? 0 : above ? most : below ? -most : waits;
+        target <= starting ? 0 : above ? most : below ? -most : waits;
         off <= target - is;
       end
       inserter #(.SEPARATION(SEPARATION), .WIDTH(32), .RATE_BITS(RATE_BITS)) axis (
-          .clk(clk), .rst(rst), .a(fa), .b(fb), .z(fz), .target(target), .hold(held), .whole_cycles(whole_cycles),
+          .clk(clk), .rst(starting), .a(fa), .b(fb), .z(fz), .target(target), .hold(held), .whole_cycles(whole_cycles),
           .interval(interval), .clear_fault(clear_fault), .raw(raw[32*n+:32]), .inserted(inserted[32*n+:32]),
           .a_out(a_out[n]), .b_out(b_out[n]), .z_out(z_out[n]), .at_index(at_index[32*n+:32]), .fault(illegal)
       );
       reg seen_broken;
-      always @(posedge clk) seen_broken <= !rst && (broken[n] || (seen_broken && !clear_fault));
+      always @(posedge clk) seen_broken <= !rst && (broken_now[n] || (seen_broken && !clear_fault));
       assign fault[n]  = illegal || seen_broken;
       always @(posedge clk) on_its_way[n] <= whole_cycles ? off > 2 || off < -2 || is[1:0] != 0 : off != 0;
     end
@@ -79,7 +91,7 @@ module box #(
       .clk(clk), .rst(rst), .boot(boot), .box_serial(box_serial), .counter_bits(counter_bits),
       .hold_after_ms(hold_after_ms), .counts_per_s(counts_per_s), .rx_data(rx_data), .rx_valid(rx_valid),
       .tx_data(tx_data), .tx_valid(tx_valid), .tx_ready(tx_ready), .raw(raw), .inserted(inserted), .moving(|on_its_way),
-      .fault(|fault), .broken(|broken), .target(asked), .clear_fault(clear_fault), .time_us(time_us), .held(held),
+      .fault(|fault), .broken(|broken_now), .target(asked), .clear_fault(clear_fault), .time_us(time_us), .held(held),
       .resumed(resumed), .heard(heard)
   );
   watchdog #(.CLK_HZ(CLK_HZ)) watch (
@@ -88,10 +100,6 @@ module box #(
   );
 
   // The relay takes over once the outputs have followed the encoders for 2 ** 16 clocks; only a reset gives it back.
-  reg [16:0] settled;
-  always @(posedge clk) begin
-    settled <= rst ? 0 : settled + !settled[16];
-    relay   <= !rst && settled[16];
-  end
+  always @(posedge clk) relay <= !rst && settled[SETTLED];
 endmodule
 `default_nettype wire

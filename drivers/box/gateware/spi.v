@@ -28,17 +28,20 @@ module spi (
   reg [2:0] bits;
   reg [6:0] in;
   reg [7:0] out;
+  reg loaded;  // `out` begins with a byte that is taken when its first bit is read: none is lost between two transfers
   assign miso = out[7];
   always @(posedge clk) begin
     rx_valid <= 0;
     tx_ready <= 0;
     if (rst || !select[1]) begin
       bits <= 0;
-      out  <= 0;
+      out <= tx_valid ? tx_data : 8'd0;
+      loaded <= tx_valid && !rst;
     end else begin
       if (rise) begin
         in   <= {in[5:0], data[1]};
         bits <= bits + 1'b1;
+        if (bits == 0) tx_ready <= loaded;
         if (bits == 7) begin
           rx_data  <= {in, data[1]};
           rx_valid <= 1;
@@ -47,7 +50,7 @@ module spi (
       if (fall) begin
         if (bits == 0) begin  // a byte is over: take the next one
           out <= tx_valid ? tx_data : 8'd0;
-          tx_ready <= tx_valid;
+          loaded <= tx_valid;
         end else out <= {out[6:0], 1'b0};
       end
     end

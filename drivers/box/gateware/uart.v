@@ -1,6 +1,7 @@
 // UART, 8 bits, no parity: bytes in and out of a serial line.
 //
-// `DIVISOR` clocks a bit. A start bit must last to its middle; a byte without a stop bit is dropped.
+// `DIVISOR` clocks a bit, at least 2. A bit is looked at in its middle, or up to a clock later. A start bit must last
+// that long; a byte without a stop bit is dropped.
 `default_nettype none
 module uart #(
     parameter DIVISOR = 4
@@ -16,7 +17,7 @@ module uart #(
     output wire       tx_ready
 );
   localparam BITS = $clog2(DIVISOR + 1);
-  localparam [BITS-1:0] LAST = DIVISOR - 1, MIDDLE = DIVISOR / 2;
+  localparam [BITS-1:0] LAST = DIVISOR - 1, MIDDLE = DIVISOR / 2 - 1;
 
   reg [1:0] synced;
   always @(posedge clk) synced <= rst ? 2'b11 : {synced[0], rx};

@@ -118,6 +118,7 @@ class BoxSimulator:
         """Insert what is due, no faster than allowed; hold where nobody commands any more."""
         span_ns = now_ns - self._last_tick_ns if self._last_tick_ns >= 0 else 0
         self._last_tick_ns = now_ns
+        self._saw_fault = self._saw_fault or self.encoder_fault
         if self._resumed and now_ns - self._last_heard_ns > self.hold_after_ms * 1_000_000:
             self._held, self._target = True, list(self._ledger)
         self._credit = min(
@@ -178,7 +179,6 @@ class BoxSimulator:
             mask = (1 << self.counter_bits) - 1
             self._latched = (now_ns // 1000 & WRAP, [n & mask for n in self.plant.counts(now_ns)])
         time_us, counts = self._latched
-        self._saw_fault = self._saw_fault or self.encoder_fault
         moving = self._ledger != self._target
         status = (not self._resumed) | self._held << 1 | moving << 2 | self._saw_fault << 3
         out = self._boot.to_bytes(2, "little") + bytes((status,)) + self._last_command.to_bytes(2, "little")

@@ -1,0 +1,344 @@
+"""The encoder box's gateware, simulated clock by clock by Verilator, in the place of the box in software.
+
+`make -C drivers/box sim` makes the library that this drives. `GatewareBox` takes and gives bytes as `BoxSimulator`
+does, so whatever speaks to the one can speak to the other, UART and all. What the controller has is decoded from the
+lines that go out.
+"""
+
+import ctypes
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.errors import ConfigError
+from rtec_drivers.box.simulator import Plant
+
+LIMIT: Final = 2**31 - 1
+LONGEST_ANSWER_CLOCKS: Final = 100_000
+PIPELINE_CLOCKS: Final = 100
+"""An encoder's edge has been counted and is out after so many clocks, whatever filter the board ties."""
+Bytes = NDArray[np.uint8]
+_CHIP: Final = ctypes.c_void_p
+_CALLS: Final[dict[str, tuple[Any, list[Any]]]] = {
+    "sizes": (None, [ctypes.POINTER(ctypes.c_int64)]),
+    "new": (_CHIP, []),
+    "delete": (None, [_CHIP, ctypes.c_char_p]),
+    "settings": (None, [_CHIP, ctypes.POINTER(ctypes.c_uint32)]),
+    "reset": (None, [_CHIP]),
+    "power": (None, [_CHIP, ctypes.c_int, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_int64]),
+    "broken": (None, [_CHIP, ctypes.c_uint32]),
+    "pace": (None, [_CHIP, ctypes.c_double]),
+    "freeze": (None, [_CHIP, ctypes.c_int]),
+    "relay": (ctypes.c_int, [_CHIP]),
+    "resumed": (ctypes.c_int, [_CHIP]),
+    "commands": (ctypes.c_int64, [_CHIP]),
+    "send": (None, [_CHIP, ctypes.c_char_p, ctypes.c_int]),
+    "receive": (ctypes.c_int, [_CHIP, ctypes.c_char_p, ctypes.c_int]),
+    "run": (ctypes.c_int64, [_CHIP, ctypes.c_int64, ctypes.POINTER(ctypes.c_int64)]),
+    "settle": (ctypes.c_int64, [_CHIP, ctypes.c_int64]),
+    "spi": (None, [_CHIP, ctypes.c_char_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_int]),
+    "lines": (None, [_CHIP, ctypes.c_int, ctypes.c_int64, *[ctypes.c_void_p] * 6]),
+    "ledger": (None, [_CHIP, ctypes.c_int, ctypes.POINTER(ctypes.c_int64)]),
+}
+
+
+@dataclass(frozen=True)
+class AxisLedger:
+    """Counts of one axis of the chip.
+
+    Attributes:
+        raw, inserted: registers of the chip.
+        corrected: decoded from its lines by an independent counter.
+        illegal: transitions of both lines at once that went out.
+        closest: least clocks between two edges that went out.
+        at_index: register of the chip.
+    """
+
+    raw: int
+    inserted: int
+    corrected: int
+    illegal: int
+    closest: int
+    at_index: int
+
+
+class Chip:
+    """One simulated chip.
+
+    Args:
+        library: what `make sim` made.
+        coverage: a file for what was covered, where the library was made with COVERAGE=1.
+
+    Attributes:
+        library: its path.
+        axes, clk_hz, baud: its sizes.
+
+    Raises:
+        ConfigError: the library is not there or is none.
+    """
+
+    def __init__(self, library: Path, coverage: Path | None = None) -> None:
+        self.library = library
+        try:
+            self._lib = ctypes.CDLL(str(library.resolve()))
+            for name, (result, arguments) in _CALLS.items():
+                call = getattr(self._lib, f"chip_{name}")
+                call.restype, call.argtypes = result, arguments
+        except (OSError, AttributeError) as e:
+            raise ConfigError(f"{library}: no simulated gateware: {e}; `make -C drivers/box sim` makes one") from None
+        sizes = (ctypes.c_int64 * 4)()
+        self._lib.chip_sizes(sizes)
+        self.axes, self.clk_hz, self.baud = (int(n) for n in sizes[:3])
+        self._coverage = str(coverage or "").encode()
+        self._chip = self._lib.chip_new()
+        self.settings()
+        self.reset()
+
+    def settings(
+        self,
+        *,
+        filter_length: int = 0,
+        whole_cycles: bool = False,
+        interval: int | None = None,
+        limit: int = LIMIT,
+        boot: int = 1,
+        box_serial: int = 42,
+        counter_bits: int = 32,
+        hold_after_ms: int = 100,
+        counts_per_s: int = 20_000,
+    ) -> None:
+        """What the board's top would tie; `interval` is that of `counts_per_s` where not given."""
+        clocks = max(1, self.clk_hz // counts_per_s) if interval is None else interval
+        given = (
+            filter_length, int(whole_cycles), clocks, limit, boot, box_serial, counter_bits, hold_after_ms,
+            counts_per_s,
+        )  # fmt: skip
+        self._lib.chip_settings(self._chip, (ctypes.c_uint32 * len(given))(*given))
+
+    def close(self) -> None:
+        """End the simulation."""
+        if self._chip:
+            self._lib.chip_delete(self._chip, self._coverage)
+            self._chip = None
+
+    def __enter__(self) -> Self:
+        """Give itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the simulation."""
+        self.close()
+
+    def __del__(self) -> None:
+        """End the simulation that nobody ended."""
+        if getattr(self, "_chip", None):
+            self.close()
+
+    def reset(self) -> None:
+        """Power off and on, the encoders at zero."""
+        self._lib.chip_reset(self._chip)
+
+    def power(self, *, rst: bool, a: int, b: int, clocks: int) -> None:
+        """Reset and lines (a bit an axis) as given, for so many clocks; the controller counts from the reset on."""
+        self._lib.chip_power(self._chip, int(rst), a, b, clocks)
+
+    def broken(self, mask: int) -> None:
+        """Encoders, a bit each, whose receiver sees no proper signal."""
+        self._lib.chip_broken(self._chip, mask)
+
+    def pace(self, faster: float) -> None:
+        """Let the other end of the serial line send faster than the chip expects: 0.01 is by 1 %."""
+        self._lib.chip_pace(self._chip, self.clk_hz / self.baud / (1.0 + faster))
+
+    def freeze(self, frozen: bool) -> None:
+        """Let the register of the chip's time be stuck, or not."""
+        self._lib.chip_freeze(self._chip, int(frozen))
+
+    @property
+    def relay(self) -> bool:
+        """Do the outputs go to the controller?"""
+        return bool(self._lib.chip_relay(self._chip))
+
+    @property
+    def resumed(self) -> bool:
+        """Was it ordered to resume since its start?"""
+        return bool(self._lib.chip_resumed(self._chip))
+
+    @property
+    def commands(self) -> int:
+        """Commands taken since its start, of those with another number than the one before."""
+        return int(self._lib.chip_commands(self._chip))
+
+    def run(self, clocks: int, places: list[int]) -> int:
+        """Let the encoders go to their places, evenly, at most a count a clock; give the clocks it took.
+
+        Of a jump that no machine can make the bulk is put into the counters.
+        """
+        return int(self._lib.chip_run(self._chip, clocks, (ctypes.c_int64 * self.axes)(*places)))
+
+    def settle(self) -> int:
+        """Run until nothing is on its way into the link or out of it; give the clocks it took."""
+        return int(self._lib.chip_settle(self._chip, LONGEST_ANSWER_CLOCKS))
+
+    def lines(self, axis: int, a: Bytes, b: Bytes, z: Bytes) -> tuple[Bytes, Bytes, Bytes]:
+        """Feed lines, a sample a clock; give what goes out at each clock."""
+        lines = [np.ascontiguousarray(line, np.uint8) for line in (a, b, z)]
+        out = [np.empty(len(a), np.uint8) for _ in range(3)]
+        self._lib.chip_lines(self._chip, axis, len(a), *(line.ctypes.data for line in (*lines, *out)))
+        return out[0], out[1], out[2]
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the serial line; they go at its rate."""
+        self._lib.chip_send(self._chip, data, len(data))
+
+    def received(self) -> bytes:
+        """What came from the chip."""
+        room = ctypes.create_string_buffer(4096)
+        n = self._lib.chip_receive(self._chip, room, len(room))
+        return room.raw[:n]
+
+    def spi(self, data: bytes, half: int = 4) -> bytes:
+        """Clock bytes out and in as an SPI master does, `half` clocks of the chip for half a clock of the line."""
+        came = ctypes.create_string_buffer(len(data))
+        self._lib.chip_spi(self._chip, data, came, len(data), half)
+        return came.raw
+
+    def ledger(self, axis: int) -> AxisLedger:
+        """Counts of one axis."""
+        out = (ctypes.c_int64 * 6)()
+        self._lib.chip_ledger(self._chip, axis, out)
+        return AxisLedger(*out)
+
+
+class GatewareBox:
+    """The gateware with the interface of `BoxSimulator`: bytes in, bytes out, wired to a plant.
+
+    The chip lives as long as the clock says that it should; while its line carries a frame it may be ahead. After a
+    start its counters begin where the plant's are, as after homing.
+
+    Args:
+        chip: a simulated chip that is this box's alone.
+        plant: its encoders and the controller behind it.
+        axes: how many; must be the library's.
+        counter_bits, hold_after_ms, counts_per_s, box_serial, boot: as of `BoxSimulator`.
+
+    Raises:
+        ConfigError: the chip has another number of axes.
+    """
+
+    def __init__(
+        self,
+        chip: Chip,
+        plant: Plant,
+        axes: int,
+        counter_bits: int = 32,
+        hold_after_ms: int = 100,
+        counts_per_s: int = 20_000,
+        box_serial: int = 42,
+        boot: int = 1,
+    ) -> None:
+        self.chip, self.plant, self.axes = chip, plant, axes
+        self._settings: dict[str, Any] = {
+            "counter_bits": counter_bits, "hold_after_ms": hold_after_ms, "counts_per_s": counts_per_s,
+            "box_serial": box_serial, "boot": boot - 1,
+        }  # fmt: skip
+        if chip.axes != axes:
+            raise ConfigError(
+                f"{chip.library}: gateware of {chip.axes} axes, the machine has {axes}; "
+                f"`make -C drivers/box sim AXES={axes}` makes another"
+            )
+        self._clocks, self._start_ns = 0, -1
+        self._broken = self._frozen = False
+        self._inserted = [0] * axes
+        self.reset()
+
+    def reset(self) -> None:
+        """Power off and on: ledger zero, another start, no insertion before it is told to resume."""
+        self._boot = (self._boot + 1) & 0xFFFF
+        self.chip.reset()
+        self._inserted = [0] * self.axes
+        self.plant.insert(list(self._inserted))
+
+    @property
+    def _boot(self) -> int:
+        """Number of its start."""
+        return int(self._settings["boot"])
+
+    @_boot.setter
+    def _boot(self, number: int) -> None:
+        self._settings["boot"] = number
+        self.chip.settings(**self._settings)
+
+    @property
+    def _resumed(self) -> bool:
+        """Was it ordered to resume since its start?"""
+        return self.chip.resumed
+
+    @property
+    def commands(self) -> int:
+        """Good commands that it took."""
+        return self.chip.commands
+
+    @property
+    def encoder_fault(self) -> bool:
+        """Does an encoder's receiver see no proper signal?"""
+        return self._broken
+
+    @encoder_fault.setter
+    def encoder_fault(self, broken: bool) -> None:
+        self._broken = broken
+        self.chip.broken(int(broken))
+
+    @property
+    def frozen(self) -> bool:
+        """Is its time stuck, and do its encoders seem to stand?"""
+        return self._frozen
+
+    @frozen.setter
+    def frozen(self, frozen: bool) -> None:
+        self._frozen = frozen
+        self.chip.freeze(frozen)
+
+    _places: tuple[int, ...] = ()
+
+    def receive(self, data: bytes, now_ns: int) -> bytes:
+        """Take in bytes at the line's rate, the encoders where they are now; run until the answer is out."""
+        out = self.idle(now_ns)
+        self.chip.send(data)
+        self._clocks += self.chip.settle()
+        self._tell()
+        return out + self.chip.received()
+
+    def idle(self, now_ns: int) -> bytes:
+        """Time goes by, and encoders move; of a long silence a second is enough."""
+        if self._start_ns < 0:
+            self._start_ns = now_ns
+        due = (now_ns - self._start_ns) * self.chip.clk_hz // 10**9 - self._clocks
+        places = self._places if self._frozen else tuple(self.plant.counts(now_ns))
+        moved, self._places = places != self._places, places
+        if due > 0 or moved:
+            wanted = min(max(due, 0), self.chip.clk_hz)
+            took = self.chip.run(wanted, list(places))
+            took += self.chip.run(PIPELINE_CLOCKS, list(places)) if moved else 0
+            self._clocks += max(due - wanted, 0) + took
+        self._tell()
+        return self.chip.received()
+
+    def tick(self, now_ns: int) -> None:
+        """Time goes by; what comes from the chip is lost, and none does."""
+        self.idle(now_ns)
+
+    def close(self) -> None:
+        """End the simulation."""
+        self.chip.close()
+
+    def _tell(self) -> None:
+        """What the controller has more than the encoders, by its own count."""
+        ledgers = [self.chip.ledger(i) for i in range(self.axes)]
+        inserted = [ledger.corrected - ledger.raw for ledger in ledgers]
+        if inserted != self._inserted:
+            self._inserted = inserted
+            self.plant.insert(list(inserted))
