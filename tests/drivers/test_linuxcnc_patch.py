@@ -99,12 +99,18 @@ def test_linuxcnc_runs_its_own_simulation_with_it() -> None:
         options = LinuxCncOptions.model_validate({"socket": mill.folder / "mill.sock"})
         with LinuxCncDriver(options, machine, RealClock()) as driver:
             counts, has = np.zeros(3, np.int64), np.zeros(3, np.int64)
-            driver.apply(np.array([500, 0, -300]))
+            mill.until(lambda: apply(driver, [500, 0, -300]))
             mill.until(lambda: has_now(driver, has) == [500, 0, -300])
             mill.until(lambda: abs(mill.gets("rtec-offset-x.out") - 10.005) < 1e-6)
             mill.until(lambda: driver.read_counts(counts) > 0)
             assert counts.tolist() == [10 * 100000, 0, 0]
             assert mill.position() == pytest.approx([10.0, 0.0, 0.0], abs=1e-6)
+
+
+def apply(driver: LinuxCncDriver, output: list[int]) -> bool:
+    """Command it; an error where the bridge has not said anything yet."""
+    driver.apply(np.array(output))
+    return True
 
 
 def has_now(driver: LinuxCncDriver, has: "np.ndarray[tuple[int], np.dtype[np.int64]]") -> list[int]:
