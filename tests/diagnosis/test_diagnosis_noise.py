@@ -65,12 +65,13 @@ def drawn(seed: int, runs: int = 20, each: int = 42, drift: float = 2.0, tau_s: 
     )
 
 
-def test_the_compiled_likelihood_is_that_of_the_dense_matrix() -> None:
+@pytest.mark.parametrize("unknowns", [0, 1])
+def test_the_compiled_likelihood_is_that_of_the_dense_matrix(unknowns: int) -> None:
     """Oracle: `log det Σ` and `yᵀ Σ⁻¹ y` of the dense matrix."""
     rng = np.random.default_rng(8)
     n = 150
     t, run = np.sort(rng.uniform(0.0, 1e4, n)), np.arange(n) // 30
-    unknown, wide, y = np.ones((n, 1)), np.array([500.0]), rng.normal(size=n)
+    unknown, wide, y = np.ones((n, unknowns)), np.full(unknowns, 500.0), rng.normal(size=n)
     found = likelihood(t, run, unknown, wide, y, 1.5, 700.0, 0.4)
     sigma = covariance(t, run, unknown, Noise(1.0, 1.5, 700.0, 0.4), wide)
     np.testing.assert_allclose(found, [np.linalg.slogdet(sigma)[1], y @ np.linalg.solve(sigma, y)], rtol=1e-9)

@@ -1,11 +1,16 @@
 """Heat that no sensor, or the wrong one, recorded; curves that may be waves; two simple causes before one rich one."""
 
+import numpy as np
 import pytest
 
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.diagnosis.search.screen import Memory, Projected, screen
+from rtec.estimation.candidates import library
+from rtec.estimation.noise import Noise, Whitener
+from rtec.estimation.readings import read
 
 
 def answer(group: str, what: str, seed: int) -> Diagnosis:
@@ -44,3 +49,20 @@ def test_two_simple_effects_come_before_one_of_many_numbers() -> None:
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
     assert all(len(f.parameters) <= 2 for f in d.findings[:1])
     assert not any(f.effect.effect == "backlash_position" for f in d.group)
+
+
+def test_columns_kept_for_the_next_look_are_those_of_its_readings() -> None:
+    """Oracle: the columns of these readings alone."""
+    trial = build("lean", "servo", 1)
+    readings = read(measurements_of(trial), smooth=False)
+    keep = np.arange(len(readings)) % 3 > 0
+    candidates, _ = library(readings, ["servo_lag", "polynomial_position"])
+    noise = Whitener(readings, (Noise(0.5, 1e-4, 100.0, 0.0),), (np.zeros(0),))
+    kept: Memory = {}
+    screen(readings, candidates, Projected.of(noise, np.ones((len(readings), 1)), readings.values), None, kept, keep)
+    few = readings.without(~keep)
+    assert kept
+    for (number, theta), columns in kept.items():
+        candidate = candidates[number]
+        assert columns is not None
+        np.testing.assert_array_equal(columns, few.columns(candidate.effect, candidate.thetas[theta]))

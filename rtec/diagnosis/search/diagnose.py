@@ -143,8 +143,14 @@ class _Search:
         """Go through the steps."""
         prepared, readings = self.prepared, self.readings
         projected = self._projected
-        same = self.refits.columns_of_few if self.refits.few[1] is readings else None
-        found = screen(readings, self.candidates, projected, lambda d, t: self.stage("weighing candidates", d, t), same)
+        found = screen(
+            readings,
+            self.candidates,
+            projected,
+            lambda d, t: self.stage("weighing candidates", d, t),
+            self.refits.columns_of_few,
+            self.refits.few[0],
+        )
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
         again = self.refits.anew(found, self.refits.second_look())

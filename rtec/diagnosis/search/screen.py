@@ -24,6 +24,7 @@ from rtec.parallel import MANY
 Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 Tell = Callable[[int, int], None]
 Memory = dict[tuple[int, int], Floats | None]
 """Columns by the number of the candidate and of the values of its parameters; None where there are none."""
@@ -196,6 +197,7 @@ def screen(
     projected: Projected,
     tell: Tell | None = None,
     memory: Memory | None = None,
+    keep: Bools | None = None,
 ) -> Screen:
     """Weigh every candidate.
 
@@ -205,8 +207,9 @@ def screen(
         projected: the noise, and the current model to be taken out.
         tell: told how many are done, and of how many.
         memory: columns of these readings, kept from one weighing to the next.
+        keep: which readings' columns are kept, (m,), where the next weighing takes only some.
     """
-    made = _Columns(readings, projected, candidates, {} if memory is None else memory, memory is not None)
+    made = _Columns(readings, projected, candidates, {} if memory is None else memory, memory is not None, keep)
     total = sum(len(c.thetas) for c in candidates)
     done = 0
     for i, candidate in enumerate(candidates):
@@ -289,6 +292,7 @@ class _Columns:
         candidates: Sequence[EffectCandidate],
         memory: Memory,
         remember: bool,
+        keep: Bools | None,
     ) -> None:
         self.readings, self.projected, self.candidates = readings, projected, candidates
         self.variants: list[Variant] = []
@@ -298,6 +302,7 @@ class _Columns:
         self.directions: Single = np.empty((len(readings), most), dtype=np.float32, order="F")
         self.width = 0
         self._memory, self._remember = memory, remember
+        self._keep = keep if keep is not None and not keep.all() else None
         self._waiting: list[tuple[int, int, Floats]] = []
         # Of many readings, columns are made while those before them are whitened.
         self._worker = ThreadPoolExecutor(1) if len(readings) > MANY else None
@@ -306,9 +311,10 @@ class _Columns:
     def add(self, number: int, theta_number: int, candidate: EffectCandidate, theta: Mapping[str, float]) -> None:
         """Take one variant."""
         key = number, theta_number
-        columns = self._memory[key] if key in self._memory else self._made(candidate, theta)
+        known = key in self._memory and self._keep is None
+        columns = self._memory[key] if known else self._made(candidate, theta)
         if self._remember:
-            self._memory[key] = columns
+            self._memory[key] = columns if columns is None or self._keep is None else columns[self._keep]
         if columns is None:
             return
         self._waiting.append((number, theta_number, columns))
@@ -354,7 +360,7 @@ class _Columns:
         for number, theta, one in waiting:
             part = slice(at, at + one.shape[1])
             if self._moved(number, moves[part]):
-                self._keep(number, theta, left[:, part], before[part], after[part])
+                self._add(number, theta, left[:, part], before[part], after[part])
             at += one.shape[1]
 
     def _moved(self, number: int, moves: Floats) -> bool:
@@ -362,7 +368,7 @@ class _Columns:
         usual = [p.typical for p in self.candidates[number].effect.coefficients(self.readings.machine)]
         return bool((moves * usual).max() > UNMOVED)
 
-    def _keep(self, number: int, theta: int, left: Floats, before: Floats, after: Floats) -> None:
+    def _add(self, number: int, theta: int, left: Floats, before: Floats, after: Floats) -> None:
         seen = before > 0
         if not (after[seen] > 0).any():
             return
