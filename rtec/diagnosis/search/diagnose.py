@@ -163,8 +163,11 @@ class _Search:
         if self._doubted:
             named, unknown = False, None
         pair = None if self._doubted or (accepted and named and not half) else self._pair(tried)
-        chain = self._chain(tried, p) if unknown is not None and pair is None else []
-        if accepted and named and pair is None and best is not None:
+        rich = pair is not None and any(t.columns.shape[1] > PLAIN for t in pair)
+        chain = self._chain(tried, p) if rich or (unknown is not None and pair is None) else []
+        if pair is not None and chain and chain[-1].log_evidence > pair[1].log_evidence - WITHIN:
+            pair = None  # simple ones explain as much as two of which one is rich
+        if accepted and named and pair is None and best is not None and not chain:
             chain = self._simple_ones(best, tried)
         if chain:
             tried = [chain[0], *(t for t in tried if t.number != chain[0].number)]
@@ -310,9 +313,10 @@ class _Search:
 
         sure = [t for t in tried if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.drop, default=None)
-        if first is None or first.drop < LITTLE:
+        if first is None:
             return []
-        return self.refits.chain(first, bar, plain)
+        chain = self.refits.chain(first, bar, plain)
+        return chain if chain[-1].drop >= LITTLE else []
 
     def _simple_ones(self, best: Refitted, tried: Sequence[Refitted]) -> list[Refitted]:
         """Two simple effects that together are likelier than one of three numbers or more; none where there are none.
