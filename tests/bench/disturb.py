@@ -1,5 +1,5 @@
 """Deadlines that the loop misses at 1 kHz: quiet, with the supervisor stopped, with a log disk that stalls, with
-a hundred subscribers, with hostile clients, with the studio's live page open."""
+a hundred subscribers, with everything that telemetry publishes, with hostile clients."""
 
 import json
 import os
@@ -21,9 +21,9 @@ from rtec.daemon.supervisor import Supervisor
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup
 from tests.bench.table import Row
-from tests.studio.studio_rig import CHROMIUM
 from tests.support import setups
 from tests.support.control_rig import Line, free_place
+from tests.support.telemetry_rig import Broker, certificates
 
 SECONDS = 10.0
 DISTURBED_S = 5.0
@@ -44,8 +44,8 @@ def rows() -> list[Row]:
         f"supervisor stopped for {DISTURBED_S:g} s": _stopped,
         f"log disk stalled for {DISTURBED_S:g} s": _stalled,
         f"{SUBSCRIBERS} subscribers for {DISTURBED_S:g} s": _subscribed,
+        f"MQTT, MTConnect, OPC UA; killed after {DISTURBED_S:g} s": _published,
         **{f"{name}, for {DISTURBED_S:g} s": partial(_attacked, name) for name in HOSTILE},
-        **({"the studio's live page open": _watched} if CHROMIUM else {}),
     }
     found: dict[str, list[Facts]] = {name: [] for name in runs}
     for _ in range(TURNS):
@@ -101,6 +101,39 @@ def _subscribed(folder: Path) -> Facts:
     return _elsewhere(folder, disturb)
 
 
+def _published(folder: Path) -> Facts:
+    """All protocols of `rtec telemetry`, which was there before the daemon; killed while the loop goes on."""
+    place, broker = free_place(), Broker(folder)
+    keys = certificates(folder, "mill")
+    (keys / "trusted").mkdir()
+    telemetry = {
+        "mqtt": {"broker": broker.place, "tls": False, "period_s": 0.1},
+        "mtconnect": {"listen": place},
+        "opcua": {
+            "listen": free_place(), "certificate_file": "mill.pem", "key_file": "mill.key", "trusted_folder": "trusted",
+        },
+    }  # fmt: skip
+    config = setups.write(folder, {**setups.tables(folder), "telemetry": telemetry})
+    command = [sys.executable, "-m", "rtec.cli.main", "telemetry", str(config)]
+    with broker, subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+        try:
+            return _elsewhere(folder, partial(_heard_and_killed, process, place), telemetry=telemetry)
+        finally:
+            process.kill()
+
+
+def _heard_and_killed(process: "subprocess.Popen[bytes]", place: str, config: Path, pid: int) -> str:
+    del config, pid
+    host, port = place.split(":")
+    clock, lines = RealClock(), 0
+    last_ns = clock.now_ns() + round(DISTURBED_S * 1e9)
+    with socket.create_connection((host, int(port))) as agent, agent.makefile("rb") as stream:
+        while clock.now_ns() < last_ns:
+            lines += bool(stream.readline())
+    process.kill()
+    return f"; {lines} lines of MTConnect read"
+
+
 def _attacked(name: str, folder: Path) -> Facts:
     """A hostile client of `make attack`, on processors that it leaves to others, as one on another computer does."""
     place = free_place()
@@ -112,16 +145,6 @@ def _attacked(name: str, folder: Path) -> Facts:
         return ""
 
     return _elsewhere(folder, disturb, control={"prometheus": place})
-
-
-def _watched(folder: Path) -> Facts:
-    """The studio beside it, with its page Live in a browser, on processors that they leave to others."""
-    config = setups.write(folder, setups.tables(folder))
-    words = ("nice", "-n", "19", sys.executable, "-m", "tests.studio.watch", str(config), str(DISTURBED_S))
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as page:
-        assert page.stdout is not None
-        page.stdout.readline()  # it is open
-        return _started(config, lambda _: f"; the page says {page.communicate()[0].strip() or 'nothing'}")
 
 
 def _listen(config: Path) -> tuple[int, int]:
@@ -141,19 +164,14 @@ def _listen(config: Path) -> tuple[int, int]:
 
 
 def _elsewhere(folder: Path, disturb: Callable[[Path, int], str], **tables: dict[str, Any]) -> Facts:
-    """`rtec run` as a process; what the disturbance says goes with the facts."""
+    """`rtec run` as a process, disturbed after a while; what the disturbance says goes with the facts."""
     config = setups.write(folder, {**setups.tables(folder), **tables})
-    return _started(config, lambda pid: disturb(config, pid))
-
-
-def _started(config: Path, disturb: Callable[[int], str]) -> Facts:
-    """`rtec run`, disturbed after a while."""
     command = [sys.executable, "-m", "rtec.cli.main", "run", str(config), "--json", "--duration", str(SECONDS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         process.stderr.readline()  # it says when the loop begins
         _after(BEFORE_S)
-        more = disturb(process.pid)
+        more = disturb(config, process.pid)
         told, _ = process.communicate()
     facts: Facts = {**json.loads(told), "more": more}
     return facts
