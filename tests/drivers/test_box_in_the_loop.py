@@ -17,10 +17,11 @@ from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Samples
 from rtec.loop.stats import LoopStats, Trouble
 from rtec.loop.step import Step
-from tests.support import setups
+from tests.support import box_rig, setups
 from tests.support.box_rig import MS, MemoryBench, in_memory
 
 CYCLES = 4000
+each_box = box_rig.each_box
 
 
 class _Still:
