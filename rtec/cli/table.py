@@ -70,8 +70,9 @@ def write(
 
     from rtec.correction.tables import table_format
     from rtec.correction.tables.predict import checked, conditions, grid_mm, residuals, table_of
-    from rtec.correction.tables.table import save
+    from rtec.errors import ConfigError
     from rtec.report.tables import written_page
+    from rtec.wholefile import write_text
 
     form = table_format(format_name, "--format")
     loaded = _model(model, machine)
@@ -80,7 +81,7 @@ def write(
     wanted = table_of(loaded, moved, corrected, grid_mm(moved, grid), conditions(loaded, moved, _values(at)))
     table = checked(wanted, form)
     left = residuals(loaded, table)
-    save(form.text(table), out)
+    write_text(form.text(table), out, ConfigError)
     if as_json:
         print_json({**_facts(table, format_name), "file": str(out), "residual": [asdict(r) for r in left]})
         return

@@ -13,12 +13,13 @@ import numpy as np
 
 from rtec.correction.tables import table_format
 from rtec.correction.tables.predict import History, checked, conditions, grid_mm, residuals, table_axes, table_of
-from rtec.correction.tables.table import CompensationTable, Floats, save
+from rtec.correction.tables.table import CompensationTable, Floats
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonPart, KeptThread
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.run_file import Setup, TableRewrites
 from rtec.model import Model
+from rtec.wholefile import write_text
 
 LOOK_S: Final = 1.0
 LEAST_S: Final = 10.0
@@ -80,7 +81,7 @@ class TableFile:
         if not due:
             return ""
         new = wanted if old is None else checked(_limited(old, wanted, table.most_change_um), self.form)
-        save(self.form.text(new), self.path)
+        write_text(self.form.text(new), self.path, ConfigError)
         self.written, self._written_s = new, now_s
         return self._line(old, new, wanted, model, history)
 

@@ -1,6 +1,5 @@
 """Saves and loads a model: TOML, data only. Loading never runs its text."""
 
-import contextlib
 import math
 import os
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from rtec.machine import Machine
 from rtec.model.model import FittedEffect, Model
 from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, DegreesCelsius, MicrometresNotNegative
 from rtec.tomlfile import Strict, read_toml, validated
+from rtec.wholefile import write_text
 
 FORMAT = 1
 
@@ -121,19 +121,7 @@ def save_model(model: Model, path: Path) -> None:
     content["model"] = {"effects": len(model.effects), **content["model"]}
     if model.machine.file is not None:
         content["model"]["machine_file"] = _way(path.parent, model.machine.file)
-    text = tomli_w.dumps(content)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as e:
-        raise ModelError(f"{path}: cannot be written: {e.strerror}") from e
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    write_text(tomli_w.dumps(content), path, ModelError)
 
 
 def _way(folder: Path, file: Path) -> str:

@@ -19,6 +19,7 @@ from rtec.loop.run_file import CaptureAxis, CaptureTable, Setup
 from rtec.loop.step import Step
 from rtec.machine import Axis
 from rtec.playback import sigrok
+from rtec.wholefile import write_text
 
 MOST_CYCLES: Final = 4_000_000
 EXPANSION: Final = 48
@@ -253,9 +254,4 @@ def _write_table(path: Path, columns: dict[str, Column]) -> None:
         ",".join(form % value for form, value in zip(forms, row, strict=True))
         for row in zip(*columns.values(), strict=True)
     ]
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        part.replace(path)
-    except OSError as e:
-        raise LogError(f"{path}: cannot be written: {e.strerror or e}") from e
+    write_text("\n".join(lines) + "\n", path, LogError)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import LogError
+from rtec.wholefile import whole
 
 MAX_LOGIC_BYTES = 1 << 30
 """Largest capture that `read` unpacks unless told otherwise, bytes."""
@@ -108,13 +109,8 @@ def write(path: Path, capture: Capture) -> None:
     for name in capture.channels:
         if name != name.strip() or not (name.isprintable()):
             raise LogError(f"{path}: channel name {name!r} cannot be written")
-    unfinished = path.with_name(path.name + ".part")
-    try:
-        with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED) as archive:
-            _write_archive(archive, capture)
-        unfinished.replace(path)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
+    with whole(path, LogError) as out, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        _write_archive(archive, capture)
 
 
 def _read_archive(archive: zipfile.ZipFile, source: str, max_logic_bytes: int) -> Capture:

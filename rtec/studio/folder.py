@@ -9,6 +9,7 @@ from typing import Final, Literal
 from rtec.errors import RtecError
 from rtec.text import clean
 from rtec.tomlfile import read_toml
+from rtec.wholefile import whole
 
 FOREIGN: Final = (
     ".csv",
@@ -124,20 +125,11 @@ class Folder:
             if path.read_bytes() == content:
                 return path
             raise RtecError(f"{name}: another file of that name is in the folder; rename one of them")
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
-            with temporary.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.link(temporary, path)
+            with whole(path, RtecError, replace=False) as out:
+                out.write(content)
         except FileExistsError as e:
             raise RtecError(f"{name}: another file of that name is in the folder; rename one of them") from e
-        except OSError as e:
-            raise RtecError(f"{name}: cannot be written: {e.strerror}") from e
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
         return path
 
     def _is_inside(self, entry: "os.DirEntry[str]") -> bool:

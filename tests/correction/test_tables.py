@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rtec.cli.main import status
 from rtec.correction.tables import FORMATS, table_format
 from rtec.correction.tables.predict import checked, conditions, grid_mm, residuals, table_of
-from rtec.correction.tables.table import CompensationTable, save
+from rtec.correction.tables.table import CompensationTable
 from rtec.errors import ConfigError
 from rtec.machine import load_machine
 from rtec.model import load_model
@@ -185,16 +185,6 @@ def test_wrong_use_is_one_clear_message(
     assert status(["table", str(CONFIGS / "mill-model.toml"), *words, "-o", str(out)]) == 2
     assert says in " ".join(capsys.readouterr().err.split())
     assert not out.exists()
-
-
-def test_a_table_is_replaced_whole(tmp_path: Path) -> None:
-    file = tmp_path / "x.comp"
-    save("old", file)
-    save("new", file)
-    assert file.read_text() == "new"
-    assert list(tmp_path.iterdir()) == [file]
-    with pytest.raises(ConfigError, match="cannot be written"):
-        save("x", tmp_path / "none" / "x.comp")
 
 
 def test_a_format_that_is_none_is_told() -> None:

@@ -1,10 +1,8 @@
 """A compensation table without a format: errors at points along an axis, both directions; and what a format takes."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -141,22 +139,3 @@ def rising(positions_mm: Floats, source: str) -> Floats:
         k = int(falls[0]) + 1
         raise ConfigError(f"{source}: point {k + 1}, {positions_mm[k]:g} mm, does not lie beyond the one before")
     return positions_mm
-
-
-def save(text: str, path: Path) -> None:
-    """Write a table's text; the file appears whole or not at all, an older one of that name is replaced.
-
-    Raises:
-        ConfigError: it cannot be written there.
-    """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("w", encoding="utf-8") as out:
-            out.write(text)
-            out.flush()
-            os.fsync(out.fileno())
-        part.replace(path)
-    except OSError as e:
-        raise ConfigError(f"{path}: cannot be written: {e.strerror}") from e
-    finally:
-        part.unlink(missing_ok=True)

@@ -1,10 +1,8 @@
 """Writing a measurement: every number comes back as it was, bit for bit."""
 
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -14,6 +12,7 @@ from rtec.errors import MeasurementError
 from rtec.metrology.files.toml import TABLES
 from rtec.metrology.measurement import Measurement
 from rtec.tomlfile import nearest
+from rtec.wholefile import whole, write_text
 
 Column = NDArray[np.float64] | NDArray[np.int64]
 
@@ -76,11 +75,10 @@ def write_files(
     content = {name: table for name, table in content.items() if table or name != "table"}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write_table(path, columns)
-        with whole(path.with_name(path.stem + ".toml")) as out:
-            out.write(tomli_w.dumps(content).encode())
     except OSError as e:
         raise MeasurementError(f"{path}: cannot be written: {e.strerror}") from e
+    _write_table(path, columns)
+    write_text(tomli_w.dumps(content), path.with_name(path.stem + ".toml"), MeasurementError)
 
 
 def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
@@ -88,22 +86,10 @@ def _write_table(path: Path, columns: Mapping[str, Column]) -> None:
     from pyarrow import csv, parquet
 
     table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
-    with whole(path) as out:
+    with whole(path, MeasurementError) as out:
         if path.suffix == ".csv":
             # Names of columns are plain words; arrow would put them in quotes.
             out.write((",".join(columns) + "\n").encode())
             csv.write_csv(table, out, csv.WriteOptions(include_header=False))
         else:
             parquet.write_table(table, out, compression="zstd")
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes its name only once all of it is written."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("wb") as out:
-            yield out
-        os.replace(part, path)  # noqa: PTH105
-    finally:
-        part.unlink(missing_ok=True)

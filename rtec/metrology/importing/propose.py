@@ -19,7 +19,6 @@ import tomli_w
 
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
-from rtec.metrology.files.save import whole
 from rtec.metrology.importing.apply import chosen
 from rtec.metrology.importing.map import ImportMap
 from rtec.metrology.importing.roles import ColumnRoles
@@ -33,6 +32,7 @@ from rtec.metrology.readers.layout import Guess, layout
 from rtec.metrology.readers.registry import READERS
 from rtec.text import clean
 from rtec.tomlfile import nearest, validated
+from rtec.wholefile import write_text
 
 FIRST = 4
 """Values shown of each column."""
@@ -445,9 +445,5 @@ def save_map(proposal: ImportProposal, table: Path) -> Path:
         MeasurementError: it cannot be written.
     """
     path = map_of(table)
-    try:
-        with whole(path) as out:
-            out.write(proposal.toml().encode())
-    except OSError as e:
-        raise MeasurementError(f"{path}: cannot be written: {e.strerror}") from e
+    write_text(proposal.toml(), path, MeasurementError)
     return path

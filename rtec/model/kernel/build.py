@@ -10,15 +10,16 @@ import importlib.util
 import inspect
 import linecache
 import math
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
 from rtec import jit
+from rtec.errors import ModelError
 from rtec.jit import njit
 from rtec.version import __version__
+from rtec.wholefile import write_text
 
 HEADER = "import math\n\nfrom rtec.jit import njit\n"
 
@@ -68,10 +69,8 @@ def _write(name: str, whole: str) -> Path | None:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         if path.is_file() and path.read_text(encoding="utf-8") == whole:
             return path
-        temporary = folder / f".{name}.{os.getpid()}"
-        temporary.write_text(whole, encoding="utf-8")
-        temporary.replace(path)
-    except (OSError, UnicodeDecodeError):
+        write_text(whole, path, ModelError)
+    except (OSError, UnicodeDecodeError, ModelError):
         return None
     return path
 
