@@ -41,10 +41,11 @@ def telemetry(
 
 
 def _write_devices(setup: "Setup", out: Path) -> None:
-    from rtec.correction.tables.table import save
+    from rtec.errors import ConfigError
     from rtec.telemetry.mtconnect import device_file
+    from rtec.wholefile import write_text
 
     machine = setup.machine
     identity = f"{platform.node()}{setup.path}"
-    save(device_file(machine.name, machine.axis_names, machine.sensor_names, identity), out)
+    write_text(device_file(machine.name, machine.axis_names, machine.sensor_names, identity), out, ConfigError)
     typer.echo(f"device file: {out}")
