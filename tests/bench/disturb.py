@@ -1,5 +1,6 @@
 """Deadlines that the loop misses at 1 kHz: quiet, with the supervisor stopped, with a log disk that stalls, with
-a hundred subscribers, with everything that telemetry publishes, with hostile clients."""
+a hundred subscribers, with everything that telemetry publishes, with hostile clients,
+with the studio's live page open."""
 
 import json
 import os
@@ -21,6 +22,7 @@ from rtec.daemon.supervisor import Supervisor
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup
 from tests.bench.table import Row
+from tests.studio.studio_rig import CHROMIUM
 from tests.support import setups
 from tests.support.control_rig import Line, free_place
 from tests.support.telemetry_rig import Broker, certificates
@@ -46,6 +48,7 @@ def rows() -> list[Row]:
         f"{SUBSCRIBERS} subscribers for {DISTURBED_S:g} s": _subscribed,
         f"MQTT, MTConnect, OPC UA; killed after {DISTURBED_S:g} s": _published,
         **{f"{name}, for {DISTURBED_S:g} s": partial(_attacked, name) for name in HOSTILE},
+        **({"the studio's live page open": _watched} if CHROMIUM else {}),
     }
     found: dict[str, list[Facts]] = {name: [] for name in runs}
     for _ in range(TURNS):
@@ -147,6 +150,16 @@ def _attacked(name: str, folder: Path) -> Facts:
     return _elsewhere(folder, disturb, control={"prometheus": place})
 
 
+def _watched(folder: Path) -> Facts:
+    """The studio beside it, with its page Live in a browser, on processors that they leave to others."""
+    config = setups.write(folder, setups.tables(folder))
+    words = ("nice", "-n", "19", sys.executable, "-m", "tests.studio.watch", str(config), str(DISTURBED_S))
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as page:
+        assert page.stdout is not None
+        page.stdout.readline()  # it is open
+        return _started(config, lambda _: f"; the page says {page.communicate()[0].strip() or 'nothing'}")
+
+
 def _listen(config: Path) -> tuple[int, int]:
     """Attach; give how many heard anything, and how many statuses all of them heard together."""
     clock, heard = RealClock(), [0] * SUBSCRIBERS
@@ -164,14 +177,19 @@ def _listen(config: Path) -> tuple[int, int]:
 
 
 def _elsewhere(folder: Path, disturb: Callable[[Path, int], str], **tables: dict[str, Any]) -> Facts:
-    """`rtec run` as a process, disturbed after a while; what the disturbance says goes with the facts."""
+    """`rtec run` as a process; what the disturbance says goes with the facts."""
     config = setups.write(folder, {**setups.tables(folder), **tables})
+    return _started(config, lambda pid: disturb(config, pid))
+
+
+def _started(config: Path, disturb: Callable[[int], str]) -> Facts:
+    """`rtec run`, disturbed after a while."""
     command = [sys.executable, "-m", "rtec.cli.main", "run", str(config), "--json", "--duration", str(SECONDS)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         process.stderr.readline()  # it says when the loop begins
         _after(BEFORE_S)
-        more = disturb(config, process.pid)
+        more = disturb(process.pid)
         told, _ = process.communicate()
     facts: Facts = {**json.loads(told), "more": more}
     return facts
