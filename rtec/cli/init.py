@@ -37,6 +37,21 @@ def init(
         float, typer.Option("--seconds", min=0.1, max=600, help="How long live values are shown.")
     ] = 5.0,
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there already.")] = False,
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            "--controller",
+            metavar="NAME",
+            help="linuxcnc: FOLDER is your INI file; its folder is copied and the copy's HAL files changed.",
+            show_default=False,
+        ),
+    ] = None,
+    copy: Annotated[
+        Path | None,
+        typer.Option(
+            "--copy", help="Folder of that copy.  [default: beside it, -rtec behind its name]", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Writes the first files of a machine: machine.toml, run.toml, an empty model.toml.
 
@@ -48,6 +63,8 @@ def init(
 
     Example, by a script: `rtec init lathe --answers lathe-answers.toml --set axis.X.resolution_um=0.5`
 
+    Example, of a machine that LinuxCNC runs: `rtec init --controller linuxcnc my-mill/my-mill.ini`
+
     Without options it asks: axes, encoders, sensors, output, limits. It shows live values, and ends with doctor and dry
     run: exit status 1 if they fail, the files stay. Ctrl-C leaves nothing behind.
     """
@@ -55,6 +72,9 @@ def init(
 
     if example:
         _example(folder, force)
+        return
+    if controller is not None:
+        _adopt(controller, folder, copy, answers, options or [])
         return
     if print_answers:
         _print_answers(template or "lathe")
@@ -101,6 +121,42 @@ def _example(folder: Path, force: bool) -> None:
     go_there = f"cd {folder} && " if folder != Path() else ""
     for command in ("rtec run configs/turning-centre-sim.toml --duration 10", "rtec demo"):
         typer.echo(f"Next: {go_there}{command}")
+
+
+def _adopt(controller: str, ini: Path, copy: Path | None, answers: Path | None, options: list[str]) -> None:
+    """A controller's own files, copied and changed; and rtec's files beside them."""
+    import shutil
+
+    from rtec.commission.answers import answers_from, with_answers
+    from rtec.commission.write import checked_setup
+    from rtec.errors import ConfigError
+    from rtec.loop.devices import driver_class
+
+    kind = driver_class(controller, "--controller")
+    if not hasattr(kind, "adopt"):
+        raise ConfigError(f"--controller {controller}: this driver changes no files of a controller; linuxcnc does")
+    adopted = kind.adopt(ini)
+    given, _ = _given(answers, None, options)
+    tables = with_answers(adopted.answers, given)
+    if tables["sensors"] and "temperatures" not in tables["role"]:
+        tables["role"]["temperatures"] = [tables["role"]["counts"]]
+    folder = copy or ini.resolve().parent.with_name(f"{ini.resolve().parent.name}-rtec")
+    checked_setup(answers_from(tables, str(ini)), folder)
+    with interruptible():
+        difference = adopted.copy(folder, list(tables["sensors"]))
+        try:
+            written = _write(tables, str(ini), folder, force=False, keep_answers=False)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+    typer.echo(difference)
+    typer.echo(
+        f"Your files in {ini.parent} are as they were; the copy is {folder}. To go back, start LinuxCNC with yours."
+    )
+    for path in written:
+        typer.echo(f"Written: {path}")
+    typer.echo(f"Next: linuxcnc {folder / ini.name}")
+    typer.echo(f"Next: rtec doctor {folder / 'run.toml'}")
 
 
 def _print_answers(template: str) -> None:

@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from rtec.tomlfile import Strict
 from rtec_drivers.linuxcnc.link import BridgeHello, BridgeLink, HalState
 from rtec_drivers.reopen import Reopener
 from rtec_drivers.stuck import StuckWatch
+
+if TYPE_CHECKING:
+    from rtec_drivers.linuxcnc.adopt import AdoptedMachine
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -83,6 +86,17 @@ unit_um = 0.01
         self._session = ""
         self._must_resume = ""
         self._resuming = False
+
+    @staticmethod
+    def adopt(ini: Path) -> "AdoptedMachine":
+        """Read the INI file of a machine that LinuxCNC runs already, for `rtec init --controller linuxcnc`.
+
+        Raises:
+            ConfigError: it cannot be read, or rtec has no template for the machine.
+        """
+        from rtec_drivers.linuxcnc.adopt import adopt
+
+        return adopt(ini)
 
     def __enter__(self) -> Self:
         """Connect. Starting a run is an order to resume.

@@ -1,24 +1,23 @@
 """Puts rtec into a copy of somebody's HAL files, and shows the difference; the files themselves are not touched.
 
 Each axis' command signal is cut behind LinuxCNC's `motor-pos-cmd`, its feedback signal before `motor-pos-fb`, and HAL's
-component `offset` is put in between. Everything else stays to the letter.
-
-    python -m rtec_drivers.linuxcnc.patch mine/mill.ini mine-rtec --joints X=0,Y=1,Z=2 --socket /run/rtec/cnc.sock
+component `offset` is put in between. Everything else stays to the letter. `rtec init --controller linuxcnc` does it.
 """
 
-import argparse
 import difflib
 import re
 import shutil
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtec.errors import ConfigError, RtecError
+from rtec.errors import ConfigError
 
 ARROWS = ("=>", "<=", "<=>")
 INI_HALFILE = re.compile(r"^\s*HALFILE\s*=\s*(\S+)\s*$", re.MULTILINE)
+LIBRARY = Path("/usr/share/linuxcnc/hallib")
+"""LinuxCNC's own HAL files; an INI file names them with LIB: before, or so."""
+MM_PER_INCH = 25.4
 THREAD = re.compile(r"^\s*addf\s+motion-controller\s+(\S+)", re.MULTILINE)
 
 
@@ -34,6 +33,7 @@ class RtecWiring:
         unit_um: one unit of output, µm.
         most_mm: furthest correction, mm.
         slew_mm_s, acceleration_mm_s2: HAL's own limits.
+        inch: LinuxCNC's LINEAR_UNITS.
     """
 
     joints: Mapping[str, int]
@@ -44,6 +44,7 @@ class RtecWiring:
     most_mm: float = 0.2
     slew_mm_s: float = 0.4
     acceleration_mm_s2: float = 20.0
+    inch: bool = False
 
 
 def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
@@ -60,20 +61,18 @@ def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
     if folder.exists():
         raise ConfigError(f"{folder}: is there already; choose another folder for the copy")
     try:
-        names = INI_HALFILE.findall(ini.read_text(encoding="utf-8"))
-        own = [n for n in names if n.startswith("LIB:") or n.endswith(".tcl")]
-        if own:
-            raise ConfigError(
-                f"{ini}: HALFILE = {own[0]}: copy it beside the INI file as a .hal file first, and name that one"
-            )
-        there = {name: ini.parent / name for name in names if (ini.parent / name).is_file()}
-        files = {name: path.read_text(encoding="utf-8") for name, path in there.items()}
+        said = ini.read_text(encoding="utf-8")
+        files = {p.name: p.read_text(encoding="utf-8") for p in _hal_files(ini, INI_HALFILE.findall(said))}
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{ini}: cannot be read: {e}") from e
     changed = patched(files, wiring, str(ini))
     shutil.copytree(ini.parent, folder, symlinks=True)
+    _own_links(ini.parent.resolve(), folder)
     for name, text in changed.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        if text != files[name]:
+            (folder / name).write_text(text, encoding="utf-8")
+            said = re.sub(rf"^(\s*HALFILE\s*=\s*)LIB:{re.escape(name)}\s*$", rf"\g<1>{name}", said, flags=re.MULTILINE)
+    (folder / ini.name).write_text(said, encoding="utf-8")
     return "".join(
         line
         for name, text in changed.items()
@@ -81,6 +80,39 @@ def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
             files[name].splitlines(keepends=True), text.splitlines(keepends=True), f"a/{name}", f"b/{name}"
         )
     )
+
+
+def _own_links(source: Path, folder: Path) -> None:
+    """Put files in place of links to files, so nothing is written through them; others still lead there."""
+    for link in [p for p in folder.rglob("*") if p.is_symlink()]:
+        target = (source / link.relative_to(folder)).resolve()
+        link.unlink()
+        if target.is_file():
+            shutil.copy(target, link)
+        elif target.exists():
+            link.symlink_to(target)
+
+
+def _hal_files(ini: Path, names: Sequence[str]) -> list[Path]:
+    """The HAL files of an INI file, its own or LinuxCNC's, in their order.
+
+    Raises:
+        ConfigError: one that cannot be changed in a copy.
+    """
+    out = []
+    for name in names:
+        plain = name.removeprefix("LIB:")
+        if name.endswith(".tcl"):
+            raise ConfigError(
+                f"{ini}: HALFILE = {name}: a Tcl script; wire rtec by hand behind it (docs/linuxcnc.md, Wire it)"
+            )
+        if Path(plain).name != plain:
+            raise ConfigError(f"{ini}: HALFILE = {name}: it is in another folder; put it beside the INI file first")
+        places = [p / plain for p in (*([] if plain != name else [ini.parent]), LIBRARY) if (p / plain).is_file()]
+        if not places:
+            raise ConfigError(f"{ini}: HALFILE = {name}: neither beside the INI file nor in {LIBRARY}")
+        out.append(places[0])
+    return out
 
 
 def patched(files: Mapping[str, str], wiring: RtecWiring, source: str) -> dict[str, str]:
@@ -113,7 +145,7 @@ def patched(files: Mapping[str, str], wiring: RtecWiring, source: str) -> dict[s
         *lines[home][k + 1 :],
     ]
     last = list(lines)[-1]
-    lines[last] += _nets(wiring, thread)
+    lines[last] += _nets(wiring, lines)
     return {name: "\n".join(text) + "\n" for name, text in lines.items()}
 
 
@@ -143,12 +175,28 @@ def _cut(lines: dict[str, list[str]], axis: str, joint: int, source: str) -> Non
 
 
 def _signal(lines: Mapping[str, Sequence[str]], pin: str, source: str) -> str:
+    known = _known_signal(lines, pin)
+    if known is None:
+        raise ConfigError(
+            f"{source}: no HAL file has a `net` line with {pin}; wire that axis by hand (docs/linuxcnc.md)"
+        )
+    return known
+
+
+def _known_signal(lines: Mapping[str, Sequence[str]], pin: str) -> str | None:
+    """Signal of a pin that is wired already."""
     for text in lines.values():
         for line in text:
             words = line.split("#")[0].split()
             if words[:1] == ["net"] and pin in words[2:]:
                 return words[1]
-    raise ConfigError(f"{source}: no HAL file has a `net` line with {pin}; wire that axis by hand (docs/linuxcnc.md)")
+    return None
+
+
+def _tapped(lines: Mapping[str, Sequence[str]], pin: str, name: str, to: str) -> str:
+    """A pin's value for one more reader: HAL lets a pin have one signal only."""
+    known = _known_signal(lines, pin)
+    return f"net {known} => {to}" if known else f"net {name} {pin} => {to}"
 
 
 def _loads(wiring: RtecWiring, thread: str) -> list[str]:
@@ -160,7 +208,7 @@ def _loads(wiring: RtecWiring, thread: str) -> list[str]:
         f"loadrt offset names={','.join(f'rtec-offset-{a}' for a in axes)}",
         f"loadrt sampler depth=4000 cfg={'f' * len(axes)}bb",
         f"loadusr -Wn rtec /usr/bin/python3 {wiring.bridge} --socket {wiring.socket} --axes {','.join(wiring.joints)}"
-        f"{sensors} --unit-um {wiring.unit_um:g} --max-um {1e3 * wiring.most_mm:g}",
+        f"{sensors}{' --inch' if wiring.inch else ''} --unit-um {wiring.unit_um:g} --max-um {1e3 * wiring.most_mm:g}",
         *(f"addf rtec-offset-{a}.update-feedback {thread}" for a in axes),
         "# ---- end of rtec",
     ]
@@ -179,59 +227,27 @@ def _after_motion(wiring: RtecWiring, thread: str) -> list[str]:
     ]
 
 
-def _nets(wiring: RtecWiring, thread: str) -> list[str]:
-    del thread
+def _nets(wiring: RtecWiring, lines: Mapping[str, Sequence[str]]) -> list[str]:
     out = ["# ---- rtec: its pins"]
+    unit = MM_PER_INCH if wiring.inch else 1.0
+    slew, acceleration, most = (v / unit for v in (wiring.slew_mm_s, wiring.acceleration_mm_s2, wiring.most_mm))
     for k, (axis, joint) in enumerate(wiring.joints.items()):
         a = axis.lower()
         out += [
-            f"setp rtec-limit-{a}.maxv {wiring.slew_mm_s:g}",
-            f"setp rtec-limit-{a}.maxa {wiring.acceleration_mm_s2:g}",
-            f"setp rtec-limit-{a}.min {-wiring.most_mm:g}",
-            f"setp rtec-limit-{a}.max {wiring.most_mm:g}",
+            f"setp rtec-limit-{a}.maxv {slew:g}",
+            f"setp rtec-limit-{a}.maxa {acceleration:g}",
+            f"setp rtec-limit-{a}.min {-most:g}",
+            f"setp rtec-limit-{a}.max {most:g}",
             f"net rtec-{a}-correction rtec.offset-{a} => rtec-limit-{a}.in",
             f"net rtec-{a}-correction-limited rtec-limit-{a}.out => rtec-offset-{a}.offset",
-            f"net rtec-{a}-pos joint.{joint}.pos-fb => sampler.0.pin.{k}",
+            _tapped(lines, f"joint.{joint}.pos-fb", f"rtec-{a}-pos", f"sampler.0.pin.{k}"),
         ]
     n = len(wiring.joints)
     out += [
-        f"net rtec-homed motion.is-all-homed => sampler.0.pin.{n}",
-        f"net rtec-on motion.motion-enabled => sampler.0.pin.{n + 1}",
-        "net rtec-rpm spindle.0.speed-out => rtec.spindle-rpm",
+        _tapped(lines, "motion.is-all-homed", "rtec-homed", f"sampler.0.pin.{n}"),
+        _tapped(lines, "motion.motion-enabled", "rtec-on", f"sampler.0.pin.{n + 1}"),
+        _tapped(lines, "spindle.0.speed-out", "rtec-rpm", "rtec.spindle-rpm"),
     ]
     for sensor, signal in wiring.sensors.items():
         out.append(f"net {signal} => rtec.{sensor}" if signal else f"# net YOUR-SIGNAL => rtec.{sensor}   (°C)")
     return [*out, "# ---- end of rtec"]
-
-
-def main(words: Sequence[str]) -> int:
-    """Make the copy and print the difference; 2 where that cannot be."""
-    parser = argparse.ArgumentParser(
-        prog="python -m rtec_drivers.linuxcnc.patch",
-        description="Copies a LinuxCNC configuration, puts rtec into the copy's HAL files, and prints the difference.",
-    )
-    parser.add_argument("ini", type=Path, help="your INI file; it is not touched")
-    parser.add_argument("folder", type=Path, help="folder of the copy")
-    parser.add_argument("--joints", required=True, help="axes of the machine file with their joints: X=0,Z=1")
-    parser.add_argument("--socket", type=Path, required=True, help="the bridge's socket, as the run file names it")
-    parser.add_argument(
-        "--sensors", default="", help="sensors with their HAL signals: T_bed=t-bed; T_x= is wired later"
-    )
-    told = parser.parse_args(words)
-    try:
-        joints = {a: int(n) for a, _, n in (w.partition("=") for w in told.joints.split(","))}
-    except ValueError:
-        parser.error("--joints: write AXIS=NUMBER, as X=0,Z=1")
-    sensors = {s: pin for s, _, pin in (w.partition("=") for w in told.sensors.split(",") if w)}
-    bridge = Path(__file__).with_name("bridge.py")
-    try:
-        difference = patched_copy(told.ini, told.folder, RtecWiring(joints, bridge, told.socket, sensors))
-    except RtecError as e:
-        sys.stderr.write(f"{e}\n")
-        return 2
-    sys.stdout.write(difference)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
