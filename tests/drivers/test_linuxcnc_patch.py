@@ -147,7 +147,7 @@ def test_linuxcncs_own_sample_runs_with_it(tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     assert status(["init", "--controller", "linuxcnc", str(SAMPLE), "--copy", str(copy)]) == 0
     dialogue = [("HALFILE = axis_manualtoolchange.hal\n", "")]  # a window
-    with Session("axis_mm", {"axis_mm.ini": dialogue}, copy) as mill:
+    with Session("axis_mm", {"axis_mm.ini": dialogue}, source=copy) as mill:
         mill.state("estop_reset")
         mill.state("on")
         mill.home()

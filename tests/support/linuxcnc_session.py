@@ -72,13 +72,18 @@ class Session:
     Args:
         name: of the INI file in configs/linuxcnc, without its ending.
         edits: text to replace in the copied files: file name to (old, new) pairs.
+        files: text of more files beside them, by name.
         source: folder of the configuration, where it is another than configs/linuxcnc.
     """
 
     def __init__(
-        self, name: str, edits: dict[str, list[tuple[str, str]]] | None = None, source: Path = CONFIGS
+        self,
+        name: str,
+        edits: dict[str, list[tuple[str, str]]] | None = None,
+        files: dict[str, str] | None = None,
+        source: Path = CONFIGS,
     ) -> None:
-        self.name, self._edits, self._source = name, edits or {}, source
+        self.name, self._edits, self._files, self._source = name, edits or {}, files or {}, source
         self.folder = Path()
         self._clock = RealClock()
 
@@ -140,6 +145,8 @@ class Session:
         for file in self._source.iterdir():
             if file.suffix in (".ini", ".hal", ".tbl", ".toml", ".var"):
                 shutil.copy(file, self.folder / file.name)
+        for name, text in self._files.items():
+            (self.folder / name).write_text(text)
         changes = {f"{self.name}.ini": [("DISPLAY = axis", "DISPLAY = ./agent")]}
         if self._source == CONFIGS:
             changes[f"{self.name}.hal"] = [("../../drivers/rtec_drivers/linuxcnc/bridge.py", str(BRIDGE))]
