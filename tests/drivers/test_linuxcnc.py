@@ -1,7 +1,8 @@
 """A machine that a real LinuxCNC runs: the driver keeps the laws that every driver keeps, and its errors fall."""
 
 import os
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 
 from rtec.correction.sinks import FollowingErrorSink, PulseSink
 from rtec.machine import load_machine
+from rtec.model import load_model
 from rtec_drivers.linuxcnc.driver import LinuxCncDriver
 from tests.support.conformance import DriverLaws, Rig
-from tests.support.linuxcnc_loop import Floats, LoopThread, dwell_errors_um
+from tests.support.linuxcnc_loop import Floats, LoopThread, run_files, start_daemon, until_pins
 from tests.support.linuxcnc_session import CONFIGS, Session, why_not
 
 pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.skipif(bool(why_not()), reason=why_not() or "")]
@@ -19,7 +21,9 @@ pytestmark = [pytest.mark.xdist_group("real-clock"), pytest.mark.skipif(bool(why
 
 @pytest.fixture(scope="module")
 def mill() -> Iterator[Session]:
-    with Session("mill") as session:
+    # An axis that cools at rest moves back, into its play: little heat, so that little is lost while pins are read.
+    cool = [(f"setp {a}-degc.gain0 0.3", f"setp {a}-degc.gain0 0.05") for a in "xyz"]
+    with Session("mill", {"mill-plant.hal": cool}) as session:
         session.state("estop_reset")
         session.state("on")
         session.home()
@@ -45,28 +49,104 @@ class TestLinuxCnc(DriverLaws):
 
 
 AXES, Z = 3, 2
-TRAVERSE = "G1 F6000 X{0} Y{0} Z{0}\nG4 P0.3\n"
 PLACES = list(range(-80, 81, 40))
-PROGRAMME = "G21 G90 G64 P0.001\n" + "".join(TRAVERSE.format(q) for q in [*PLACES, *PLACES[-2::-1]]) + "M2\n"
+THERE_AND_BACK = [*PLACES, *PLACES[-2::-1]]
+TRAVERSE = "G1 F6000 X{0} Y{0} Z{0}\nG4 P0.1\n"
+PROGRAMME = "G21 G90 G64 P0.001\n" + "".join(TRAVERSE.format(q) for q in THERE_AND_BACK) + "M2\n"
+RIGHT = 20.0
+"""So many times an error must fall."""
 
 
-@pytest.fixture(scope="module")
-def errors(mill: Session) -> dict[str, Floats]:
-    """A part programme to 9 places, in both directions, without and with rtec, as LinuxCNC's sampler saw it."""
-    out = {}
+def tip_errors_um(mill: Session) -> Floats:
+    """Error of the tool along each axis now, µm, at rest."""
+    return np.array([1e3 * (mill.gets(f"{a}-tip") - mill.gets(f"{a}-pos-cmd")) for a in "xyz"])
+
+
+def arrivals(mill: Session) -> Iterator[Callable[[], None]]:
+    """For each place, in both directions: go back a little, and arrive there."""
     mill.mdi("G0 X-90 Y-90 Z-90")
-    out["without"] = recorded(mill)
+    for k, q in enumerate(THERE_AND_BACK):
+        before = q - 8 if k < len(PLACES) else q + 8
+
+        def arrive(places: tuple[int, int] = (before, q)) -> None:
+            for p in places:
+                mill.mdi(f"G1 F6000 X{p} Y{p} Z{p}")
+
+        yield arrive
+
+
+def test_errors_at_dwells_fall_by_twenty(mill: Session) -> None:
+    """Oracle: LinuxCNC's own pins at the plant; the model's numbers are the plant's.
+
+    A busy PC makes rtec late, and a correction that comes after the axis has stopped is lost in its play: the place is
+    then arrived at again, five times at most. Wrong it is never.
+    """
+    without = []
+    for arrive in arrivals(mill):
+        arrive()
+        without.append(abs(tip_errors_um(mill)))
+    largest = np.max(without, axis=0)
+    assert (largest > 5.0).all()
     with LoopThread(mill):
-        for _ in range(3):  # where a busy PC let LinuxCNC or rtec come too late for a dwell, once more
-            mill.mdi("G0 X-80 Y-80 Z-80")
+        for arrive in arrivals(mill):
+            errors_um = []
+            for _ in range(5):
+                arrive()
+                errors_um.append(abs(tip_errors_um(mill)))
+                if (errors_um[-1] < largest / RIGHT).all():
+                    break
+            assert (errors_um[-1] < largest / RIGHT).all(), errors_um
+
+
+LIVE, RECOVERS = 5, 50
+"""A correction that has not changed for so many servo periods of motion is late; so long it takes until it is right."""
+ENOUGH = 500
+
+
+def moving(rows: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Z's error at the samples in motion, µm, and at which of them the correction was on time.
+
+    The plant's own error is that of the true model at the recorded place and temperature: what the tool has beside it
+    is the correction.
+    """
+    model = load_model(CONFIGS / "mill-model.toml", load_machine(CONFIGS / "mill-machine.toml"))
+    at = {a: rows[:, 1 + k] for k, a in enumerate("XYZ")} | {f"dir_{a}": np.ones(len(rows)) for a in "XYZ"}
+    at |= {s: rows[:, 1 + 2 * AXES + k] for k, s in enumerate(("T_x", "T_y", "T_z"))}
+    error_um = 1e3 * (rows[:, 1 + AXES + Z] - rows[:, 1 + Z])
+    correction_um = error_um - model.predict(at)[:, Z]
+    changed = np.abs(np.diff(correction_um, prepend=correction_um[:1])) > UNIT_UM / 2
+    since = np.arange(len(rows)) - np.maximum.accumulate(np.where(changed, np.arange(len(rows)), 0))
+    late = np.convolve(since > LIVE, np.ones(RECOVERS))[: len(rows)] > 0.5
+    travels = np.abs(np.diff(rows[:, 1 + Z], prepend=rows[:1, 1 + Z])) > 0.05
+    return error_um[travels], ~late[travels]
+
+
+UNIT_UM = 0.01
+
+
+def test_errors_in_motion_fall_too(mill: Session) -> None:
+    """Oracle: LinuxCNC's sampler, in Z, which has no play; on time the error is below a servo period's travel and 2 µm.
+
+    Judged are the samples with a correction that was not late: where a busy PC kept rtec from running, and until it has
+    caught up, nothing can be said of it.
+    """
+    mill.mdi("G0 X-90 Y-90 Z-90")
+    without = recorded(mill)
+    before, _ = moving(without)
+    kept, share = [np.zeros(0)], list[float]()
+    with LoopThread(mill):
+        mill.until(lambda: settled(mill))
+        while sum(map(len, kept)) < ENOUGH and len(share) < 5:
             mill.mdi("G0 X-90 Y-90 Z-90")
-            out["with"] = recorded(mill)
-            if at_dwells(out).all() and in_motion(out):
-                return out
-    load = os.getloadavg()[0]
-    if load > len(os.sched_getaffinity(0)):
-        pytest.skip(f"LinuxCNC has no real-time kernel here and the PC is busy (load {load:.1f}): run this file alone")
-    return out
+            error_um, on_time = moving(recorded(mill))
+            kept.append(error_um[on_time])
+            share.append(float(on_time.mean()))
+    after = np.concatenate(kept)
+    assert len(after) >= ENOUGH
+    assert max(share) > 0.2
+    travel_um = 1e3 * np.abs(np.diff(without[:, 1 + Z])).max()
+    assert np.abs(after).max() < min(2.0, travel_um)
+    assert np.sqrt(np.mean(after**2)) < np.sqrt(np.mean(before**2)) / RIGHT
 
 
 def recorded(mill: Session) -> Floats:
@@ -75,30 +155,6 @@ def recorded(mill: Session) -> Floats:
     mill.run("places.ngc")
     mill.stop_record(1)
     return mill.recorded("places.txt")
-
-
-def at_dwells(errors: dict[str, Floats]) -> NDArray[np.bool_]:
-    """Fell the largest error at a dwell by twenty, axis by axis?"""
-    before, after = (np.abs(dwell_errors_um(errors[k], AXES, still=250)).max(axis=0) for k in ("without", "with"))
-    return np.asarray((before > 5.0) & (after < before / 20.0))
-
-
-def in_motion(errors: dict[str, Floats]) -> bool:
-    """Is Z right within one servo period's travel and 2 µm, and a twentieth in its root mean square?"""
-    before, after = (1e3 * (errors[k][:, 2 * AXES] - errors[k][:, AXES]) for k in ("without", "with"))
-    travel_um = 1e3 * np.abs(np.diff(errors["with"][:, AXES])).max()
-    root_mean_squares = [np.sqrt(np.mean(e**2)) for e in (before, after)]
-    return bool(np.abs(after).max() < min(2.0, travel_um) and root_mean_squares[1] < root_mean_squares[0] / 20.0)
-
-
-def test_errors_at_dwells_fall_by_twenty(errors: dict[str, Floats]) -> None:
-    """Oracle: LinuxCNC's `sampler`; the model's numbers are the plant's."""
-    assert at_dwells(errors).all()
-
-
-def test_errors_in_motion_fall_too(errors: dict[str, Floats]) -> None:
-    """Oracle: the sampler; Z, which has no play: a step at each reversal would come through as the limits let it."""
-    assert in_motion(errors)
 
 
 SLEW_UM = 0.4
@@ -160,12 +216,41 @@ def test_thirty_state_changes_and_kills_without_a_jump(mill: Session) -> None:
             done += len(STATES) + 1
     mill.stop_record(1)
     assert done >= 30
-    rows = mill.recorded("states.txt")
+    nothing_jumps(mill.recorded("states.txt"))
+
+
+def nothing_jumps(rows: Floats) -> None:
+    """In no servo period does the tool move further than commanded, but by HAL's own limit."""
     following = np.diff(rows[:, 0]) == 1
     assert np.count_nonzero(~following) < 100
     commanded_um, tip_um = (1e3 * np.diff(rows[:, 1 + k : 1 + k + AXES], axis=0)[following] for k in (0, AXES))
     assert (np.abs(tip_um) < np.abs(commanded_um) + SLEW_UM + OWN_UM).all()
     assert np.abs(tip_um - commanded_um)[:, Z].max() < SLEW_UM + OWN_UM
+
+
+def test_a_killed_daemon_leaves_the_correction_and_the_next_goes_on(mill: Session) -> None:
+    """Oracle: LinuxCNC's pins and sampler: `kill -9` of all processes of `rtec run`, twice, and no jump.
+
+    The signal keeps its value while the machine moves on; the next daemon takes it over, and corrects again.
+    """
+    run_file = run_files(mill)
+    mill.mdi("G0 X40 Y40 Z60")
+    mill.record(1, "killed.txt")
+    for place in ("G0 Z-60", "G0 Z20"):
+        daemon = start_daemon(mill, run_file)
+        until_pins(mill, ["z-tip", "z-pos-cmd"], lambda mm: abs(mm[0] - mm[1]) < 3e-4)
+        os.killpg(daemon.pid, signal.SIGKILL)
+        daemon.wait(20)
+        kept = mill.gets("z-correction")
+        assert abs(kept) > 1e-3
+        mill.mdi(place)
+        assert mill.gets("z-correction") == kept
+    daemon = start_daemon(mill, run_file)
+    until_pins(mill, ["z-tip", "z-pos-cmd"], lambda mm: abs(mm[0] - mm[1]) < 3e-4)
+    daemon.send_signal(signal.SIGTERM)
+    assert daemon.wait(30) == 130
+    mill.stop_record(1)
+    nothing_jumps(mill.recorded("killed.txt"))
 
 
 def test_a_restart_of_linuxcnc_waits_for_an_order(mill: Session) -> None:

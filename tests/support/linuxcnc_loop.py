@@ -1,6 +1,9 @@
 """rtec's loop in a thread of the test, with the device, the model and the limits of a run file of configs/linuxcnc."""
 
+import os
 import shutil
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -36,15 +39,7 @@ class LoopThread:
     """
 
     def __init__(self, session: Session, edits: tuple[tuple[str, str], ...] = ()) -> None:
-        for file in CONFIGS.glob(f"{session.name}*.toml"):
-            shutil.copy(file, session.folder)
-        path = session.folder / f"{session.name}.toml"
-        text = path.read_text()
-        for old, new in edits:
-            assert old in text
-            text = text.replace(old, new)
-        path.write_text(text)
-        self._path: Path = path
+        self._path = run_files(session, edits)
         self._stack, self._ends, self._resume = ExitStack(), threading.Event(), threading.Event()
         self.output: NDArray[np.int64] = np.zeros(0, np.int64)
 
@@ -80,19 +75,30 @@ class LoopThread:
         return not self._ends.is_set()
 
 
-def dwell_errors_um(rows: Floats, axes: int, still: int = 40) -> Floats:
-    """Error of each axis, µm, (samples, axes), where it had stood for so many servo periods, of a plant's recording.
+def run_files(session: Session, edits: tuple[tuple[str, str], ...] = ()) -> Path:
+    """Put the shipped run, machine and model file into the session's folder; give the run file.
 
     Args:
-        rows: sample number, commanded positions, true positions, temperatures, in position.
-        axes: how many.
-        still: servo periods.
+        session: whose configuration.
+        edits: text to replace in the run file, as (old, new) pairs.
     """
-    commanded, true = rows[:, 1 : 1 + axes], rows[:, 1 + axes : 1 + 2 * axes]
-    moved = np.any(np.diff(commanded, axis=0, prepend=np.nan) != 0.0, axis=1)
-    last = np.maximum.accumulate(np.where(moved, np.arange(len(rows)), 0))
-    stands = np.arange(len(rows)) - last >= still
-    return np.asarray(1e3 * (true - commanded)[stands])
+    for file in CONFIGS.glob(f"{session.name}*.toml"):
+        shutil.copy(file, session.folder)
+    path = session.folder / f"{session.name}.toml"
+    text = path.read_text()
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
+def start_daemon(session: Session, run_file: Path, log: Path | None = None) -> "subprocess.Popen[bytes]":
+    """`rtec run`, as a user starts it, in a process group of its own; its state and socket are the session's."""
+    env = {**os.environ, "RUNTIME_DIRECTORY": str(session.folder)}
+    with (log or session.folder / "rtec.log").open("ab") as said:
+        words = [sys.executable, "-m", "rtec.cli.main", "run", str(run_file)]
+        return subprocess.Popen(words, stdout=said, stderr=said, env=env, start_new_session=True)
 
 
 def dwell_means(rows: Floats, still: int) -> list[Floats]:
