@@ -134,7 +134,8 @@ class Session:
         """Rows that halsampler wrote: the sample's number, then the pins; whole rows only."""
         lines = (line.split() for line in (self.folder / name).read_text().splitlines())
         rows = [words for words in lines if words[:1] and words[0].isdigit()]
-        return np.array([r for r in rows if len(r) == max(map(len, rows))], dtype=np.float64)
+        width = max(map(len, rows), default=0)
+        return np.array([r for r in rows if len(r) == width], dtype=np.float64)
 
     def said_at_start(self) -> str:
         """What LinuxCNC and its parts printed."""
