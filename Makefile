@@ -16,7 +16,7 @@ override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof docs reference figures lock format clean
+.PHONY: linuxcnc studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof docs reference figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -79,6 +79,9 @@ figures: $(STAMP)  ## the figures of the documentation, made by the demo and by 
 	$(BIN)/python -m tests.notebooks.run
 	$(BIN)/python -m tests.tutorial.campaign docs/figures
 	$(BIN)/python -m tests.studio.screens docs/figures
+
+linuxcnc: $(STAMP)  ## a mill that LinuxCNC runs: measured, fitted, diagnosed, corrected; some minutes; writes out/linuxcnc
+	$(BIN)/python -m tests.tutorial.linuxcnc out/linuxcnc
 
 studio: $(STAMP)  ## compare, diagnose and improve in the browser; opens out/studio
 	@mkdir -p out/studio
