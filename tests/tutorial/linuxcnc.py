@@ -22,7 +22,7 @@ import numpy as np
 
 from rtec import api
 from rtec.metrology.files.save import write_files
-from rtec.report.figures import GREY, OFF, ON, as_png, stacked
+from rtec.report.figures import GREY, OFF, ON, as_png, room_above, stacked
 from tests.support.linuxcnc_loop import Floats, dwell_means, run_files, start_daemon, until_pins
 from tests.support.linuxcnc_session import CONFIGS, ROOT, Session, why_not
 
@@ -249,8 +249,9 @@ def figure(errors: Mapping[str, Floats], finding: str) -> "MplFigure":
     ax.set_xlabel("dwell of the part programme")
     ax.set_ylabel("error at the tool, µm")
     ax.set_ylim(bottom=0.0)
+    room_above(ax, 0.45)
     ax.set_title("A mill that LinuxCNC runs: the same programme three times")
-    ax.legend(loc="center right", frameon=True)
+    ax.legend(loc="upper left", frameon=False)
     return drawn
 
 
@@ -270,7 +271,9 @@ def main(words: list[str]) -> int:
     story = Story(folder, Plan())
     errors = story.tell()
     say("\n" + table(errors))
-    figures = {name: {"largest_um": np.abs(e).max(axis=0).tolist()} for name, e in errors.items()}
+    figures = {
+        name: {"largest_um": np.abs(e).max(axis=0).tolist(), "dwells_um": e.tolist()} for name, e in errors.items()
+    }
     (folder / "result.json").write_text(json.dumps(figures, indent=2), encoding="utf-8")
     to = Path(words[2]) if words[1:2] == ["--figure"] else folder
     (to / FIGURE).write_bytes(figure(errors, story.finding))
