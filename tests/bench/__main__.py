@@ -7,7 +7,7 @@ import sys
 from rich.table import Table
 
 from rtec.cli.screen import Console
-from tests.bench import boxlink, cycle, diagnose, disturb, fit, logs, quadrature, startup, wakeup
+from tests.bench import boxlink, cycle, diagnose, disturb, fit, linuxcnc, logs, quadrature, startup, wakeup
 from tests.bench.table import Row
 
 PARTS = {
@@ -16,6 +16,7 @@ PARTS = {
     "diagnose": diagnose.rows,
     "disturb": disturb.rows,
     "fit": fit.rows,
+    "linuxcnc": linuxcnc.rows,
     "logs": logs.rows,
     "quadrature": quadrature.rows,
     "startup": startup.rows,
