@@ -79,6 +79,7 @@ figures: $(STAMP)  ## the figures of the documentation, made by the demo and by 
 	$(BIN)/python -m tests.notebooks.run
 	$(BIN)/python -m tests.tutorial.campaign docs/figures
 	$(BIN)/python -m tests.studio.screens docs/figures
+	$(BIN)/python drivers/box/boards/wiring.py
 
 linuxcnc: $(STAMP)  ## a mill that LinuxCNC runs: measured, fitted, diagnosed, corrected; some minutes; writes out/linuxcnc
 	$(BIN)/python -m tests.tutorial.linuxcnc out/linuxcnc
