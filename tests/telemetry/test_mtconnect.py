@@ -283,6 +283,8 @@ def test_an_agent_that_does_not_read(
 def test_a_flood(place: str, items: dict[str, tuple[str, str]], daemon: LivingDaemon) -> None:
     """Of lines, of a line without an end, of connections: an agent that comes behind them is served."""
     host, port = place.split(":")
+    with Agent(place, items) as agent:
+        agent.until(ready)
     with ExitStack() as opened:
         for text in (b"* PING\n" * 100_000, b"x" * 1_000_000, b"\0\n\xff\n" * 100_000):
             flood = opened.enter_context(socket.create_connection((host, int(port))))
