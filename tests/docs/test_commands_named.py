@@ -15,7 +15,7 @@ GROUPS = {path[:k] for path in COMMANDS for k in range(1, len(path))}
 def wrong(said: str) -> str:
     """What is wrong with the words behind `rtec`; "" where nothing is."""
     words = said.split()
-    path = (words[0],)
+    path: tuple[str, ...] = (words[0],)
     while path in GROUPS and len(words) > len(path) and re.fullmatch(r"[a-z][a-z-]*", words[len(path)]):
         path = (*path, words[len(path)])
     if path in GROUPS:
