@@ -16,7 +16,7 @@ override DESTDIR := $(patsubst %/,%,$(DESTDIR))
 LIB := $(PREFIX)/lib/rtec
 UNITS := $(PREFIX)/lib/systemd/system
 
-.PHONY: linuxcnc studio box install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof docs reference figures lock format clean
+.PHONY: linuxcnc studio box gateware coverage mutants install check-paths install-venv install-files uninstall help demo test lint check bench soak attack fuzz discovery proof docs reference figures lock format clean
 help:  ## what can be made
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
@@ -80,6 +80,7 @@ figures: $(STAMP)  ## the figures of the documentation, made by the demo and by 
 	$(BIN)/python -m tests.tutorial.campaign docs/figures
 	$(BIN)/python -m tests.studio.screens docs/figures
 	$(BIN)/python drivers/box/boards/wiring.py
+	$(BIN)/python -m tests.telemetry.pictures docs/figures
 
 linuxcnc: $(STAMP)  ## a mill that LinuxCNC runs: measured, fitted, diagnosed, corrected; some minutes; writes out/linuxcnc
 	$(BIN)/python -m tests.tutorial.linuxcnc out/linuxcnc
@@ -90,6 +91,19 @@ studio: $(STAMP)  ## compare, diagnose and improve in the browser; opens out/stu
 
 box:  ## the encoder box's gateware: its simulation, its proofs and the bitstreams of the boards
 	$(MAKE) -C drivers/box sim proof synth
+
+gateware: $(STAMP)  ## the box driver's suites and those of rtec hil, all on the simulated gateware; four minutes
+	RTEC_WHOLE_GATEWARE=1 $(BIN)/python -m pytest -n 0 tests/box tests/drivers/test_serial_box.py \
+	  tests/drivers/test_serial_box_pty.py tests/drivers/test_box_in_the_loop.py tests/hil/test_hil.py
+
+coverage: $(STAMP)  ## lines, branches and toggles of the gateware that its tests cover; fails below 95 %
+	rm -rf out/coverage && mkdir -p out/coverage
+	RTEC_GATEWARE_COVERAGE=out/coverage $(BIN)/python -m pytest -q -n 0 tests/box/test_gateware_lines.py \
+	  tests/box/test_gateware_link.py tests/box/test_gateware_ranges.py
+	$(BIN)/python drivers/box/sim/coverage.py out/coverage
+
+mutants: $(STAMP)  ## the gateware broken in eighteen places, one at a time: a test must notice each; three minutes
+	$(BIN)/python drivers/box/sim/mutants.py
 
 format: $(STAMP)  ## rewrite the code in the project's format
 	$(BIN)/ruff format .

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from rtec.errors import ConfigError, ModelError
+from rtec.errors import ConfigError, MeasurementError, ModelError
 from rtec.machine import Machine
 from rtec.machine import load_machine as _load_machine
 from rtec.metrology.measurement import Measurement
@@ -597,8 +597,10 @@ def iso230(
     from rtec.metrology.procedures.iso230_2 import PositioningTests, positioning, visits_of
     from rtec.metrology.procedures.tables import read_dat
 
-    results, notes = [], {}
-    for test in _listed(tests):
+    results, notes, given = [], {}, _listed(tests)
+    if swap and not any(not isinstance(test, Measurement) and Path(test).suffix == ".dat" for test in given):
+        raise MeasurementError("--swap is for the directions of a .dat; a measurement has them from its positions")
+    for test in given:
         if not isinstance(test, Measurement) and Path(test).suffix == ".dat":
             results.append(positioning(read_dat(Path(test), swap), pitch_mm))
             continue
@@ -622,7 +624,8 @@ def straightness(
         table: CSV with `x_mm` (or another axis), `spindle_deg`, `probe1_um`, `probe2_um`, `run`; or a measurement of
             instrument straightness with reversed runs.
         machine: that a measurement was made on.
-        method: "reversal", "pair" or "face"; by default what the columns allow.
+        method: "reversal", "pair" or "face" of a table, by default what its columns allow; a measurement is always that
+            of an artefact which is turned over.
         report: folder for the report with figures.
 
     Raises:
@@ -632,7 +635,7 @@ def straightness(
     from rtec.metrology.procedures.tables import straightness_of, straightness_table
 
     plain = _plain_table(table)
-    found = straightness_of(_measured(table, machine)) if plain is None else straightness_table(plain, method)
+    found = straightness_table(plain, method) if plain else straightness_of(_measured(table, machine), method)
     return _finished(found, None, None, report)
 
 
@@ -676,7 +679,7 @@ def drift(
 
     plain = _plain_table(table)
     if plain is None:
-        found = drift_of(_measured(table, machine), distance_mm)
+        found = drift_of(_measured(table, machine), distance_mm, columns)
     else:
         found = drift_table(plain, columns or {}, distance_mm)
     return _finished(found, None, None, report)

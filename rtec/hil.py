@@ -281,6 +281,7 @@ class HilOrder:
         faults: to inject while corrected.
         keep: the log of the corrected run is kept in this folder.
         shared: others use this PC's processors, too: what depends on its clock is reported, not judged.
+        gateware: a library of simulated gateware (`make -C drivers/box sim`), in the place of the box in software.
     """
 
     config: Path
@@ -289,6 +290,7 @@ class HilOrder:
     faults: Sequence[FaultOrder] = ()
     keep: Path | None = None
     shared: bool = False
+    gateware: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -300,7 +302,7 @@ class SoakOrder:
         minutes: how long.
         seed: the same seed draws the same faults.
         keep: the log is kept in this folder.
-        shared: as for `HilOrder`.
+        shared, gateware: as for `HilOrder`.
     """
 
     config: Path
@@ -308,6 +310,7 @@ class SoakOrder:
     seed: int = 1
     keep: Path | None = None
     shared: bool = False
+    gateware: Path | None = None
 
 
 class Bench(Protocol):

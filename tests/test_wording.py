@@ -1,12 +1,16 @@
 """Numbers as people read them. Oracle: by hand."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rtec.wording import counted, number, percent, probability, significant, two_numbers, with_error
+
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize(
@@ -99,3 +103,10 @@ def test_two_numbers_show_their_difference() -> None:
     assert two_numbers(3.323, 0.588) == ("3.32", "0.59")
     assert two_numbers(0.58812, 0.58801) == ("0.5881", "0.5880")
     assert two_numbers(0.5, 0.5) == ("0.50", "0.50")
+
+
+def test_every_percentage_is_written_by_percent() -> None:
+    """Oracle: the rule "97 %", "5.2 %", "< 0.1 %", which Python's own `%` format does not keep."""
+    code = [*(ROOT / "rtec").rglob("*.py"), *(ROOT / "drivers").rglob("*.py")]
+    assert len(code) > 200
+    assert not [str(p) for p in code if re.search(r":[+,.\d]*%\}", p.read_text(encoding="utf-8"))]

@@ -4,7 +4,6 @@ The machine's time zero is the instant of entering; from then on it follows the 
 runs in real time or on a virtual clock alike.
 """
 
-import math
 from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Literal, Self
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from rtec.correction.sinks import Sink
+from rtec.correction.sinks import Sink, differs
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
@@ -132,12 +131,7 @@ G1 X40
 
     def refuses(self, sink: Sink) -> str:
         """Take the one kind that the options name, in their unit."""
-        if sink.kind != self.options.actuator:
-            return f"takes {self.options.actuator!r} (its option actuator), not {sink.kind!r}"
-        unit_um = 1.0 if sink.kind == "pulse" else sink.unit_um
-        if sink.kind != "pulse" and not math.isclose(unit_um, self.options.unit_um, rel_tol=1e-9):
-            return f"has units of {self.options.unit_um:g} µm (its option unit_um), the output has {unit_um:g} µm"
-        return ""
+        return differs(sink, self.options.actuator, self.options.unit_um)
 
     def apply(self, output: IntArray) -> None:
         """Set the absolute output: inserted counts, or units of `unit_um` in the other modes."""

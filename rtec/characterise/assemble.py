@@ -13,6 +13,7 @@ from rtec.characterise.screen import Screened
 from rtec.characterise.warnings import all_warnings
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.source import Source
+from rtec.estimation.gram.stream import Term
 from rtec.estimation.judge import Judgement, MeasurementMet
 from rtec.estimation.outliers import Clean
 from rtec.metrology.measurement import Measurement
@@ -54,13 +55,23 @@ def assemble(
         undecided=rivals,
         correlations=tuple(_correlations(screened)),
         outliers=given.wrong,
-        warnings=tuple(all_warnings(fit, judged, rivals, unused)),
+        warnings=tuple(all_warnings(fit, judged, rivals, _same_readings(fit, screened, choice), unused)),
         notes={m.name: tuple(m.notes) for m in measurements if m.notes},
         residuals={
             s.measurement.name: (s.measurement.time_s / 3600.0, r)
             for s, r in zip(fit.sources, fit.residuals, strict=True)
         },
     )
+
+
+def _same_readings(
+    fit: Estimate, screened: Screened | None, choice: TermChoice | None
+) -> list[tuple[Term, Term, float]]:
+    """Terms of the fit, each with one that was not chosen and makes the same readings, and how much it holds of it."""
+    if screened is None or choice is None:
+        return []
+    every = [c.term for c in screened.candidates]
+    return [(every[i], every[k], share) for i, k, share in choice.confounded if every[i] in fit.terms]
 
 
 def _measurement(source: Source, met: MeasurementMet) -> MeasurementFit:

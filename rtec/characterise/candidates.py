@@ -32,6 +32,8 @@ THERMAL = {
     "axis_expansion", "axis_expansion_nonuniform", "column_tilt", "mount_expansion", "spindle_growth", "spindle_tilt",
 }  # fmt: skip
 """Effects that `thermal` gives."""
+DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2}
+"""Power of the position that a temperature changes; 0 of the others."""
 
 
 @dataclass(frozen=True, eq=True)
@@ -158,6 +160,16 @@ def thermal(seen: VisibleComponent, sources: Sequence[Source], varying: Sequence
             said = f"spindle_rpm to the {p:g} lagged {tau:g} s"
             theta = {"tau": tau, "p": p}
             yield _candidate("speed", _growth(seen.name), seen.name, theta, feature=said, channels=("spindle_rpm",))
+
+
+def at_constant_temperature(one: TermCandidate, candidates: Sequence[TermCandidate]) -> TermCandidate | None:
+    """The shape that a candidate has where its temperature does not change, if it is among the candidates."""
+    if one.kind not in ("temperature", "difference"):
+        return None
+    degree = DEGREE.get(one.effect, 0)
+    names = {"squareness"} if one.component[2] == "0" else {"polynomial_position", *(["scale"] if degree == 1 else [])}
+    alike = (c for c in candidates if c.component == one.component and c.effect in names)
+    return next((c for c in alike if getattr(c.term.effect, "degrees", (degree,)) == (degree,)), None)
 
 
 def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: set[str]) -> list[TermCandidate]:

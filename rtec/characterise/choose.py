@@ -3,7 +3,7 @@
 Forward, one term at a time, by the error on held-out blocks; then the smallest choice within one standard error of the
 best; then terms that do not pay are dropped, and each is tried against its rivals. The held-out errors of all choices
 come from one set of normal equations. Choices that the held-out readings cannot separate from the one that was made are
-listed.
+listed, and effects that make the very readings of those that were chosen.
 """
 
 from collections.abc import Sequence
@@ -83,6 +83,10 @@ MOST_FEATURES = 4
 """Temperatures, differences and speeds that one component error may depend on; one or two is usual [G 3.6]."""
 BLOCKS_EACH = 2
 """And no more of them than one for so many left-out blocks: each must be seen to come and go more than once."""
+PLAIN = ("scale", "squareness", "backlash", "servo_lag")
+"""Effects that every machine has more or less of: where one was not chosen, that says nothing if nothing shows it."""
+HIDDEN = 1e-4
+"""A candidate of which a choice leaves less than this share makes the same readings as the choice."""
 
 
 class HeldOutTable:
@@ -136,6 +140,38 @@ class HeldOutTable:
         # One spindle heats one way, an oil film lifts one way: two powers of a speed would only haggle over it.
         speeds = {self._of_speed(i) for i in chosen} - {None}
         return [i for i in room if self._of_speed(i) not in speeds][:most]
+
+    def confounded(self, chosen: Sequence[int]) -> list[tuple[int, int, float]]:
+        """Plain effects that were not chosen and that make the same readings as what was.
+
+        Gives for each the number of the chosen candidate and its own, and how much the chosen one's coefficient holds
+        of it, in units of the one per unit of the other.
+        """
+        index = self._index(chosen)
+        owner, raw = self.normal.owner[index], self.normal.raw
+        alone, _, _ = residual_parts(self.normal, np.zeros(0, dtype=np.int64))
+        beside, _, _ = residual_parts(self.normal, index)
+        out: list[tuple[int, int, float]] = []
+        for k, own in enumerate(self.columns):
+            j = int(own[0])
+            shown = len(own) == 1 and alone[j] > VISIBLE * raw[j]
+            if k in chosen or not shown or self.candidates[k].effect not in PLAIN or beside[j] > HIDDEN * alone[j]:
+                continue
+            gram = residual_gram(self.normal, np.append(index, j))
+            size = np.sqrt(np.diag(gram))
+            share = np.linalg.lstsq((gram / np.outer(size, size))[:-1, :-1], gram[:-1, -1] / size[:-1] / size[-1])[0]
+            out += [
+                (int(i), k, float(a * size[-1] / s))
+                for i, a, s in zip(owner, share, size[:-1], strict=True)
+                if abs(a) > SAME and self._other(int(i), k)
+            ]
+        return out
+
+    def _other(self, i: int, k: int) -> bool:
+        """Whether a candidate is another fact than a chosen one: no other name for it, nor behind a lever arm."""
+        mine, other = self.candidates[i], self.candidates[k]
+        same_angle = mine.effect == other.effect == "squareness" and mine.component[:2] == other.component[:2]
+        return not same_angle and (other.direct or not mine.direct)
 
     def _of_speed(self, i: int) -> tuple[str, str] | None:
         """Component and kind of a candidate that goes with a power of a speed; None of others."""
@@ -225,12 +261,14 @@ class TermChoice:
         steps: the way there.
         held_out: root mean square on left-out blocks, in units of the rough noise.
         rivals: other choices that are as good.
+        confounded: what makes the same readings as what was chosen, as `HeldOutTable.confounded` gives it.
     """
 
     chosen: tuple[int, ...]
     steps: tuple[ChoiceStep, ...]
     held_out: float
     rivals: tuple[UndecidedTerm, ...]
+    confounded: tuple[tuple[int, int, float], ...]
 
 
 def choose(
@@ -252,7 +290,8 @@ def choose(
         best = min((table.errors(c)[0] for c in (better, _best(table, path))), key=np.sum)
         chosen = _joined(table, _drop(table, better, forced, best), forced)
     held_out = float(np.sqrt(table.held_out(chosen)))
-    return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(find_rivals(table, chosen)))
+    rivals, same = find_rivals(table, chosen), table.confounded(chosen)
+    return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
 
 
 def one_standard_error(worse: Floats, better: Floats) -> bool:

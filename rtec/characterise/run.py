@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.assemble import assemble
+from rtec.characterise.candidates import at_constant_temperature
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.grouping import tidied
@@ -95,7 +96,7 @@ def _characterise(
         # Once more, with what was found taken out: what stood behind something larger shows now.
         screened = screen(scaled, names, [screened.candidates[i] for i in choice.chosen])
         choice = _choose(screened, wanted, tell)
-        chosen = tidied([screened.candidates[i].term for i in choice.chosen])
+        chosen = tidied(_with_constant(screened, choice))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     tried = len(screened.candidates) if screened else 0
@@ -110,6 +111,20 @@ def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> Ter
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
     forced = [i for i, c in enumerate(candidates) if wanted is not None and _asked(c.term.effect, c.kind)]
     return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t))
+
+
+def _with_constant(screened: Screened, choice: TermChoice) -> list[Term]:
+    """What was chosen, and beside each temperature the same shape without it.
+
+    A temperature that hardly changed, far from the reference, would else take the place of that shape: the readings
+    are met as well, and on a warmer day the model errs. Of both, what is not sure goes.
+    """
+    chosen = [screened.candidates[i] for i in choice.chosen]
+    for candidate in tuple(chosen):
+        shape = at_constant_temperature(candidate, screened.candidates)
+        if shape is not None and shape not in chosen:
+            chosen.append(shape)
+    return [c.term for c in chosen]
 
 
 def _asked(effect: Effect, kind: str) -> bool:
@@ -133,7 +148,11 @@ def _sure(
     """Fit, and drop chosen terms that are neither sure nor spared, the least sure first."""
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
-        unsure = [(s, i) for i, s in enumerate(surety(fit, candidates)[kept:]) if s < 1.0 and not asked(chosen[i])]
+        sure = surety(fit, candidates)[kept:]
+        there = {_form(t) for t, s in zip(chosen, sure, strict=True) if s >= 1.0}
+        # An effect that was asked for stays, but on one sensor: on another it must be sure as well.
+        stays = [asked(t) and not (_sensed(t) and _form(t) in there) for t in chosen]
+        unsure = [(s, i) for i, s in enumerate(sure) if s < 1.0 and not stays[i]]
         idle = [(s, i) for s, i in unsure if not spared(fit, kept + i)]
         if not idle:
             return fit
@@ -142,6 +161,14 @@ def _sure(
         "fit: no effect lowers the error on held-out runs significantly: the readings are noise, or show an error that "
         "no effect describes; name effects with --effects to fit them nonetheless"
     )
+
+
+def _form(term: Term) -> tuple[str, str]:
+    return term.effect.effect, term.effect.component
+
+
+def _sensed(term: Term) -> bool:
+    return any(n in type(term.effect).model_fields for n in ("sensor", "front"))
 
 
 def _fitted(sources: Sequence[Source], terms: Sequence[Term], tell: Stage) -> Estimate:

@@ -13,6 +13,7 @@ from rtec.characterise.result import UndecidedTerm, Warn
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.identifiable import label
 from rtec.estimation.gram.source import Source, reads
+from rtec.estimation.gram.stream import Term
 from rtec.estimation.judge import Judgement
 from rtec.estimation.kinds import neighbour_noise
 from rtec.estimation.outliers import outlier_words
@@ -89,6 +90,8 @@ UNEVEN = 2.5
 ILL = 30.0
 """Condition number of scaled columns from which coefficients are told apart badly (Belsley, Kuh and Welsch)."""
 COLLINEAR = 0.98
+ONE = 0.005
+"""A factor that differs from one by less is not written."""
 VISITED = 0.9
 GAP = 0.4
 """A component was not read between places further apart than this share of the travel."""
@@ -99,10 +102,15 @@ OPPOSITE = 0.5
 
 
 def all_warnings(
-    fit: Estimate, judged: Judgement, undecided: Sequence[UndecidedTerm], unused: Sequence[str]
+    fit: Estimate,
+    judged: Judgement,
+    undecided: Sequence[UndecidedTerm],
+    same: Sequence[tuple[Term, Term, float]],
+    unused: Sequence[str],
 ) -> list[Warn]:
     """Everything to beware of, what matters most first."""
     found = [
+        *_confounded(same),
         *_over_fitted(fit, judged),
         *_left_over(judged),
         *_uneven(fit),
@@ -119,6 +127,29 @@ def all_warnings(
     ]
     keep = "let it warm up more, or leave the sensor out of the machine file"
     return found + [Warn("sensor_unused", text, keep) for text in unused]
+
+
+def _confounded(same: Sequence[tuple[Term, Term, float]]) -> list[Warn]:
+    """Terms whose number is only that of a sum: what was not chosen makes the same readings."""
+    out = []
+    for mine in dict.fromkeys(label(t) for t, _, _ in same):
+        others = [(label(o), share) for t, o, share in same if label(t) == mine]
+        names = " and ".join(name for name, _ in others)
+        total = mine + "".join(f" {'+' if a > 0 else '-'} {_times(abs(a))}{name}" for name, a in others)
+        make = "makes" if len(others) == 1 else "make"
+        out.append(
+            Warn(
+                "confounded",
+                f"{mine} is not determined alone: {names} {make} the same readings; its number is that of {total}",
+                "take a test that separates them (rtec plan names it); correct with this number only where the "
+                "others are zero",
+            )
+        )
+    return out
+
+
+def _times(factor: float) -> str:
+    return "" if abs(factor - 1.0) < ONE else f"{significant(factor)} · "
 
 
 def _over_fitted(fit: Estimate, judged: Judgement) -> list[Warn]:

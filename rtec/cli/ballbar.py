@@ -31,25 +31,24 @@ def ballbar(
         list[Path], typer.Argument(metavar="FILE...", help="Tests of one plane together.", show_default=False)
     ],
     machine: MachineFile,
-    model: Annotated[_Model, typer.Option(help="Straight guides (linear), or bent ones.")] = _Model.auto,
+    model: Annotated[_Model, typer.Option(help="Guides that are straight (linear), or bent.")] = _Model.auto,
     window_deg: Annotated[
         float,
         typer.Option(
             "--window",
             min=0.0,
             max=40.0,
-            help="Readings so near to a quadrant are not fitted, degrees; with dynamic effects they are.",
+            help="Readings this near to a quadrant, in degrees, are fitted with dynamic effects only.",
         ),
     ] = 5.0,
     centre: Annotated[
         _Centre, typer.Option(help="One centre of the table-side ball for all tests, or one for each.")
     ] = _Centre.shared,
     phase: Annotated[
-        _Phase, typer.Option(help="Servo phase: one angle in all tests, or one time; matters if feed/radius differs.")
+        _Phase,
+        typer.Option(help="Servo phase: one angle in all tests, or one delay; it matters where feed/radius differs."),
     ] = _Phase.auto,
-    dynamic: Annotated[
-        bool, typer.Option("--dynamic/--no-dynamic", help="Test dynamic effects and those of the drive too.")
-    ] = True,
+    dynamic: Annotated[bool, typer.Option("--dynamic/--no-dynamic", help="Test dynamic effects, too.")] = True,
     orders: Annotated[int, typer.Option(min=3, max=60, help="Harmonics in the table.")] = 15,
     full: Full = False,
     report: Report = None,
@@ -59,11 +58,15 @@ def ballbar(
 
     Example: `rtec ballbar flat-ccw.csv high-cw.csv high-ccw.csv --machine mill.toml --report out/ballbar`
 
-    Two tests separate the ten parameters of straight guides: height 0 ccw, and another height cw. Bent guides have
-    fifteen parameters and need a third test: that height ccw. Then dynamic effects: reversal spikes, servo gain and
-    delay (a second feed separates them from scale and phase), lateral play, cyclic and indexing error of the screw,
-    clearance that changes along its axis, master-slave change-over. Of parameters that the tests do not separate, only
-    the combination that they determine is shown. Also G, G(b), F, H and D of ISO 230-4, and harmonics.
+    Straight guides have ten parameters. Two tests separate them: counter-clockwise at height 0, clockwise at another
+    height. Bent guides have fifteen. They need a third test: counter-clockwise at the other height, too.
+
+    Then it tests dynamic effects: reversal spikes, servo gain and delay, lateral play, cyclic and indexing error of the
+    screw, clearance that changes along its axis, master-slave change-over. A test at a second feed separates gain and
+    delay from scale and phase.
+
+    Where the tests do not separate parameters, only the combination that they determine is shown. It also gives G,
+    G(b), F, H and D of ISO 230-4, and harmonics.
     """
     from rtec import api
     from rtec.cli.common import show, stages

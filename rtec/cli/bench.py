@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from rtec.cli.common import Json
+from rtec.cli.help import App
 
-app = typer.Typer(no_args_is_help=True, help="Benchmarks that other programs can take part in.")
+app = App(help="Benchmarks that other programs can take part in.")
 
 
 @app.callback()

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,8 +30,13 @@ MachineFile = Annotated[Path, typer.Option("--machine", "-m", help="Machine file
 
 PIPED_WIDTH = 120
 """Columns where the output is piped and the environment does not set COLUMNS."""
-BETWEEN, EDGES = 3, 2
-"""Blanks between columns, and at both ends."""
+BETWEEN, EDGES = (3, 2), 2
+"""Blanks between columns, with room and without; and at both ends."""
+WITH_UNIT = re.compile(r"(?<=\d) (?=(?:%|µ\S*|°C?|[mµ]?m|ms|s|h|min|K|Hz|1/\w+)(?![\w-]))")
+NO_BREAK = "\u00a0"
+"""A blank between a number and its unit, and one at which no line is broken."""
+MOST_TURNED = 6
+"""Rows of a table that may become columns."""
 
 
 @contextmanager
@@ -182,20 +188,39 @@ def _folded(text: str, width: int, mark: str = "", hang: str = "") -> str:
 
 
 def _wrap(line: str, width: int, first: str, hang: str) -> list[str]:
-    return wrap(
-        line, width, initial_indent=first, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False
+    """Lines of so many columns; a number stays with its unit."""
+    whole = WITH_UNIT.sub(NO_BREAK, line)
+    lines = wrap(
+        whole, width, initial_indent=first, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False
     )
+    return [one.replace(NO_BREAK, " ") for one in lines]
 
 
 def print_table(table: "Table", console: "Console") -> None:
     """Print a table: cells are folded between words, never within one.
 
-    Where not even the longest words fit beside each other, each row becomes a short list.
+    Where not even the longest words fit beside each other, rows become columns, or else each row a short list.
     """
-    if _widths(table, console.width) is None:
-        console.print(_records(table, console.width), soft_wrap=True)
-    else:
-        console.print(grid(table, console.width))
+    for shown in (table, _turned(table)):
+        if shown and _room(shown, console.width):
+            console.print(grid(shown, console.width))
+            return
+    console.print(_records(table, console.width), soft_wrap=True)
+
+
+def _turned(table: "Table") -> "Table | None":
+    """Its rows as columns, where there are few of them."""
+    from rtec.report.page import Table
+
+    if not 1 < len(table.rows) <= MOST_TURNED:
+        return None
+    head, *rows = zip(table.head, *table.rows, strict=True)
+    return Table(head, rows, table.caption)
+
+
+def _room(table: "Table", width: int) -> int:
+    """Blanks between columns with which a table fits; 0 where it does not."""
+    return next((b for b in BETWEEN if _widths(table, width, b) is not None), 0)
 
 
 def grid(table: "Table", width: int | None = None) -> "Grid":
@@ -204,8 +229,9 @@ def grid(table: "Table", width: int | None = None) -> "Grid":
     from rich.table import Table as Grid
     from rich.text import Text
 
-    widths = _widths(table, width) or [None] * len(table.head)
-    out = Grid(box=SIMPLE_HEAD, pad_edge=False)
+    between = _room(table, width) if width else BETWEEN[0]
+    widths = _widths(table, width, between) or [None] * len(table.head)
+    out = Grid(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=between == BETWEEN[1])
     for k, (name, wide) in enumerate(zip(table.head, widths, strict=True)):
         out.add_column(Text(name), justify="left" if k in table.words else "right", overflow="fold", width=wide)
     for row in table.rows:
@@ -223,13 +249,13 @@ def _records(table: "Table", width: int) -> str:
     return "\n".join([*out, ""])
 
 
-def _widths(table: "Table", width: int | None) -> "Sequence[int | None] | None":
+def _widths(table: "Table", width: int | None, between: int) -> "Sequence[int | None] | None":
     """Widths that break no word, narrowing the columns that lose least; all None: as wide as they are; None: none."""
     columns = [[table.head[k], *(row[k] for row in table.rows)] for k in range(len(table.head))]
     full = [max(map(len, column)) for column in columns]
     if width is None:
         return [None] * len(columns)
-    room = width - EDGES - BETWEEN * (len(columns) - 1)
+    room = width - EDGES - between * (len(columns) - 1)
     if sum(full) <= room:
         return [None] * len(columns)
     wide = [

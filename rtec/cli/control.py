@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.common import Json, print_console, print_json
+from rtec.cli.help import App
 from rtec.cli.screen import Console
 from rtec.control.facts import axis_rows, footer, headline, input_rows, troubles, well
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 Config = Annotated[
     Path | None,
-    typer.Argument(metavar="[CONFIG]", help="Run file of the daemon.  [default: the only one]", show_default=False),
+    typer.Argument(metavar="[CONFIG]", help="Run file of the daemon.", show_default="the only one"),
 ]
 At = Annotated[
     str | None,
@@ -30,7 +31,7 @@ At = Annotated[
 KeyFile = Annotated[
     Path | None, typer.Option("--key", help="For --at: the key file that ssh shows there.", show_default=False)
 ]
-app = typer.Typer(no_args_is_help=True, help="Controls a running daemon: enable, hold, fade, resume, reload, mark.")
+app = App(help="Controls a running daemon: enable, hold, fade, resume, reload, mark.")
 
 
 @app.command()
@@ -113,12 +114,14 @@ def mark(
 @app.command()
 def relay(
     config: Config = None,
-    role: Annotated[Literal["read", "operate"], typer.Option(help="read: status only; operate: orders, too.")] = "read",
-    name: Annotated[str, typer.Option(help="Of the client, as the events show it.")] = "ssh",
+    role: Annotated[
+        Literal["read", "operate"], typer.Option(help="read shows the status; operate controls, too.")
+    ] = "read",
+    name: Annotated[str, typer.Option(help="Name of the client in the events.")] = "ssh",
 ) -> None:
     """Connects standard input and output to a daemon: what sshd runs for a client on the network.
 
-    Example, in authorized_keys: restrict,command="rtec ctl relay /etc/rtec/mill.toml --role read --name office" ssh-…
+    Example, a line of authorized_keys: `restrict,command="rtec ctl relay /etc/rtec/mill.toml --name office" ssh-…`
     """
     from rtec.control.client import find
     from rtec.control.relay import relay

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for report, figures and result.")] = Path("out/demo"),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder of report, figures and result.")
+    ] = Path("out/demo"),
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the day.")] = 1,
     hours: Annotated[
         float, typer.Option("--hours", min=0.5, max=24.0, help="Hours of work; the night is twice as long.")
@@ -23,10 +25,14 @@ def demo(
         Path | None, typer.Option("--model-out", help="Write the fitted model here, for `rtec run`.")
     ] = None,
     configs: Annotated[
-        Path | None, typer.Option("--configs", help="Folder with machines/ and sim/.  [default: those of rtec]")
+        Path | None,
+        typer.Option(
+            "--configs", metavar="FOLDER", help="Folder with machines/ and sim/.", show_default="those of rtec"
+        ),
     ] = None,
     hidden_seed: Annotated[
-        int | None, typer.Option("--hidden-seed", min=0, help="Seed of the hidden effect.  [default: random, printed]")
+        int | None,
+        typer.Option("--hidden-seed", min=0, help="Seed of the hidden effect.", show_default="random, printed"),
     ] = None,
     hidden: Annotated[
         str | None, typer.Option("--hidden", metavar="NAME", help="Hide this effect: gear, worn-screw, hot-nut, …")
@@ -38,11 +44,11 @@ def demo(
 
     Example: `rtec demo --out out/demo --seed 1 --hidden-seed 7`
 
-    The model in configs/models was made by: `rtec demo --model-out configs/models/turning-centre.toml`
+    Example, how the model of the shipped example was made: `rtec demo --model-out configs/models/turning-centre.toml`
 
-    A turning centre works for 8 hours from cold (`--hours 1` is done sooner) and cools overnight, once uncorrected and
-    once corrected by the same loop as `rtec run`, with a model fitted to another day. Then an effect is hidden in the
-    machine. rtec finds it in the residual and adds it, and the error falls. Writes report.html, figures, result.json.
+    A turning centre works for 8 hours from cold and cools overnight: once uncorrected, once corrected by the same loop
+    as `rtec run`. The model was fitted to another day. Then an effect is hidden in the machine. rtec finds it in the
+    residual and adds it, and the error falls.
     """
     from secrets import randbelow
 

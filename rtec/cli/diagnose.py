@@ -19,7 +19,7 @@ Files = Annotated[
 ]
 MachineFile = Annotated[
     Path | None,
-    typer.Option("--machine", "-m", metavar="MACHINE", help="Machine file.  [default: the one beside the model]"),
+    typer.Option("--machine", "-m", metavar="MACHINE", help="Machine file.", show_default="the one beside the model"),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of the random draws; same seed, same result.")]
 
@@ -138,7 +138,7 @@ def improve(
     files: Files,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="MODEL2", help="Write here.  [default: MODEL-improved.toml]"),
+        typer.Option("--out", "-o", metavar="MODEL2", help="Write here.", show_default="MODEL-improved.toml"),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Add each effect without asking.")] = False,
     seed: Seed = 1,

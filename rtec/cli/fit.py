@@ -22,7 +22,8 @@ def fit(
         typer.Option("--effects", help="Fit these and no others: scale,backlash or mount_expansion:EXX:sensor=T_bed."),
     ] = None,
     leave_out_h: Annotated[
-        float | None, typer.Option("--leave-out", min=1e-3, help="Hold out stretches of so many hours, not runs.")
+        float | None,
+        typer.Option("--leave-out", min=1e-3, help="Hold out stretches of this many hours instead of runs."),
     ] = None,
     full: Full = False,
     report: Report = None,
@@ -36,8 +37,9 @@ def fit(
 
     `rtec fit machine.toml drift.csv -o model.toml --effects mount_expansion:EX0spindle:sensor=*`
 
-    Correlates each component error with every temperature, difference and lag. Warns if sensors are collinear,
-    choices undecided, ranges not visited, or the model over-fitted. `rtec effects` lists the effects.
+    It tries every temperature, temperature difference and lag for each component error. It warns of sensors that are
+    collinear, choices that are undecided, ranges that were not visited, and a model that is over-fitted. `rtec effects`
+    lists the effects.
     """
     from rtec import api
     from rtec.cli.common import interruptible, show, stages

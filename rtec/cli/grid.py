@@ -9,20 +9,22 @@ from rtec.cli.common import Full, Json, MachineFile, Report
 
 
 def grid(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="One set-up a file.", show_default=False)],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Each file is one set-up.", show_default=False)
+    ],
     machine: MachineFile,
     corner_mm: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            "--corner", metavar="A B", help="Report on the edges that meet here, mm.  [default: first corner]"
+            "--corner", metavar="A B", help="Report on the edges that meet here, mm.", show_default="first corner"
         ),
     ] = None,
     trim_mm: Annotated[
-        float, typer.Option("--trim", min=0.0, help="Skipped at both ends of each straight piece, mm.")
+        float, typer.Option("--trim", min=0.0, help="Length that is skipped at both ends of each straight piece, mm.")
     ] = 2.0,
     magnification: Annotated[
         float | None,
-        typer.Option(min=1.0, help="Magnification in the figures.  [default: a round one]"),
+        typer.Option(min=1.0, help="Magnification in the figures.", show_default="a round one"),
     ] = None,
     full: Full = False,
     report: Report = None,
@@ -32,8 +34,8 @@ def grid(
 
     Example: `rtec grid yz-low.csv yz-high.csv --machine bridge.toml --magnification 10000 --report out/grid`
 
-    Set-ups given together are compared: roll, cross-talk between axes. So are paths of one set-up: directions, feeds,
-    Ls from both sides. Squares, straight lines and Ls are recognised in the commanded positions.
+    Several set-ups are compared with each other: roll, cross-talk between axes. Paths of one set-up are compared, too:
+    directions, feeds, Ls from both sides. Squares, straight lines and Ls are recognised in the commanded positions.
     """
     from rtec import api
     from rtec.cli.common import show

@@ -21,12 +21,13 @@ def hil(
         typer.Option(
             "--fault",
             metavar="NAME@30s[+10s]",
-            help="A fault, seconds after the correction is on; repeatable. `list` lists them.",
+            help="A fault, its begin after the correction is on, its duration; repeatable. `list` lists them.",
             show_default=False,
         ),
     ] = None,
     off_s: Annotated[
-        float | None, typer.Option("--off", min=1.0, max=1e6, help="Seconds uncorrected.  [default: of the run file]")
+        float | None,
+        typer.Option("--off", min=1.0, max=1e6, help="Seconds uncorrected.", show_default="of the run file"),
     ] = None,
     on_s: Annotated[
         float | None, typer.Option("--on", min=1.0, max=1e6, help="Seconds corrected; extended as faults need.")
@@ -38,14 +39,23 @@ def hil(
             metavar="MINUTES",
             min=0.5,
             max=1e6,
-            help="Instead: one long corrected run with random faults.",
+            help="Make one long corrected run with random faults instead.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the faults of --soak.")] = 1,
     shared: Annotated[
         bool,
-        typer.Option("--shared", help="Others use this PC too: what depends on its clock is reported, not judged."),
+        typer.Option("--shared", help="Others use this PC too: report what depends on its clock, do not judge it."),
     ] = False,
+    gateware: Annotated[
+        Path | None,
+        typer.Option(
+            "--gateware",
+            metavar="LIBRARY",
+            help="Simulated gateware as the encoder box; see docs/encoder-box.md.",
+            show_default=False,
+        ),
+    ] = None,
     report: Annotated[
         Path | None,
         typer.Option("--report", metavar="FOLDER", help="Write figure, report.html, result.json and the log here."),
@@ -56,12 +66,12 @@ def hil(
 
     Example: `rtec hil configs/hil.toml --fault modbus-silent@8s+8s --fault box-unplugged@24s+2s --report out/hil`
 
-    The devices of the run file stay as they are except for their ports, behind which an encoder box, Modbus slaves and
-    a CAN adapter run in processes of their own. The machine runs uncorrected, then corrected, beside the all-simulated
-    run of the same machine and programme; some 80 seconds. With --soak: one long run with random faults.
+    Only the ports of the run file's devices change. Behind them an encoder box, Modbus slaves and a CAN adapter run as
+    processes of their own. The machine runs uncorrected, then corrected, for some 80 seconds. A run in which everything
+    is simulated, of the same machine and programme, is the reference.
 
-    Exit status 1: a check failed (ledger, log, no jump, recovery, improvement within 10 % of the all-simulated run;
-    with --soak also memory, files, threads, deadlines).
+    Exit status 1 if a check fails: ledger, log, no jump, recovery, improvement within 10 % of the reference; with
+    --soak also memory, open files, threads, deadlines.
     """
     from rtec.hil import HilOrder, SoakOrder, load_bench, parse_fault
 
@@ -75,10 +85,10 @@ def hil(
     if soak is not None:
         if fault or off_s or on_s:
             raise typer.BadParameter("draws its own faults and has no uncorrected part", param_hint="--soak")
-        _soak(bench, SoakOrder(config, soak, seed, report, shared), as_json)
+        _soak(bench, SoakOrder(config, soak, seed, report, shared, gateware), as_json)
         return
     faults = [parse_fault(text, known) for text in fault or ()]
-    _run(bench, HilOrder(config, off_s, on_s, faults, report, shared), as_json)
+    _run(bench, HilOrder(config, off_s, on_s, faults, report, shared, gateware), as_json)
 
 
 def _run(bench: "Bench", order: "HilOrder", as_json: bool) -> None:

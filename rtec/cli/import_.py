@@ -20,7 +20,9 @@ def import_(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="NAME, NAME.csv or NAME.parquet; NAME.toml goes beside it.")
     ] = None,
-    reader: Annotated[str | None, typer.Option("--as", metavar="READER", help="Reader.  [default: by content]")] = None,
+    reader: Annotated[
+        str | None, typer.Option("--as", metavar="READER", help="Reader.", show_default="by content")
+    ] = None,
     machine: Annotated[
         Path | None, typer.Option("--machine", "-m", help="Machine file: its axes and sensors; checks the result.")
     ] = None,
@@ -32,7 +34,8 @@ def import_(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     drop_bad_rows: Annotated[bool, typer.Option("--drop-bad-rows", help="Drop rows with an unusable cell.")] = False,
     missing_code: Annotated[
-        list[str] | None, typer.Option("--missing-code", help='Number or word for "no value"; repeatable.')
+        list[str] | None,
+        typer.Option("--missing-code", metavar="CODE", help='Number or word for "no value"; repeatable.'),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -133,6 +136,7 @@ def _write(
     """The measurement and the map that made it."""
     from rtec import api
     from rtec.cli.common import bar
+    from rtec.wording import counted
 
     with bar(f"importing {files[0].name}"):
         done = api.import_table(
@@ -141,6 +145,8 @@ def _write(
     if as_json:
         print_json(done.to_dict())
         return
+    if not proposal.whole:
+        typer.echo(f"  concluded from the beginning of the file, {counted(proposal.rows, 'row')}:")
     for line in proposal.conclusions:
         typer.echo(f"  {line}")
     _show(done)

@@ -2,15 +2,18 @@
 
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from rtec.cli.common import grid, interruptible
+from rtec.cli.common import bar, grid, interruptible
 
 ANSWERS = "answers.toml"
+SHOWN = 12
+"""Lines of live values."""
 
 
 def init(
@@ -49,21 +52,21 @@ def init(
     copy: Annotated[
         Path | None,
         typer.Option(
-            "--copy", help="Folder of that copy.  [default: beside it, -rtec behind its name]", show_default=False
+            "--copy", metavar="FOLDER", help="Folder of that copy.", show_default="beside it, -rtec behind its name"
         ),
     ] = None,
 ) -> None:
     """Writes the first files of a machine: machine.toml, run.toml, an empty model.toml.
 
-    Example, in the folder lathe, by questions: `rtec init lathe`
+    Example, answer its questions; the files go to the folder lathe: `rtec init lathe`
 
-    Example, a simulated turning centre to try everything with, in the folder configs: `rtec init --example`
+    Example, copy a simulated turning centre into the folder configs: `rtec init --example`
 
-    Example of an answers file: `rtec init --template lathe --print-answers`
+    Example, print an answers file to fill in: `rtec init --template lathe --print-answers`
 
-    Example, by a script: `rtec init lathe --answers lathe-answers.toml --set axis.X.resolution_um=0.5`
+    Example, ask nothing: `rtec init lathe --answers lathe-answers.toml --set axis.X.resolution_um=0.5`
 
-    Example, of a machine that LinuxCNC runs: `rtec init --controller linuxcnc my-mill/my-mill.ini`
+    Example, for a machine that LinuxCNC runs: `rtec init --controller linuxcnc my-mill/my-mill.ini`
 
     Without options it asks: axes, encoders, sensors, output, limits. It shows live values, and ends with doctor and dry
     run: exit status 1 if they fail, the files stay. Ctrl-C leaves nothing behind.
@@ -88,7 +91,7 @@ def init(
     if asks and not force:
         _refuse_to_replace(folder)
     with interruptible():
-        tables, source = _asked(seconds, folder) if asks else _given(answers, template, options or [])
+        tables, source = _asked(seconds, folder) if asks else _scanned(*_given(answers, template, options or []))
         written = _write(tables, source, folder, force, keep_answers=asks)
     for path in written:
         typer.echo(f"Written: {path}")
@@ -190,6 +193,14 @@ def _given(answers: Path | None, template: str | None, options: list[str]) -> tu
     return tables, str(answers) if answers is not None else "rtec init"
 
 
+def _scanned(tables: dict[str, Any], source: str) -> tuple[dict[str, Any], str]:
+    """The answers, with what devices that say `scan = true` have found."""
+    from rtec.commission.scan import fill_in
+    from rtec.loop.clock import RealClock
+
+    return fill_in(tables, _Terminal(), RealClock(), source), source
+
+
 class _Terminal:
     """Asks at the terminal."""
 
@@ -199,31 +210,39 @@ class _Terminal:
     def say(self, text: str) -> None:
         typer.echo(text)
 
+    def progress(self, title: str) -> AbstractContextManager[Callable[[int, int], None]]:
+        return bar(title)
+
 
 def _asked(seconds: float, folder: Path) -> tuple[dict[str, Any], str]:
     """The answers of somebody at the terminal, names exchanged where live values say so."""
     from rtec.commission.answers import answers_from
     from rtec.commission.ask import Interview, check_names
-    from rtec.commission.listen import live, watch
+    from rtec.commission.listen import LiveSource, live, watch
     from rtec.commission.write import machine_of
     from rtec.errors import RtecError
     from rtec.loop.clock import RealClock
 
     talk, clock = _Terminal(), RealClock()
-    tables = Interview(talk, clock).tables()
 
-    def watched(_: str) -> Mapping[str, float]:
+    def shown(source: LiveSource) -> dict[str, float]:
+        with _Screen() as screen:
+            return watch(source, clock, seconds, screen.show)
+
+    interview = Interview(talk, clock, shown)
+    tables = interview.tables()
+
+    def watched() -> Mapping[str, float]:
         now = answers_from(tables, "answers")
-        machine, here = machine_of(now), folder.resolve()
-        with live(machine, now.device, now.role, clock, here) as values, _Screen() as screen:
-            change = watch(values, clock, seconds, screen.show)
+        with live(machine_of(now), now.device, now.role, clock, folder.resolve()) as values:
+            change = shown(values)
             for device, trouble in values.troubles.items():
                 talk.say(f"{device}: {trouble}")
         return change
 
     talk.say("\nNow the devices are opened and read; nothing is commanded.")
     try:
-        return check_names(talk, tables, watched), "answers"
+        return check_names(talk, tables, watched, interview.sure), "answers"
     except RtecError as e:
         talk.say(f"{e}\nThe files are written all the same; rtec doctor says what to mend.")
         return tables, "answers"
@@ -248,8 +267,12 @@ class _Screen:
         from rtec.report.page import Table
         from rtec.wording import number
 
-        rows = [(name, number(value, 3), number(change[name], 3, sign=True)) for name, value in values.items()]
-        self._live.update(grid(Table(("input", "now, mm or °C", "change"), rows)))
+        names = list(values)
+        if len(names) > SHOWN:  # a whole bus: those that change most
+            most = sorted(names, key=lambda name: -abs(change[name]))[:SHOWN]
+            names = [name for name in names if name in most]
+        rows = [(name, number(values[name], 3), number(change[name], 3, sign=True)) for name in names]
+        self._live.update(grid(Table(("input", "now", "change"), rows)))
 
 
 def _write(tables: dict[str, Any], source: str, folder: Path, force: bool, *, keep_answers: bool) -> list[Path]:

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rtec.cli.common import Json, print_json
+from rtec.cli.help import App
 from rtec.cli.screen import Console
 from rtec.loop.clock import Clock, RealClock
 from rtec.wording import counted
@@ -126,9 +127,7 @@ def _console() -> Console:
     return console if console.is_terminal else Console(highlight=False, width=100_000)
 
 
-app = typer.Typer(
-    no_args_is_help=True, help="Finds logs by time, shows one, follows it while it grows, exports it as a table."
-)
+app = App(help="Finds logs by time, shows one, follows it while it grows, exports it as a table.")
 
 _FOLLOW_NS = 250_000_000
 _clock: Clock = RealClock()
@@ -148,7 +147,7 @@ def list_(logs: _Logs, from_: _From = None, to: _To = None, as_json: Json = Fals
     Example: `rtec log list logs --from 2026-03-09T06:00 --to 2026-03-09T14:00`
 
     Logs are in the order of writing, even if the wall clock was set meanwhile. A damaged log is listed, loses its own
-    rows only, and gives status 1; a folder that does not exist or has no logs gives status 2.
+    rows only, and gives exit status 1. A folder that does not exist or has no logs gives exit status 2.
     """
     segments = _segments(logs, from_, to)
     if as_json:
@@ -187,14 +186,14 @@ def export(
 ) -> None:
     """Exports a log, or a stretch of time of a folder, as a table: time_s, counts_X, degc_T_spindle, applied_um_X, ...
 
-    It is written whole or not at all. time_s counts from its first row.
+    The table is written whole or not at all. time_s counts from its first row.
 
     Example: `rtec log export run.arrows run.parquet`
 
-    Example: `rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc`
+    Example, one shift: `rtec log export logs shift.parquet --from 2026-03-09T06:00 --to 2026-03-09T14:00 --utc`
 
-    Every column but that of --utc is a number, as PlotJuggler wants it. Parquet (zstd) keeps the header of the log; CSV
-    has columns only; MCAP (pip install 'rtec[mcap]') has a JSON message a row, for Foxglove.
+    All columns but utc are numbers, as PlotJuggler needs them. Parquet keeps the header of the log. CSV has columns
+    only. MCAP, for Foxglove, has a JSON message for each row; it needs pip install 'rtec[mcap]'.
     """
     from rtec.cli.common import bar
     from rtec.log.export import export as export_log

@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from rtec.cli.common import Json, print_json
+from rtec.cli.help import App
 
-app = typer.Typer(no_args_is_help=True, help="Shows and checks a machine file, and gives its hash.")
+app = App(help="Shows and checks a machine file, and gives its hash.")
 
 MachinePath = Annotated[Path, typer.Argument(metavar="FILE", help="Machine file.", show_default=False)]
 

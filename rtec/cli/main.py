@@ -40,19 +40,19 @@ from rtec.cli import (
 )
 from rtec.cli import control as ctl
 from rtec.cli import control as status_command
+from rtec.cli.help import App
 from rtec.cli.screen import shielded
 from rtec.errors import RtecError
 from rtec.version import __version__
 
-app = typer.Typer(
+app = App(
     name="rtec",
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="""rtec makes machine tools more accurate than they were built.
 
-It reads axis counts and temperatures, computes the tool-tip error from a geometric-thermal model, corrects each axis.
+It reads axis counts and temperatures, computes the tool-tip error from a geometric-thermal model, and corrects each
+axis.
 
 Start with `rtec demo`: a simulated machine, uncorrected and corrected.
 """,
@@ -170,7 +170,11 @@ def _interrupt(left: threading.Event) -> None:
 def status(arguments: list[str]) -> int:
     """Run one command; give its exit status."""
     with shielded():
-        return _status(arguments)
+        try:
+            return _status(arguments)
+        except BrokenPipeError:
+            sys.stderr.close()  # whoever read our output has ended; there is nobody to tell
+            return 0
 
 
 def _status(arguments: list[str]) -> int:
@@ -182,9 +186,6 @@ def _status(arguments: list[str]) -> int:
         return _wrong_use(e)
     except (KeyboardInterrupt, typer.Abort):
         return 130
-    except BrokenPipeError:
-        sys.stderr.close()  # whoever read our output has left; nothing to say to nobody
-        return 0
     return code if isinstance(code, int) else 0
 
 

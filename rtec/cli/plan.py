@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from rtec.cli.common import Json, Report
+from rtec.cli.common import Full, Json, Report
 
 
 def plan(
@@ -16,13 +16,15 @@ def plan(
     ],
     effects: Annotated[
         str | None,
-        typer.Option(help="Effects to separate: scale:EXX,backlash:EXX,axis_expansion:EXX:sensor=T_bed."),
+        typer.Option(help="Effects to separate, as scale:EXX,backlash:EXX."),
     ] = None,
     model: Annotated[Path | None, typer.Option(metavar="MODEL", help="Take the effects of this model instead.")] = None,
     rivals: Annotated[str | None, typer.Option(help="Rank tests by how well they separate these effects.")] = None,
     ball_bar: Annotated[
         Literal["linear", "non-linear"] | None,
-        typer.Option("--ball-bar", help="The parameters of `rtec ballbar`: straight guides, or bent ones."),
+        typer.Option(
+            "--ball-bar", help="Separate the parameters of `rtec ballbar`, with straight guides (linear) or bent ones."
+        ),
     ] = None,
     centre: Annotated[
         Literal["shared", "each"],
@@ -30,6 +32,7 @@ def plan(
     ] = "shared",
     noise: Annotated[float, typer.Option(min=1e-4, help="White noise of a reading, µm or µrad.")] = 0.5,
     suggest: Annotated[bool, typer.Option("--suggest/--no-suggest", help="Search for tests to add.")] = True,
+    full: Full = False,
     report: Report = None,
     as_json: Json = False,
 ) -> None:
@@ -41,8 +44,8 @@ def plan(
 
     `rtec plan machine.toml laser-x.csv --rivals backlash:EXX,servo_lag:EXX`
 
-    Nothing needs to be measured yet. A planned test is a TOML file with [measurement] and [setup] as beside a
-    measurement, and [targets], [path] and [[phase]] as in `rtec simulate --settings`.
+    Nothing needs to be measured yet. A planned test is a TOML file: [measurement] and [setup] as in the file beside a
+    measurement; [targets], [path] and [[phase]] as in `rtec simulate --settings`.
     """
     from rtec import api
     from rtec.cli.common import show, stages
@@ -61,4 +64,4 @@ def plan(
             report=report,
             progress=stage,
         )
-    show(answer, as_json=as_json)
+    show(answer, as_json=as_json, full=full)

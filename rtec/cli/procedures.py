@@ -8,7 +8,7 @@ import typer
 from rtec.cli.common import Json, Report
 
 _Machine = Annotated[
-    Path | None, typer.Option("--machine", "-m", help="Machine file; needed for measurements with a TOML beside.")
+    Path | None, typer.Option("--machine", "-m", help="Machine file; needed for a measurement with its TOML file.")
 ]
 _Table = Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with one line of names.", show_default=False)]
 
@@ -22,9 +22,9 @@ def iso230(
     ],
     machine: _Machine = None,
     pitch_mm: Annotated[
-        float | None, typer.Option("--pitch", min=1e-6, help="Pitch, mm.  [default: of the machine file]")
+        float | None, typer.Option("--pitch", min=1e-6, help="Pitch, mm.", show_default="of the machine file")
     ] = None,
-    swap: Annotated[bool, typer.Option("--swap", help="In a .dat take FWD as backward.")] = False,
+    swap: Annotated[bool, typer.Option("--swap", help="In a .dat file FWD is the negative direction.")] = False,
     report: Report = None,
     as_json: Json = False,
 ) -> None:
@@ -47,7 +47,7 @@ def straightness(
     table: _Table,
     machine: _Machine = None,
     method: Annotated[
-        str | None, typer.Option("--method", help="reversal, pair or face.  [default: by the columns]")
+        str | None, typer.Option("--method", help="reversal, pair or face, of a table.", show_default="by the columns")
     ] = None,
     report: Report = None,
     as_json: Json = False,
@@ -56,9 +56,9 @@ def straightness(
 
     Example: `rtec straightness z-arbor.csv --report out/z`
 
-    Columns: x_mm (or z_mm, ...), spindle_deg (0 or 180), probe1_um, probe2_um; run numbers repeated sets. Probes read
-    positive as the gap closes; probe 1 is on the positive side. Or a measurement of instrument straightness with
-    reversed_runs.
+    Columns: x_mm (or z_mm, ...), spindle_deg (0 or 180), probe1_um, probe2_um; repeated sets have numbers in a column
+    run. A probe's reading rises as its gap closes; probe 1 is on the positive side. A measurement of instrument
+    straightness with reversed_runs is taken, too.
     """
     from rtec import api
     from rtec.cli.common import show
@@ -86,17 +86,19 @@ def drift(
     ],
     machine: _Machine = None,
     radial1: Annotated[str | None, typer.Option("--radial1", help="Column of the first radial probe.")] = None,
-    radial2: Annotated[str | None, typer.Option("--radial2", help="Column of the second one.")] = None,
+    radial2: Annotated[str | None, typer.Option("--radial2", help="Column of the second radial probe.")] = None,
     axial: Annotated[str | None, typer.Option("--axial", help="Column of the axial probe.")] = None,
     distance_mm: Annotated[
-        float | None, typer.Option("--distance", min=1e-6, help="Distance between the radial probes, mm, for the tilt.")
+        float | None,
+        typer.Option("--distance", min=1e-6, help="Distance between the radial probes, mm; the tilt needs it."),
     ] = None,
     report: Report = None,
     as_json: Json = False,
 ) -> None:
     """Evaluates thermal drift of the spindle: radial, axial and tilt, with a time constant for each constant speed.
 
-    Columns: time_s, spindle_rpm, probes in um, temperatures (..._degc). Run 8 h, off overnight, at several speeds.
+    Columns: time_s, spindle_rpm, probes (..._um), temperatures (..._degc). Run the spindle for 8 h at several speeds,
+    then stop it overnight.
 
     Example: `rtec drift spindle.csv --radial1 ch1_um --radial2 ch2_um --axial ch5_um --distance 100`
     """

@@ -26,7 +26,7 @@ def replay(
 ) -> None:
     """Replays a log, or a logic-analyser capture, through the same step as the daemon, as fast as it can.
 
-    Examples: `rtec replay configs/turning-centre-sim.toml logs/run.arrows --check`
+    Example: `rtec replay configs/turning-centre-sim.toml logs/run.arrows --check`
 
     `rtec replay configs/capture.toml scale.sr --out corrected.sr`
 

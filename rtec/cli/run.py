@@ -168,26 +168,29 @@ def _axes(status: "Status", largest_um: dict[str, float] | None = None) -> Table
 def run(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="Run file: machine, model, devices, limits.")],
     duration: Annotated[
-        float | None, typer.Option("--duration", "-d", min=0.001, max=1e9, help="Seconds.  [default: until Ctrl-C]")
+        float | None,
+        typer.Option(
+            "--duration", "-d", min=0.001, max=1e9, help="Run for this many seconds.", show_default="until Ctrl-C"
+        ),
     ] = None,
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
-            help="Check files and devices, wait 3 s at most for first readings, command nothing. Status 1: not ready.",
+            help="Check files and devices, wait up to 3 s for readings, command nothing. Exit status 1: not ready.",
         ),
     ] = False,
     log: Annotated[
-        Path | None, typer.Option("--log", help="Write the log here, not into the run file's log_folder.")
+        Path | None, typer.Option("--log", help="Write the log here, instead of into the run file's log_folder.")
     ] = None,
     as_json: Json = False,
     step: Annotated[
         str | None,
         typer.Option(
             "--step",
-            metavar="AXIS=um",
-            help="Sign check: a step of one axis, as X=20um, instead of the model, within its limits. The end takes it "
-            "back. No log without --log.",
+            metavar="AXIS=STEP",
+            help="Sign check: instead of the model, step one axis within its limits, as X=20um. The step is taken back "
+            "at the end. A log is written with --log only.",
         ),
     ] = None,
 ) -> None:
@@ -197,7 +200,7 @@ def run(
 
     Example, on the simulated turning centre: `rtec run configs/turning-centre-sim.toml --duration 10`
 
-    Example of a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
+    Example, a sign check, ended by Ctrl-C: `rtec run configs/turning-centre-sim.toml --step X=20um`
     """
     from rtec.daemon.sign_check import load_stepped, step_of
 

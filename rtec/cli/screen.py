@@ -7,7 +7,7 @@ own codes go past the shield.
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, TextIO, cast
+from typing import IO, Any, TextIO, cast
 
 import rich.console
 from rich.console import ConsoleOptions, RenderableType
@@ -25,6 +25,18 @@ class Console(rich.console.Console):
 
     def __init__(self, **more: Any) -> None:
         super().__init__(markup=False, emoji=False, **more)
+
+    @property
+    def file(self) -> IO[str]:
+        """Where it draws: the stream itself, behind the shield and behind what a live display puts before that."""
+        out = super().file
+        while hasattr(out, "rich_proxied_file"):
+            out = out.rich_proxied_file
+        return out
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Draw, with every text cleaned."""

@@ -30,8 +30,8 @@ _Seed = Annotated[int, typer.Option(min=0, help="Same seed, same files.")]
 _Settings = Annotated[
     Path | None, typer.Option(metavar="TOML", help="Targets, phases, temperatures, noise; options override it.")
 ]
-_Protocol = Annotated[str | None, typer.Option(help="warm_up, cold, drift or parts.  [default: by instrument]")]
-_Cycles = Annotated[int | None, typer.Option(min=1, help="Measuring cycles in a phase.  [default: 5]")]
+_Protocol = Annotated[str | None, typer.Option(help="warm_up, cold, drift or parts.", show_default="by instrument")]
+_Cycles = Annotated[int | None, typer.Option(min=1, help="Measuring cycles in a phase.", show_default="5")]
 _Span = Annotated[
     tuple[float, float] | None, typer.Option("--range", metavar="LOW HIGH", help="First and last target, mm.")
 ]
@@ -39,11 +39,11 @@ _Step = Annotated[float | None, typer.Option(help="Distance between targets, mm.
 _KeepStep = Annotated[
     bool, typer.Option("--keep-step", help="Keep a step that is a multiple of the pitch and hides the cyclic error.")
 ]
-_Dwell = Annotated[float | None, typer.Option(help="Dwell at each target, s.  [default: 3]")]
+_Dwell = Annotated[float | None, typer.Option(help="Dwell at each target, s.", show_default="3")]
 _OneWay = Annotated[bool, typer.Option("--one-way", help="Read in the positive direction only.")]
-_Noise = Annotated[float | None, typer.Option(help="White noise, µm or µrad.  [default: 0.3]")]
+_Noise = Annotated[float | None, typer.Option(help="White noise, µm or µrad.", show_default="0.3")]
 _Drift = Annotated[float | None, typer.Option(help="Drift from reading to reading, µm or µrad.")]
-_DriftTau = Annotated[float | None, typer.Option(help="Correlation time of the drift, s.  [default: 1800]")]
+_DriftTau = Annotated[float | None, typer.Option(help="Correlation time of the drift, s.", show_default="1800")]
 _RunOffset = Annotated[float | None, typer.Option(help="Offset from run to run, µm or µrad.")]
 _Resolution = Annotated[float | None, typer.Option(help="Resolution of the display, µm or µrad.")]
 _Outliers = Annotated[float | None, typer.Option(help="Share of wrong readings, 0 to 1.")]

@@ -1,5 +1,8 @@
 """`rtec studio`: the pages in the browser."""
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,7 +21,7 @@ def studio(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")] = PORT,
     token: Annotated[
         str | None,
-        typer.Option(help="Key of this start, 16 characters or more.  [default: a new one]", show_default=False),
+        typer.Option(help="Key of this start, 16 characters or more.", show_default="a new one"),
     ] = None,
     tls_cert: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Certificate for TLS (PEM).", show_default=False)
@@ -29,13 +32,13 @@ def studio(
         typer.Option(metavar="CONFIG", help="Run file of a running daemon, to show it live.", show_default=False),
     ] = None,
     role: Annotated[
-        Literal["read", "operate"], typer.Option(help="With --attach: read shows it; operate has the buttons, too.")
+        Literal["read", "operate"], typer.Option(help="With --attach: read shows the status; operate controls, too.")
     ] = "read",
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the browser.")] = True,
 ) -> None:
     """Opens the pages in the browser: compare, diagnose, add an effect, and watch the error fall.
 
-    Examples: `rtec studio out/tutorial`
+    Example: `rtec studio out/tutorial`
 
     `rtec studio --attach configs/turning-centre-sim.toml --role operate`
 
@@ -75,9 +78,23 @@ def studio(
         from rtec.studio.live import LiveLink
 
         live = LiveLink(attach, role)
-    from rtec.studio.app import serve
+    with _without("aiohttp", "tornado", "tornado.web"):
+        from rtec.studio.app import serve
 
     serve(folder, opened, live)
+
+
+@contextmanager
+def _without(*names: str) -> Iterator[None]:
+    """Import as if packages were not installed: the socket library would load a client and another server first."""
+    # None means to an import that there is no such package.
+    absent = [n for n in names if n not in sys.modules]
+    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]
+    try:
+        yield
+    finally:
+        for name in absent:
+            del sys.modules[name]
 
 
 def _check_installed() -> None:

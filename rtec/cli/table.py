@@ -4,17 +4,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from rtec.cli.common import Json, print_json, show_page
 from rtec.cli.diagnose import MachineFile, ModelFile
+from rtec.cli.help import App, Group
 
 if TYPE_CHECKING:
     from rtec.correction.tables.table import CompensationTable
     from rtec.model import Model
 
 
-class _MakesByDefault(TyperGroup):
+class _MakesByDefault(Group):
     """`rtec table MODEL` is `rtec table write MODEL`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -24,9 +24,8 @@ class _MakesByDefault(TyperGroup):
         return super().parse_args(ctx, args)
 
 
-app = typer.Typer(
+app = App(
     cls=_MakesByDefault,
-    no_args_is_help=True,
     help="""Writes and reads compensation tables, for controllers that take a file and no signals.
 
 `rtec table MODEL ...` writes one (`rtec table write --help`); `rtec table read FILE` compares one with a model.
@@ -34,11 +33,24 @@ app = typer.Typer(
 )
 
 Format = Annotated[str, typer.Option("--format", "-f", help="Format; `rtec table formats` lists them.")]
-AxisName = Annotated[str, typer.Option("--axis", "-a", help="Axis that moves.", show_default=False)]
+AxisName = Annotated[str, typer.Option("--axis", "-a", help="Axis of the table.", show_default=False)]
 At = Annotated[
     list[str] | None,
     typer.Option(
-        "--at", metavar="NAME=VALUE,…", help="Temperatures, °C, spindle_rpm, other axes, mm.", show_default=False
+        "--at",
+        metavar="NAME=VALUE,…",
+        help="Temperatures (°C), spindle_rpm, positions of other axes (mm).",
+        show_default=False,
+    ),
+]
+
+
+Cross = Annotated[
+    str | None,
+    typer.Option(
+        metavar="COMPONENT",
+        help="Table between axes; EYX is the error of Y along X, EZXY that of Z over X and Y.",
+        show_default=False,
     ),
 ]
 
@@ -47,16 +59,11 @@ At = Annotated[
 def write(
     model: ModelFile,
     axis: AxisName,
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Write the table here.", show_default=False)],
     format_name: Format = "linuxcnc",
     at: At = None,
-    cross: Annotated[
-        str | None,
-        typer.Option(
-            metavar="COMPONENT", help="Table between two axes, as EYX: error of Y along X.", show_default=False
-        ),
-    ] = None,
-    grid: Annotated[float, typer.Option(min=1e-3, help="Distance of points, mm.")] = 10.0,
+    cross: Cross = None,
+    grid: Annotated[float, typer.Option(min=1e-3, help="Distance between the points, mm.")] = 10.0,
     machine: MachineFile = None,
     as_json: Json = False,
 ) -> None:
@@ -64,22 +71,23 @@ def write(
 
     Positions of axes that `--at` does not name are the middle of their travel.
 
-    Example: `rtec table write model.toml --axis X --at T_x=24,T_y=22 --format linuxcnc -o x.comp`
+    Example: `rtec table write model.toml --axis X --at T_x_nut=24,T_z_nut=22 --format linuxcnc -o x.comp`
     """
     from dataclasses import asdict
 
     from rtec.correction.tables import table_format
-    from rtec.correction.tables.predict import checked, conditions, grid_mm, residuals, table_of
+    from rtec.correction.tables.predict import checked, conditions, grids_mm, residuals, table_of, with_heat
     from rtec.errors import ConfigError
     from rtec.report.tables import written_page
     from rtec.wholefile import write_text
 
     form = table_format(format_name, "--format")
     loaded = _model(model, machine)
-    moved = _axis(loaded, axis)
-    corrected = moved if cross is None else _corrected(loaded, cross, moved.name)
-    wanted = table_of(loaded, moved, corrected, grid_mm(moved, grid), conditions(loaded, moved, _values(at)))
-    table = checked(wanted, form)
+    moved, corrected, second = _axes(loaded, axis, cross)
+    known = conditions(loaded, moved, _values(at))
+    positions, across = grids_mm(form, moved, second, grid)
+    table = checked(table_of(loaded, moved, corrected, positions, known, None, second, across), form)
+    table = with_heat(loaded, table) if form.limits.adds_heat else table
     left = residuals(loaded, table)
     write_text(form.text(table), out, ConfigError)
     if as_json:
@@ -96,30 +104,33 @@ def read(
     model: Annotated[Path | None, typer.Option("--model", help="Model to compare with.", show_default=False)] = None,
     format_name: Format = "linuxcnc",
     at: At = None,
+    cross: Cross = None,
     machine: MachineFile = None,
     as_json: Json = False,
 ) -> None:
-    """Reads a table that is there, and compares it with a model.
+    """Reads an existing table, and compares it with a model.
 
-    Example: `rtec table read x.comp --axis X --model model.toml --at T_x=24,T_y=22`
+    Example: `rtec table read x.comp --axis X --model model.toml --at T_x_nut=24,T_z_nut=22`
     """
     from rtec.correction.tables import table_format
     from rtec.correction.tables.predict import conditions, table_of
+    from rtec.correction.tables.table import TableAxes, table_text
     from rtec.errors import ConfigError
     from rtec.report.tables import compared_page
 
     form = table_format(format_name, "--format")
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
-        raise ConfigError(f"{file}: cannot be read as a table: {e}") from e
-    table = form.read(text, str(file), axis)
+        text = table_text(file)
+    except FileNotFoundError as e:
+        raise ConfigError(f"{file}: cannot be read as a table: no such file") from e
     if model is None:
-        print_json(_facts(table, format_name))
+        print_json(_facts(form.read(text, str(file), TableAxes(axis, *_named(axis, cross))), format_name))
         return
     loaded = _model(model, machine)
-    moved = _axis(loaded, axis)
-    said = table_of(loaded, moved, moved, table.positions_mm, conditions(loaded, moved, _values(at)))
+    moved, corrected, second = _axes(loaded, axis, cross)
+    table = form.read(text, str(file), TableAxes(axis, corrected.name, second.name if second else ""))
+    known = conditions(loaded, moved, _values(at))
+    said = table_of(loaded, moved, corrected, table.positions_mm, known, None, second, table.second_mm)
     if as_json:
         differences = {
             "model_minus_table_forward_um": said.forward_um - table.forward_um,
@@ -127,7 +138,7 @@ def read(
         }
         print_json({**_facts(table, format_name), **differences})
         return
-    show_page(compared_page(table, said, form, file))
+    show_page(compared_page(table, said, form, file, moved.travel_mm))
 
 
 @app.command()
@@ -146,10 +157,10 @@ def formats(as_json: Json = False) -> None:
     for name, form in FORMATS.items():
         limits = form.limits
         ways = "both directions" if limits.both_directions else "one value for both directions"
-        typer.echo(
-            f"{name}: {form.title}; up to {limits.most_points} points, {ways}, steps of {limits.quantum_um:g} µm"
-        )
-        typer.echo(f"    columns: {form.sign}")
+        of = {"own": "one axis", "between": "two axes", "either": "one axis or two", "plane": "a plane"}[limits.takes]
+        typer.echo(f"{name}: {form.title}{' (to type in)' if limits.typed else ''}")
+        typer.echo(f"    {of}, up to {limits.most_points} points, {ways}, steps of {limits.quantum_um:g} µm")
+        typer.echo(f"    {form.sign}")
 
 
 def _model(model: Path, machine: Path | None) -> "Model":
@@ -167,13 +178,32 @@ def _axis(model: "Model", name: str) -> Any:
     return model.machine.axis(name)
 
 
-def _corrected(model: "Model", component: str, moved: str) -> Any:
-    """Axis that a component such as EYX shifts, when X moves."""
+def _axes(model: "Model", axis: str, cross: str | None) -> Any:
+    """Axes that move, is corrected, and moves beside the first one (or None)."""
+    from rtec.correction.tables.predict import table_axes
     from rtec.errors import ConfigError
 
-    if len(component) < 3 or component[0] != "E" or component[2:] != moved:
-        raise ConfigError(f"--cross {component}: write E, the axis that is wrong, and the one that moves, as EY{moved}")
-    return _axis(model, component[1])
+    moved = _axis(model, axis)
+    if cross is None:
+        return moved, moved, None
+    try:
+        first, corrected, second = table_axes(model.machine, cross)
+    except ConfigError as e:
+        raise ConfigError(f"--cross: {e}") from e
+    if first.name != axis or cross in model.machine.axis_names:
+        raise ConfigError(f"--cross {cross}: --axis {axis} moves: write E, the axis that is wrong, {axis}, as EYX")
+    return moved, corrected, second
+
+
+def _named(axis: str, cross: str | None) -> tuple[str, str]:
+    """Names of the corrected axis and of the second one that moves ("" where there is none), without a machine."""
+    from rtec.errors import ConfigError
+
+    if cross is None:
+        return axis, ""
+    if len(cross) < 3 or cross[0] != "E" or not cross[2:].startswith(axis):
+        raise ConfigError(f"--cross {cross}: write E, the axis that is wrong, and the one that moves, as EY{axis}")
+    return cross[1], cross[2:].removeprefix(axis)
 
 
 def _values(at: list[str] | None) -> dict[str, float]:
@@ -192,12 +222,16 @@ def _values(at: list[str] | None) -> dict[str, float]:
 
 
 def _facts(table: "CompensationTable", form: str) -> dict[str, Any]:
+    from dataclasses import asdict
+
     return {
         "format": form,
         "axis": table.axis,
         "corrects": table.corrects,
         "at": dict(table.at),
         "positions_mm": table.positions_mm,
+        **({"second": table.second, "second_mm": table.second_mm} if table.second else {}),
+        **({"heat": [asdict(h) for h in table.heat]} if table.heat else {}),
         "forward_um": table.forward_um,
         "backward_um": table.backward_um,
     }

@@ -23,8 +23,8 @@ def telemetry(
 
     Example: `rtec telemetry configs/turning-centre-sim.toml`
 
-    What it publishes, and to whom, is in `[telemetry]` of the run file; without it nothing is published. Each protocol
-    is a process of its own, started again when it fails. The correction does not depend on any of them.
+    What it publishes, and where, is in `[telemetry]` of the run file; without that nothing is published. Each protocol
+    is a process of its own, restarted when it fails. The correction does not depend on any of them.
     """
     from rtec.loop.clock import RealClock
     from rtec.loop.run_file import load_setup

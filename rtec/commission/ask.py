@@ -1,29 +1,23 @@
 """The questions of `rtec init`, in the order in which a machine is wired: axes, encoders, sensors, output, limits."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Final
 
 from rtec.commission.answers import TEMPLATES, template_tables
-from rtec.commission.listen import ANY_NUMBER, listen, pattern_of
-from rtec.doctor.ports import serial_ports
+from rtec.commission.scan import ACTION, Talk, Watched, by_changes, counts_down, scanner_of, search, unit_of
+from rtec.doctor.ports import can_interfaces, serial_ports
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import DriverFacts, all_drivers
+from rtec.loop.ports import Scanner
 from rtec.tomlfile import nearest
 
 Tables = dict[str, Any]
-
-
-class Talk(Protocol):
-    """Whom it asks."""
-
-    def ask(self, question: str, default: str) -> str:
-        """Give the answer; the default where that is empty."""
-        ...
-
-    def say(self, text: str) -> None:
-        """Tell something."""
-        ...
+ANY_NUMBER: Final = r"[+-]?[\d.,]+"
+TCP: Final = re.compile(r"(?P<host>[^/:\s]+):(?P<port>\d{1,5})")
+OWN_BITRATE: Final = ("socketcan", "virtual", "udp_multicast")
+"""Interfaces of python-can that take no bit rate."""
 
 
 class Interview:
@@ -32,10 +26,15 @@ class Interview:
     Args:
         talk: whom it asks.
         clock: for listening to ports.
+        watched: shows live values for a while.
+
+    Attributes:
+        sure: axes and sensors that were recognised by what changed.
     """
 
-    def __init__(self, talk: Talk, clock: Clock) -> None:
-        self._talk, self._clock = talk, clock
+    def __init__(self, talk: Talk, clock: Clock, watched: Watched) -> None:
+        self._talk, self._clock, self._watched = talk, clock, watched
+        self.sure: set[str] = set()
 
     def tables(self) -> Tables:
         """Ask everything; the tables of an answers file."""
@@ -89,19 +88,55 @@ class Interview:
         if not there or self._talk.ask("listen to them? Nothing is sent (y/n)", "y") != "y":
             return
         for port in there:
-            self._heard(port.device)
+            self._search("ascii_lines", {"port": port.device})
 
-    def _heard(self, port: str) -> tuple[int, str] | None:
+    def _search(self, driver: str, table: Tables, names: Sequence[str] = (), kind: str = "") -> Tables:
+        """What a driver finds on a port or bus: keys of its table, where each of these names got a place."""
+        way = {**table, **table.get("serial", {}), **table.get("tcp", {})}
+        place = way.get("host") or way.get("port") or way.get("channel")
         try:
-            heard = listen(port, self._clock)
+            scanner = scanner_of(driver, table, self._clock, "rtec init")
+            if scanner is None:
+                return {}
+            with scanner:
+                search(scanner, self._talk, f"looking at {place}")
+                return self._placed(scanner, names, kind) if names and scanner.read() else {}
         except RtecError as e:
             self._talk.say(str(e))
-            return None
-        if heard is None:
-            self._talk.say(f"{port}: silent; encoder boxes and Modbus modules speak only when they are asked")
-            return None
-        self._talk.say(f"{port}: prints lines at {heard.baud} baud: {heard.lines[-1]}")
-        return heard.baud, heard.lines[-1]
+            return {}
+
+    def _placed(self, scanner: Scanner, names: Sequence[str], kind: str) -> Tables:
+        talk, places = self._talk, {}
+        if talk.ask(f"find out which is which: {ACTION[kind].format(names[0])}, and so on (y/n)", "y") == "y":
+            places = by_changes(scanner, names, kind, talk, self._watched)
+            self.sure |= set(places)
+        proposed = scanner.proposed(names)
+        for name in (n for n in names if n not in places):
+            free = [place for place in proposed.values() if place not in places.values()]
+            if not free:
+                talk.say(f"no number was found for {name}")
+                return {}
+            places[name] = proposed[name] if proposed[name] in free else free[0]
+            talk.say(f"{name}: {places[name]}, a guess")
+        now = scanner.read()
+        unit = 1.0
+        if kind == "sensor":
+            unit = self._number("one unit of these numbers, °C", unit_of([now[places[n]] for n in names]))
+        return scanner.table({name: places[name] for name in names}, unit)
+
+    def _scanned(self, driver: str, table: Tables, names: Sequence[str], kind: str) -> Tables:
+        """As `_search`, if it may."""
+        try:
+            scanner = scanner_of(driver, table, self._clock, "rtec init")
+        except RtecError as e:
+            self._talk.say(str(e))
+            return {}
+        if scanner is None:
+            return {}
+        self._talk.say("It can look what is there. That only reads; Ctrl-C ends it and keeps your answers.")
+        self._talk.say(f"It takes {scanner.duration}.")
+        question = "look (y/n)"
+        return self._search(driver, table, names, kind) if self._talk.ask(question, "y") == "y" else {}
 
     def _device(self, out: Tables, role: str, name: str, question: str, default: str, names: tuple[str, ...]) -> str:
         """Ask for a device that plays a role; its name. One that is there already may play it, too."""
@@ -124,6 +159,8 @@ class Interview:
             "ascii_offset": self._offset,
             "modbus": self._modbus,
             "serial_box": self._box,
+            "can": self._can,
+            "can_encoders": self._can_encoders,
         }
         if driver.name in special:
             return special[driver.name](out, names)
@@ -133,32 +170,66 @@ class Interview:
 
     def _box(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
-        return {"port": self._port(), "max_speed_mm_s": self._speeds(names)}
+        table = {"port": self._port()}
+        found = self._scanned("serial_box", table, names, "axis")
+        return {**table, **found, "max_speed_mm_s": self._speeds(names)}
 
     def _lines(self, out: Tables, names: tuple[str, ...]) -> Tables:
-        table = self._line(9600)
-        heard = self._heard(table["port"])
-        table["baud"] = heard[0] if heard else table["baud"]
-        proposed = pattern_of(heard[1], names) if heard else None
-        if proposed is None:
-            proposed = r"\s+".join(rf"{n}\s*=\s*(?P<{n}>{ANY_NUMBER})" for n in names)
+        table: Tables = {"port": self._port()}
+        of_axes = set(names) <= set(out["axis"])
+        found = self._scanned("ascii_lines", table, names, "axis" if of_axes else "sensor")
+        table |= found or self._rate(9600)
+        proposed = table.get("patterns", [r"\s+".join(rf"{n}\s*=\s*(?P<{n}>{ANY_NUMBER})" for n in names)])[0]
         self._talk.say("A regular expression of a whole line; each named group is an axis or a sensor.")
         table["patterns"] = [self._talk.ask("pattern", proposed)]
-        if set(names) <= set(out["axis"]):
+        if of_axes:
             unit = self._one_of("unit of the positions", ["mm", "um", "inch", "counts"], "mm")
             table |= {"units": dict.fromkeys(names, unit), "max_speed_mm_s": self._speeds(names)}
         return table
 
     def _modbus(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
-        serial = self._line(19200, "even")
+        way = self._way(19200, "even")
+        found = self._scanned("modbus", way, names, "sensor")
+        if found:
+            return way | found
         slave = int(self._number("number of the module on the line", 1))
         first = int(self._number(f"address of {names[0]} on the line, from 0; the others follow", 0))
         scale = self._number("one unit of a register, °C", 0.1)
-        register = {n: {"address": first + k, "scale": scale, "function": "input"} for k, n in enumerate(names)}
         function = self._one_of("registers are", ["input", "holding"], "input")
-        register = {n: {**r, "function": function} for n, r in register.items()}
-        return {"serial": serial, "slave": {"module": {"id": slave, "register": register}}}
+        register = {n: {"address": first + k, "scale": scale, "function": function} for k, n in enumerate(names)}
+        return way | {"slave": {"module": {"id": slave, "register": register}}}
+
+    def _can(self, out: Tables, names: tuple[str, ...]) -> Tables:
+        del out
+        way = self._can_way()
+        found = self._scanned("can", way, names, "sensor")
+        if found:
+            return way | found
+        node = int(self._number("CANopen number of the device", 1))
+        scale = self._number("one unit of its numbers, °C", 0.1)
+        self._talk.say("Four numbers of 16 bits in each of its process data, in order; change it in the file.")
+        return way | {"temperature": {name: _pdo_item(node, k) | {"scale": scale} for k, name in enumerate(names)}}
+
+    def _can_encoders(self, out: Tables, names: tuple[str, ...]) -> Tables:
+        del out
+        way = self._can_way()
+        found = self._scanned("can_encoders", way, names, "axis")
+        bits = int(self._number("bits of the encoders' counters; they wrap there", 32))
+        if not found:
+            nodes = {n: int(self._number(f"CANopen number of {n}'s encoder", k + 1)) for k, n in enumerate(names)}
+            found = {"axis": {name: {"node": node, "map": ["u32"]} for name, node in nodes.items()}}
+        speeds = self._speeds(names)
+        axes = {name: {**table, "max_speed_mm_s": speeds[name]} for name, table in found["axis"].items()}
+        return {**way, **found, "bits": bits, "axis": axes}
+
+    def _can_way(self) -> Tables:
+        there = can_interfaces()
+        self._talk.say("CAN interfaces here: " + (", ".join(there) or "none of the kernel; slcan is a serial port"))
+        interface = self._talk.ask("kind of interface, by python-can's name", "socketcan")
+        channel = self._talk.ask("channel", there[0] if there else "can0")
+        way: Tables = {"interface": interface, "channel": channel}
+        return way if interface in OWN_BITRATE else way | {"bitrate": int(self._number("bit rate, bit/s", 500000))}
 
     def _offset(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
@@ -168,17 +239,23 @@ class Interview:
         self._talk.say("The line that sets the offsets; {X" + digits + "} is the number of axis X.")
         line = self._talk.ask("line", "OFS " + " ".join(f"{n}={{{n}{digits}}}" for n in names))
         acknowledge = self._talk.ask("its acknowledgement, a regular expression; - for none", "OK")
-        table = {"serial": self._line(19200), "command": [line], "unit": unit, "resolution_um": resolution_um}
+        table = {**self._way(19200), "command": [line], "unit": unit, "resolution_um": resolution_um}
         return table | ({} if acknowledge == "-" else {"acknowledge": acknowledge})
 
-    def _line(self, baud: int, parity: str = "none") -> Tables:
-        port = self._port()
-        rate = int(self._number("baud", baud))
-        return {"port": port, "baud": rate, "parity": self._one_of("parity", ["none", "even", "odd"], parity)}
+    def _way(self, baud: int, parity: str = "none") -> Tables:
+        """`serial` or `tcp`."""
+        port = self._port("port, or HOST:PORT over TCP")
+        if place := TCP.fullmatch(port):
+            return {"tcp": {"host": place["host"], "port": int(place["port"])}}
+        return {"serial": {"port": port, **self._rate(baud, parity)}}
 
-    def _port(self) -> str:
+    def _rate(self, baud: int, parity: str = "none") -> Tables:
+        rate = int(self._number("baud", baud))
+        return {"baud": rate, "parity": self._one_of("parity", ["none", "even", "odd"], parity)}
+
+    def _port(self, question: str = "port") -> str:
         there = [p.device for p in serial_ports()]
-        return self._talk.ask("port", there[0] if there else "/dev/ttyUSB0")
+        return self._talk.ask(question, there[0] if there else "/dev/ttyUSB0")
 
     def _speeds(self, names: Sequence[str]) -> Tables:
         speed = self._number("fastest speed of the axes, mm/s; faster readings are errors", 400.0)
@@ -207,6 +284,11 @@ class Interview:
                 self._talk.say(f"{given!r} is no number")
 
 
+def _pdo_item(node: int, k: int) -> Tables:
+    """The k-th number of 16 bits in the process data of a CANopen device."""
+    return {"node": node, "pdo": k // 4 + 1, "map": ["i16"] * 4, "item": k % 4 + 1}
+
+
 def swapped(value: Any, a: str, b: str) -> Any:
     """A device's table with two names exchanged, where they are keys and named groups of patterns."""
     names = {a: b, b: a}
@@ -219,36 +301,35 @@ def swapped(value: Any, a: str, b: str) -> Any:
     return value
 
 
-def check_names(talk: Talk, tables: Tables, watched: Callable[[str], Mapping[str, float]]) -> Tables:
+def check_names(
+    talk: Talk, tables: Tables, watched: Callable[[], Mapping[str, float]], sure: Collection[str] = ()
+) -> Tables:
     """Have each axis moved and each sensor warmed; exchange the names of those that answer in the place of others.
 
     Args:
         talk: whom it asks.
         tables: of the answers so far.
         watched: shows live values for a while; gives the change of each.
+        sure: those that were recognised before.
 
     Returns:
         the tables with the names exchanged.
     """
-    for role, names, unit, action in (
-        ("counts", list(tables["axis"]), "mm", "Move axis {} by hand in its positive direction"),
-        ("temperatures", list(tables["sensors"]), "°C", "Warm {} with your hand"),
+    for role, kind, names, unit in (
+        ("counts", "axis", list(tables["axis"]), "mm"),
+        ("temperatures", "sensor", list(tables["sensors"]), "°C"),
     ):
-        todo = list(names)
-        while todo:
-            name = todo.pop(0)
-            if talk.ask(f"{action.format(name)} while the values are shown; ready (y), skip (n)", "y") != "y":
+        for name in (n for n in names if n not in sure):
+            if talk.ask(f"{ACTION[kind].format(name)} while the values are shown; ready (y), skip (n)", "y") != "y":
                 continue
-            change = {n: x for n, x in watched(name).items() if n in names}
+            change = {n: x for n, x in watched().items() if n in names}
             if not change or max(map(abs, change.values())) == 0.0:
                 talk.say(f"nothing changed; {name} stays as it is")
                 continue
             most = max(change, key=lambda n: abs(change[n]))
             talk.say(f"{most} changed by {change[most]:+.3f} {unit}")
             if change[most] < 0 and role == "counts":
-                talk.say(
-                    f"{most} counts down where the axis goes up: exchange A and B of its encoder, or its sign there"
-                )
+                talk.say(counts_down(most))
             if most != name and talk.ask(f"is that {name}? exchange {most} and {name} (y/n)", "y") == "y":
                 device = tables["role"][role] if role == "counts" else tables["role"][role][0]
                 tables["device"][device] = swapped(tables["device"][device], most, name)

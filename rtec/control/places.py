@@ -16,6 +16,8 @@ from rtec.errors import RtecError
 from rtec.loop.state_files import state_places
 
 ORDERS: Final = ".control"
+STATUS: Final = ".status"
+"""Of the socket through which nobody can order anything."""
 MODES: Final = {"user": 0o600, "group": 0o660}
 LONGEST_PATH: Final = 107
 """Of a Unix socket's address on Linux."""
@@ -55,6 +57,11 @@ def socket_path(config: Path) -> Path:
     return state_places(config, None).memory.with_suffix(ORDERS)
 
 
+def status_path(config: Path) -> Path:
+    """Give the place of the socket that only shows the status, as `socket_path`."""
+    return socket_path(config).with_suffix(STATUS)
+
+
 def listen(path: Path, access: str) -> LocalSocket:
     """Make a local socket that listens, with its permissions from its first instant.
 
@@ -80,6 +87,7 @@ def listen(path: Path, access: str) -> LocalSocket:
         os.fchmod(made.fileno(), MODES[access])
         path.unlink(missing_ok=True)
         made.bind(str(path))
+        path.chmod(MODES[access])  # what the umask took away
         made.listen(BACKLOG)
         return LocalSocket(path, made, path.lstat().st_ino)
     except OSError as e:
@@ -108,7 +116,16 @@ def answers(path: Path) -> bool:
 
 def of_config(config: Path) -> list[Path]:
     """Sockets for orders that a daemon with this run file would have, this user's first; they may be left behind."""
-    own = socket_path(config)
+    return _like(socket_path(config))
+
+
+def status_of_config(config: Path) -> list[Path]:
+    """The same of the sockets that only show the status."""
+    return _like(status_path(config))
+
+
+def _like(own: Path) -> list[Path]:
+    """Sockets that are named as one, but for the user."""
     name = own.name.split(".", maxsplit=2)[2]
     return sorted(_found(f"rtec.*.{name}"), key=lambda p: (p.name != own.name, str(p)))
 

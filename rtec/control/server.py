@@ -1,8 +1,9 @@
 """Control of a running daemon: a thread of the supervisor's process that answers clients and publishes the status.
 
 The loop is another process; all that it ever sees of this are the orders that the supervisor hands on. Clients speak
-lines of JSON through a local socket; Prometheus asks by HTTP. A client can be slow, dead or hostile: connections, bytes
-and requests are limited, nobody waits for anybody, and a new client always finds room.
+lines of JSON through a local socket, or through one that only shows the status; Prometheus asks by HTTP. A client can
+be slow, dead or hostile: connections, bytes and requests are limited, nobody waits for anybody, and a new client always
+finds room.
 """
 
 import asyncio
@@ -20,8 +21,8 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from rtec.control.desk import Daemon, Desk, Peer
-from rtec.control.messages import LARGEST_REQUEST, answer
-from rtec.control.places import LocalSocket, answers, listen, socket_path
+from rtec.control.messages import LARGEST_REQUEST, Role, answer
+from rtec.control.places import LocalSocket, answers, listen, socket_path, status_path
 from rtec.control.prometheus import http_answer
 from rtec.control.residual import Residual
 from rtec.daemon.supervision import KeptThread
@@ -31,6 +32,10 @@ from rtec.loop.run_file import Setup
 
 MOST_CONNECTIONS: Final = 256
 """To the local socket. One more, and the one that has been idle for longest is closed, of whoever has most."""
+MOST_WATCHERS: Final = 64
+"""Connections to the socket that only shows the status; the same rule, and none of them takes the place of an order."""
+TELEMETRY_USER: Final = "rtec-telemetry"
+"""Of the unit that talks to the network: may read, whichever socket it reaches and whatever group it is in."""
 MOST_SCRAPES: Final = 16
 """Connections of Prometheus at a time; the same rule."""
 REQUEST_NS: Final = 5_000_000
@@ -154,8 +159,9 @@ class Control:
         self._setup, self._table, self._clock, self._daemon = setup, setup.file.control, clock, daemon
         compared = None if self._table.compared is None else setup.base / self._table.compared
         self.desk = Desk(daemon, clock, _origin(setup), Residual(compared))
-        self.guests, self.scrapes = Guests(MOST_CONNECTIONS), Guests(MOST_SCRAPES)
+        self.guests, self.watchers, self.scrapes = Guests(MOST_CONNECTIONS), Guests(MOST_WATCHERS), Guests(MOST_SCRAPES)
         self._local: LocalSocket | None = None
+        self._status: LocalSocket | None = None
         self._http: socket.socket | None = None
         self._thread = KeptThread(daemon.parts.add("control", essential=self._table.local), self._work)
         self._end: Callable[[], object] | None = None
@@ -167,6 +173,7 @@ class Control:
                 path = socket_path(self._setup.path)
                 self._until_free(path)
                 self._local = listen(path, self._table.access)
+                self._status = listen(status_path(self._setup.path), self._table.status_access)
             if self._table.prometheus is not None:
                 self._http = _loopback(self._table.prometheus)
         except BaseException:
@@ -193,9 +200,10 @@ class Control:
             self._clock.sleep_until_ns(self._clock.now_ns() + LOOK_NS)
 
     def _close(self) -> None:
-        if self._local is not None:
-            self._local.remove()
-            self._local.socket.close()
+        for local in (self._local, self._status):
+            if local is not None:
+                local.remove()
+                local.socket.close()
         if self._http is not None:
             self._http.close()
 
@@ -209,8 +217,12 @@ class Control:
             return
         tasks: list[asyncio.Task[Any]] = [asyncio.create_task(ended.wait())]
         if self._local is not None:
-            tasks.append(asyncio.create_task(self._accept(self._local.socket, self.guests, self._talk)))
+            talk = partial(self._talk, role="operate")
+            tasks.append(asyncio.create_task(self._accept(self._local.socket, self.guests, talk)))
             tasks.append(asyncio.create_task(self._publish()))
+        if self._status is not None:
+            look = partial(self._talk, role="read")
+            tasks.append(asyncio.create_task(self._accept(self._status.socket, self.watchers, look)))
         if self._http is not None:
             tasks.append(asyncio.create_task(self._accept(self._http, self.scrapes, self._scrape)))
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -247,8 +259,9 @@ class Control:
         except Exception as e:  # noqa: BLE001 (one client's fault is no other's)
             self.desk.refusal(unforeseen(e))
 
-    async def _talk(self, line: Line, reader: asyncio.StreamReader) -> None:
-        line.peer = Peer(_user(line.uid), "operate")
+    async def _talk(self, line: Line, reader: asyncio.StreamReader, role: Role) -> None:
+        user = _user(line.uid)
+        line.peer = Peer(user, "read" if user == TELEMETRY_USER else role)
         for count in itertools.count():
             try:
                 message = await reader.readuntil(b"\n")
@@ -281,7 +294,8 @@ class Control:
         """Send the status to those who watch; one that has not taken the last one is passed over."""
         while True:
             await asyncio.sleep(1.0 / self._table.status_hz)
-            watching = [one for one in self.guests.lines if one.peer.watches and one.writer is not None]
+            lines = (*self.guests.lines, *self.watchers.lines)
+            watching = [one for one in lines if one.peer.watches and one.writer is not None]
             if not watching:
                 continue
             try:

@@ -10,6 +10,7 @@
 What differs is the sign, the smallest step, how often and how far; the rest is one code.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -135,3 +136,15 @@ class PhaseSink(Strict):
 
 
 Sink = Annotated[PulseSink | FollowingErrorSink | OriginOffsetSink | PhaseSink, Field(discriminator="kind")]
+
+
+def differs(sink: Sink, actuator: str, unit_um: float) -> str:
+    """Why an actuator of this kind, with units of `unit_um`, cannot take what the sink gives; "" where it can.
+
+    Counts have no unit; all other kinds must agree in it, or the correction has another size.
+    """
+    if sink.kind != actuator:
+        return f"takes {actuator!r} (its option actuator), not {sink.kind!r}"
+    if sink.kind != "pulse" and not math.isclose(sink.unit_um, unit_um, rel_tol=1e-9):
+        return f"has units of {unit_um:g} µm (its option unit_um), the output has {sink.unit_um:g} µm"
+    return ""

@@ -5,15 +5,17 @@ prediction has gone far enough from it, each value by a limited change. With a m
 that is old or outside the model's range, the files stay as they are, and the events say why.
 """
 
+import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
 
 from rtec.correction.tables import table_format
-from rtec.correction.tables.predict import History, checked, conditions, grid_mm, residuals, table_axes, table_of
-from rtec.correction.tables.table import CompensationTable, Floats
+from rtec.correction.tables.predict import History, checked, conditions, grids_mm, residuals, table_axes, table_of
+from rtec.correction.tables.table import CompensationTable, Floats, TableAxes, table_text
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonPart, KeptThread
 from rtec.errors import ConfigError, RtecError
@@ -44,8 +46,8 @@ class TableFile:
         self._key, self._table = key, table
         self.form = table_format(table.format, f"{setup.path}: [table] format")
         self.path = setup.base / table.files[key]
-        self.moves, self.corrects = table_axes(setup.machine, key)
-        self._grid = grid_mm(self.moves, table.grid_mm)
+        self.moves, self.corrects, self._second = table_axes(setup.machine, key)
+        self._grid, self._second_mm = grids_mm(self.form, self.moves, self._second, table.grid_mm)
         self._stop_um = setup.file.limits[self.corrects.name].stop_um
         self.written = self._read()
         self._written_s: float | None = None
@@ -68,7 +70,10 @@ class TableFile:
             return ""
         known = {k: v for k, v in at.items() if k in model.channels}
         whole = conditions(model, self.moves, known)
-        wanted = checked(table_of(model, self.moves, self.corrects, self._grid, whole, history), self.form)
+        predicted = table_of(
+            model, self.moves, self.corrects, self._grid, whole, history, self._second, self._second_mm
+        )
+        wanted = checked(predicted, self.form)
         if wanted.largest_um > self._stop_um:
             raise ConfigError(
                 f"{self.path}: not written: {wanted.largest_um:.1f} µm is beyond stop_um = {self._stop_um:g} of "
@@ -91,7 +96,7 @@ class TableFile:
     ) -> str:  # fmt: skip
         worst = residuals(model, wanted, history, slow=False)[0]
         made = ", ".join(f"{k} = {v:.4g}" for k, v in new.at.items() if k in model.channels)
-        low, high = (f(f(new.forward_um), f(new.backward_um)) for f in (min, max))
+        low, high = (float(f([new.forward_um, new.backward_um])) for f in (np.min, np.max))
         text = f"{self.path.name}: {'written' if old is None else 'rewritten'} for {made or 'all temperatures'}: "
         text += f"errors from {low:+.2f} to {high:+.2f} µm"
         if old is not None:
@@ -103,13 +108,15 @@ class TableFile:
 
     def _read(self) -> CompensationTable | None:
         try:
-            text = self.path.read_text(encoding="utf-8")
+            text = table_text(self.path)
         except FileNotFoundError:
             return None
-        except (OSError, UnicodeDecodeError) as e:
-            raise ConfigError(f"{self.path}: cannot be read as a table: {e}") from e
+        axes = TableAxes(self.moves.name, self.corrects.name, self._second.name if self._second else "")
         try:
-            return self.form.read(text, str(self.path), self.moves.name)
+            found = self.form.read(text, str(self.path), axes)
+            if found.others:
+                raise ConfigError(f"{self.path}: holds {found.others} more tables, of other axes")
+            return found
         except ConfigError as e:
             raise ConfigError(
                 f"{e}; [table] files.{self._key} would replace it: name another file, or move this one away"
@@ -177,8 +184,8 @@ class TableKeeper:
                 self._said.pop(str(file.path), None)
 
     def _said_anew(self, about: str, text: str) -> bool:
-        """Is that another text than the last time?"""
-        plain = text.partition(":")[0]
+        """Is that another text than the last time? Numbers that go up and down make no other one."""
+        plain = re.sub(r"[-+]?\d+(\.\d+)?", "", text)
         before, self._said[about] = self._said.get(about, ""), plain
         return before != plain
 
@@ -227,8 +234,7 @@ class TableThread:
 def _difference_um(a: CompensationTable, b: CompensationTable) -> float:
     """Largest difference at the points of `b`."""
     return max(
-        float(np.abs(a.error_um(b.positions_mm, d) - values).max())
-        for d, values in ((1.0, b.forward_um), (-1.0, b.backward_um))
+        float(np.abs(a.at_points_of(b, d) - values).max()) for d, values in ((1.0, b.forward_um), (-1.0, b.backward_um))
     )
 
 
@@ -236,17 +242,10 @@ def _limited(old: CompensationTable, wanted: CompensationTable, most_um: float) 
     """Go from the old values towards the wanted ones, each by so much at most."""
 
     def towards(direction: float, values: Floats) -> Floats:
-        before = old.error_um(wanted.positions_mm, direction)
+        before = old.at_points_of(wanted, direction)
         return before + np.clip(values - before, -most_um, most_um)
 
-    return CompensationTable(
-        wanted.axis,
-        wanted.corrects,
-        wanted.positions_mm,
-        towards(1.0, wanted.forward_um),
-        towards(-1.0, wanted.backward_um),
-        wanted.at,
-    )
+    return replace(wanted, forward_um=towards(1.0, wanted.forward_um), backward_um=towards(-1.0, wanted.backward_um))
 
 
 def _unusable(now: Mapping[str, float], status: Status, model: Model, most_s: float) -> str:

@@ -8,6 +8,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -28,10 +29,10 @@ Ints = NDArray[np.int64]
 
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
-    "one_pass", "few_runs", "no_temperature", "other_sensor",
+    "one_pass", "few_runs", "no_temperature", "other_sensor", "instrument_warm_up",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
-    {"wrong_channel", "swapped_sensors", "moved_origin", "contradiction", "corrected"}
+    {"wrong_channel", "swapped_sensors", "moved_origin", "contradiction", "corrected", "instrument_warm_up"}
 )
 """Doubts beside which no effect of the machine is named."""
 DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature"}
@@ -46,6 +47,10 @@ COMMON, OPPOSITE = 5, -0.8
 DISAGREE, MUCH_OF, UNLIKE = 4.0, 0.5, 3.0
 """Or so many times what the noise lets them differ by, and this share of what they read; where channels that were
 recorded differ by less than so many times what counts as a change."""
+ELSEWHERE = 0.25
+"""Or whose medians differ by less than this share of its range."""
+MIRROR = 0.25
+"""A file is the mirror image of another where their sum is less than this share of what they read."""
 BETTER = 0.5
 """An edit of the record is proposed where it leaves less than this share of the residual,"""
 NEAR_FLOOR, ABOVE = 1.25, 1.5
@@ -54,6 +59,8 @@ NEAR_REFIT = 1.05
 """Or, of a factor, no more than so many times what the model leaves with its own numbers refitted."""
 SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and how many places are tried."""
+THIN = 200
+"""Readings by which the place is looked for first, at the least."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
 BEYOND = 0.05
 """Share of the travel by which a position may lie beyond it."""
@@ -92,7 +99,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found = [Doubt("wrong_scale", said, "", fatal=True) for said in odd_scales(readings, measured, predicted)]
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and what is predicted with it
-    found = found or _contradictions(judged, floor.cleaned(readings, readings.values - judged.base.predicted))
+    found = found or _contradictions(judged, measured)
     found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
         found.append(edited.doubt(judged.residual))
@@ -106,7 +113,7 @@ def _name(readings: Readings, s: Series) -> str:
 
 def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
     """Files that read the same places otherwise: with opposite signs, or by far more than their noise."""
-    readings = judged.readings
+    readings, left = judged.readings, judged.left
     turned: list[tuple[Series, Series]] = []
     apart: list[tuple[Series, Series]] = []
     worst = 0.0
@@ -115,18 +122,19 @@ def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
         same = one.column == two.column and (
             readings.measurements[one.source].instrument == readings.measurements[two.source].instrument
         )
-        common = _common(readings, one, two, measured) if same and one.source != two.source else None
+        common = _common(readings, one, two, left) if same and one.source != two.source else None
         if common is None:
             continue
         a, b, counts = common
         size = math.sqrt(float(a @ a) * float(b @ b))
-        if size > 0.0 and float(a @ b) / size < OPPOSITE:
-            turned.append((one, two))
-            continue
         expected = judged.floors[i].value ** 2 / counts[0] + judged.floors[j].value ** 2 / counts[1]
         off = float(np.sqrt(np.mean((a - b) ** 2)))
         larger = max(float(np.std(a)), float(np.std(b)))
-        if off > max(DISAGREE * math.sqrt(expected), MUCH_OF * larger) and _alike(readings, one, two):
+        opposite = size > 0.0 and float(a @ b) / size < OPPOSITE
+        # What is warmer may bend the other way, but hardly by as much: only a turned file is the mirror image.
+        if opposite and _mirrored(readings, one, two, measured, DISAGREE * math.sqrt(expected)):
+            turned.append((one, two))
+        elif off > max(DISAGREE * math.sqrt(expected), MUCH_OF * larger) and _alike(readings, one, two):
             apart.append((one, two))
             worst = max(worst, off)
     if turned:
@@ -154,8 +162,17 @@ def _contradiction(readings: Readings, pairs: Sequence[tuple[Series, Series]], h
     return Doubt("contradiction", message, step, fatal=True)
 
 
+def _mirrored(readings: Readings, one: Series, two: Series, measured: Floats, noise: float) -> bool:
+    """Whether what was measured is the mirror image, within the noise or a share of it."""
+    common = _common(readings, one, two, measured)
+    if common is None:
+        return False
+    a, b, _ = common
+    return bool(np.sqrt(np.mean((a + b) ** 2)) < max(noise, MIRROR * max(float(np.std(a)), float(np.std(b)))))
+
+
 def _alike(readings: Readings, one: Series, two: Series) -> bool:
-    """Whether all that was recorded beside overlaps in two series: nothing known makes the one differ from the other.
+    """Whether all that was recorded beside is alike in two series: nothing known makes the one differ from the other.
 
     What a channel does that changes within a file shows there already.
     """
@@ -167,9 +184,11 @@ def _alike(readings: Readings, one: Series, two: Series) -> bool:
         if not all(name in s.channels for s in states):
             continue
         a, b = (np.abs(st.channels[name][s.row]) for st, s in zip(states, (one, two), strict=True))
-        if max(float(np.nanmin(a)), float(np.nanmin(b))) > UNLIKE * real(machine, name) + min(
-            float(np.nanmax(a)), float(np.nanmax(b))
-        ):
+        change = UNLIKE * real(machine, name)
+        if max(float(np.nanmin(a)), float(np.nanmin(b))) > change + min(float(np.nanmax(a)), float(np.nanmax(b))):
+            return False
+        usual = abs(float(np.nanmedian(a) - np.nanmedian(b)))
+        if usual > max(change, ELSEWHERE * max(float(np.ptp(a)), float(np.ptp(b)))):
             return False
     return True
 
@@ -267,6 +286,12 @@ class _Edits:
         self.read = {c for f in model.effects for c in f.effect.channels(machine)}
         self.parts = [self._part(f, readings) for f in model.effects]
 
+    @cached_property
+    def _thin(self) -> "_Edits":
+        """The same for a first look along a grid, at fewer readings."""
+        keep = np.arange(len(self.readings)) % max(len(self.readings) // THIN, 1) == 0
+        return self if keep.all() else _Edits(self.model, self.readings.without(~keep), self.scale)
+
     def tried(self) -> list[_Edit]:
         """Every edit that can be made here."""
         return [*self._factors(), *self._exchanged(), *self._moved()]
@@ -342,12 +367,15 @@ class _Edits:
             if axis.channel not in self.read:
                 continue
 
-            def left(by_mm: float, channel: str = axis.channel) -> float:
-                return self.residual({channel: lambda s: s.channels[channel] + by_mm})
+            def moved(by_mm: float, channel: str = axis.channel) -> dict[str, Callable[[State], Floats]]:
+                return {channel: lambda s: s.channels[channel] + by_mm}
+
+            def left(by_mm: float, at: Callable[[float], dict[str, Callable[[State], Floats]]] = moved) -> float:
+                return self.residual(at(by_mm))
 
             reach = SHIFT * (axis.travel_mm[1] - axis.travel_mm[0])
             grid = np.linspace(-reach, reach, SHIFTS)
-            best = float(min(grid, key=left))
+            best = float(min(grid, key=lambda by: self._thin.residual(moved(by))))
             step = float(grid[1] - grid[0])
             by = float(minimize_scalar(left, bounds=(best - step, best + step), method="bounded").x)
             edit = f"{axis.channel} moved by {by:+.3g} mm"

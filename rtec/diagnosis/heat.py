@@ -1,16 +1,26 @@
 """Heat that no sensor, or the wrong one, recorded: what a slow residual and a thermal finding leave open."""
 
+import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.result import label_of
 from rtec.effects import Effect
 from rtec.estimation.candidates import real
 from rtec.estimation.noise import Whitener, minutes
-from rtec.estimation.readings import Readings
+from rtec.estimation.readings import Readings, Series
 from rtec.wording import number
 
+Floats = NDArray[np.float64]
+
+INSTRUMENT = 5.0
+"""What an instrument drifts by at the most while it warms up, µm or µrad, as the catalogue of effects has it."""
+WARM, OFF = (0.03, 0.06, 0.12, 0.2, 0.35, 0.6, 3.0), (math.inf, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""Time constants, and when it was switched off, as shares of the record; searched for."""
 SLOW_S, RECORD_S = 600.0, 3600.0
 """A drift with at least so long a memory, in a record of at least so long, may be heat."""
 LARGE = 1.0
@@ -45,6 +55,44 @@ def stands_for(readings: Readings, effect: Effect) -> Doubt | None:
     place = where.format(axis=axis)
     message = f"{effect.effect} follows {sensor}; no sensor {place} was recorded, which moves alike."
     return Doubt("other_sensor", message, "Record one there before the compensation relies on this sensor.")
+
+
+def warm_up_curves(readings: Readings, effect: Effect, part: Floats) -> Sequence[Floats]:
+    """How an instrument itself may warm up, and cool down once it is off, where an effect may be no more than that.
+
+    Args:
+        readings: the readings.
+        effect: that explains them; what depends on a position is no instrument's.
+        part: what it adds to the readings, (m,).
+
+    Returns:
+        A column for each series that the effect moves, for each time constant, (m, series); none where it is too large.
+    """
+    machine = readings.machine
+    places = {c for a in machine.axes for c in a.moving_channels}
+    moved = [s for s in readings.series if float(np.ptp(part[s.part])) > 0.0]
+    if set(effect.channels(machine)) & places or any(float(np.ptp(part[s.part])) > INSTRUMENT for s in moved):
+        return ()
+    return [np.stack([_warming(readings, s, *at) for s in moved], axis=1) for at in itertools.product(WARM, OFF)]
+
+
+def _warming(readings: Readings, s: Series, warm: float, off: float) -> Floats:
+    """One exponential from the first reading on, and back from when it is off, (m,)."""
+    out = np.zeros(len(readings))
+    share = (s.time_s - s.time_s[0]) / max(float(s.time_s[-1] - s.time_s[0]), 1e-9)
+    risen = 1.0 - np.exp(-np.minimum(share, off) / warm)
+    out[s.part] = risen * np.exp(-np.maximum(share - off, 0.0) / warm) if math.isfinite(off) else risen
+    return out
+
+
+def own_warm_up(effect: Effect) -> Doubt:
+    """That an instrument that warms up by itself draws the curve of an effect as well."""
+    message = (
+        f"{label_of(effect)} explains the residual no better than an instrument that warms up by itself from its first "
+        "reading on."
+    )
+    step = "Measure again once the instrument has been on for hours, or record it capped for the same time."
+    return Doubt("instrument_warm_up", message, step, fatal=True)
 
 
 def unrecorded_heat(readings: Readings, noise: Whitener) -> Doubt | None:

@@ -1,7 +1,7 @@
 """What a diagnosis says: verdict, candidates with their evidence, what was absent, what could not be tested."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -190,17 +190,20 @@ class Member:
         label: short name.
         effect, component: of the catalogue.
         heldout_drop: share of the mean square on held-out runs that it removes together with those before it.
+        rivals: short names of effects that the readings cannot tell from it beside those before it.
     """
 
     label: str
     effect: str
     component: str
     heldout_drop: float
+    rivals: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, effect: Effect, heldout_drop: float) -> "Member":
+    def of(cls, effect: Effect, heldout_drop: float, rivals: Sequence[Effect] = ()) -> "Member":
         """Name an effect."""
-        return cls(label_of(effect), effect.effect, effect.component, heldout_drop)
+        labels = tuple(dict.fromkeys(map(label_of, rivals)))
+        return cls(label_of(effect), effect.effect, effect.component, heldout_drop, labels)
 
 
 @dataclass(frozen=True)

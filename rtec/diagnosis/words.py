@@ -133,7 +133,9 @@ def _together(d: Diagnosis) -> str:
     """Effects that are missing together, what each removes, and what stays without a name."""
     before, parts = 0.0, []
     for m in d.together:
-        parts.append(f"{m.label} ({m.heldout_drop - before:.0%} of the held-out mean square error)")
+        either = f", or {' or '.join(m.rivals[:2])} in its place" if m.rivals else ""
+        removes = percent(m.heldout_drop - before)
+        parts.append(f"{m.label} ({removes} of the held-out mean square error{either})")
         before = m.heldout_drop
     are = "is" if len(parts) == 1 else "are"
     named_so = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)

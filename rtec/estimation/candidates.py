@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 GRID = 6
 """Values of a non-linear parameter that are tried where the effect names none."""
 INSTANTS = 160
+PAUSE, PAUSES = 3.0, 80
+"""So many times the usual time between readings is a pause; so many of the longest are tried."""
 MOST_PERIODS = 480
 MOST = 48
 """Combinations of non-linear parameters that are tried, at most."""
@@ -210,10 +212,12 @@ def _periods(low_mm: float, high_mm: float, span_mm: float) -> tuple[float, ...]
 
 
 def _instants(readings: Readings) -> tuple[float, ...]:
-    """Instants at which something may have happened: between readings, evenly over them."""
+    """Instants at which something may have happened: between readings, evenly over them, and in every long pause."""
     times = np.unique(np.concatenate([s.time_s for s in readings.series]))
-    between = 0.5 * (times[1:] + times[:-1])
+    between, apart = 0.5 * (times[1:] + times[:-1]), np.diff(times)
     if not len(between):
         return (0.0,)
-    keep = np.unique(np.linspace(0, len(between) - 1, min(INSTANTS, len(between)) + 2).astype(np.int64))[1:-1]
-    return tuple(between[keep].tolist())
+    keep = np.linspace(0, len(between) - 1, min(INSTANTS, len(between)) + 2).astype(np.int64)[1:-1]
+    pauses = np.argsort(-apart, kind="stable")[:PAUSES]
+    pauses = pauses[apart[pauses] > PAUSE * np.median(apart)]
+    return tuple(between[np.unique(np.concatenate([keep, pauses]))].tolist())

@@ -91,9 +91,7 @@ class Filter:
     def whiten(self, columns: Floats) -> Floats:
         """Whitened copy of columns, (n, p)."""
         out = np.array(columns, dtype=np.float64, order="C", copy=True)
-        innovations(self.series.run, self.series.nuisance, self.decay, self.gain, self.scale, out)
-        if self.sigma != 1.0:
-            out /= self.sigma
+        innovations(self.series.run, self.series.nuisance, self.decay, self.gain, self.scale / self.sigma, out)
         return out
 
 
@@ -139,7 +137,8 @@ class Whitener:
         """Whiten columns, (m,) or (m, p)."""
         flat = columns.ndim == 1
         whole = columns[:, None] if flat else columns
-        out = np.concatenate([f.whiten(whole[f.series.part]) for f in self.filters])
+        parts = [f.whiten(whole[f.series.part]) for f in self.filters]
+        out = parts[0] if len(parts) == 1 else np.concatenate(parts)
         return out[:, 0] if flat else out
 
     def covary(self, columns: Floats) -> Floats:

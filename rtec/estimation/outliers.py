@@ -24,7 +24,7 @@ from rtec.estimation.readings import Readings, Series, read
 from rtec.jit import njit
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import MANY
-from rtec.wording import significant
+from rtec.wording import counted, significant
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -44,6 +44,9 @@ PLACE_MM = 0.02
 ROUNDS = 4
 """A wrong reading bends the smooth part, so that it is fitted again with less weight on what is far off."""
 REACH = 5
+AROUND, SHORT = 21, 14
+QUARTILE, QUARTILE_SIGMA = 0.75, 1.1503
+"""Readings around one that tell how loud its part of the record is, by their third quartile: bursts are fewer."""
 SIGMA_PER_MAD, SMALL = 1.4826, 0.02
 STILL_MM = 1e-3
 MIX = np.uint64(0x9E3779B97F4A7C15)
@@ -125,6 +128,13 @@ def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
     return tuple(out)
 
 
+def left_out(wrong: Sequence[WrongReading]) -> str:
+    """How many readings were left out: a sentence to follow others; empty where none was."""
+    if not wrong:
+        return ""
+    return f" {counted(len(wrong), 'wrong reading')} {'was' if len(wrong) == 1 else 'were'} left out."
+
+
 def wrong_readings(readings: Readings) -> Floats:
     """How far wrong readings are from their neighbours, (m,); NaN of those that are right."""
     out = np.full(len(readings), np.nan)
@@ -144,7 +154,7 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     for _ in range(ROUNDS):
         middle, least = neighbours(np.where(wrong, np.nan, rough), rough, linked)
         off = rough - middle
-        sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9)
+        sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
         found = _bursts(off, least, sigma, linked, place, still)
         found &= ~_again(off, place, found) if not still else True
         if not (found & ~wrong).any():
@@ -230,7 +240,30 @@ def _of_visits(rough: Floats, place: Ints) -> Floats:
     return out
 
 
-def _bursts(off: Floats, least: Floats, sigma: float, linked: Ints, place: Ints, still: bool) -> Bools:
+def _sigmas(off: Floats, sigma: float, run: Ints) -> Floats:
+    """Robust standard deviation around each reading, (n,), at least that of all: a loud run is no row of mistakes.
+
+    Of the nearest readings of its own run; of a short run also of those before and after it. Only where a reading is
+    far by the standard deviation of all does it matter.
+    """
+    n, out = len(off), np.full(len(off), sigma)
+    far = np.flatnonzero(np.abs(off) > FAR * sigma)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [n]])
+    mine = np.searchsorted(edges, far, side="right")
+    begin, end = edges[mine - 1], edges[mine]
+    short = end - begin < SHORT
+    begin, end = np.where(short, 0, begin), np.where(short, n, end)
+    first = np.maximum(np.minimum(far - AROUND // 2, end - AROUND), begin)
+    for part in np.array_split(np.arange(len(far)), 1 + len(far) // MANY):
+        near = first[part, None] + np.arange(AROUND)
+        mine = near < end[part, None]
+        size = np.sort(np.where(mine, np.abs(off[np.minimum(near, n - 1)]), np.inf), axis=1)
+        place = np.rint(QUARTILE * (mine.sum(axis=1) - 1)).astype(np.int64)
+        out[far[part]] = np.maximum(sigma, size[np.arange(len(part)), place] / QUARTILE_SIGMA)
+    return out
+
+
+def _bursts(off: Floats, least: Floats, sigma: Floats, linked: Ints, place: Ints, still: bool) -> Bools:
     """Far readings, single or few in a row, whose neighbours on both sides are not, (n,)."""
     size = np.abs(off)
     far = (size > FAR * sigma) & (least * np.sign(off) > HALF * size)
@@ -242,7 +275,7 @@ def _bursts(off: Floats, least: Floats, sigma: float, linked: Ints, place: Ints,
             continue
         if b - a > 1 and not still and visits[place[a:b]].min() < VISITS:
             continue
-        limit = max(NEAR * sigma, COMPANY * float(size[a:b].min()))
+        limit = max(NEAR * float(sigma[a:b].max()), COMPANY * float(size[a:b].min()))
         before = size[a - 1] if a and linked[a - 1] == linked[a] else 0.0
         after = size[b] if b < len(off) and linked[b] == linked[a] else 0.0
         out[a:b] = max(before, after) < limit

@@ -303,6 +303,7 @@ class DriverFacts:
         takes: kinds of output that it takes, where it is an actuator; empty where it does not say.
         takes_by: the option that says which of them, or "".
         resumes: does it stop where it would guess, until it is ordered to resume?
+        scans: can it look on its port or bus for numbers?
         options: the keys of its device's table.
         example: text of a device's table, or "".
         trouble: why it cannot be used, with a way on; or "".
@@ -316,6 +317,7 @@ class DriverFacts:
     takes: tuple[str, ...] = ()
     takes_by: str = ""
     resumes: bool = False
+    scans: bool = False
     options: tuple[Option, ...] = ()
     example: str = ""
     trouble: str = ""
@@ -358,6 +360,7 @@ def _facts(driver: Installed) -> DriverFacts:
         takes,
         by,
         hasattr(kind, "resume"),
+        hasattr(kind, "scanner"),
         tuple(options_of(model)),
         str(getattr(kind, "EXAMPLE", "")),
     )

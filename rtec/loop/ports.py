@@ -5,8 +5,9 @@ hardware; entering it (`with`) opens; leaving holds, then closes. Nothing here b
 device's own configured timeout.
 """
 
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,5 +152,51 @@ class Resumable(Protocol):
         """Take what the device says next as it stands: its counts, its ledger. Waits for nothing.
 
         Whoever orders it takes over the ledger (`Actuator.read_output`) before the next command.
+        """
+        ...
+
+
+class Scanner(Protocol):
+    """Looks on a port or bus for numbers, before a file says where they are. It reads, and commands nothing.
+
+    A driver's class that can look has a class method `scanner(table, clock)`; `table` is what is known of the device's
+    table by then: its port, or interface and channel. Entering opens, leaving closes.
+
+    Attributes:
+        duration: of `search`, in words that follow "takes".
+    """
+
+    duration: str
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def search(self) -> Iterator[tuple[float, str]]:
+        """Look step by step; give the share that is done, and what was found just now in plain words, or "".
+
+        What was found stays found when nobody asks for the next step.
+
+        Raises:
+            DriverUnavailable: the port or bus is gone.
+        """
+        ...
+
+    def read(self) -> dict[str, float]:
+        """The newest numbers as the device has them, by their places: in words that a person can look up."""
+        ...
+
+    def proposed(self, names: Sequence[str]) -> dict[str, str]:
+        """A guess at the place of each of these axes or sensors; empty where what was found allows none."""
+        ...
+
+    def table(self, places: Mapping[str, str], unit: float) -> dict[str, Any]:
+        """The keys of the device's table that read each axis or sensor at its place.
+
+        Args:
+            places: by axis or sensor.
+            unit: °C that a temperature's number 1 is worth; axes take no notice.
         """
         ...

@@ -3,7 +3,7 @@
 It is read whole and checked whole, with everything that it names; all faults are reported at once.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -14,12 +14,12 @@ from pydantic import Field, model_validator
 from rtec.correction.guard import GuardSettings, Limits
 from rtec.correction.sinks import PulseSink, Sink
 from rtec.correction.tables import FORMATS
-from rtec.correction.tables.predict import grid_mm, table_axes
-from rtec.correction.tables.table import CompensationTable
+from rtec.correction.tables.predict import grids_mm, table_axes
+from rtec.correction.tables.table import CompensationTable, TableFormat
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.step import Inputs, StepSettings, loop_faults
 from rtec.loop.telemetry_tables import LOOPBACK, TelemetryTable, is_place
-from rtec.machine import Machine, load_machine
+from rtec.machine import Axis, Machine, load_machine
 from rtec.model import Model, load_model
 from rtec.quantities import DegreesCelsius, MicrometresPositive, Millimetres, MillimetresPositive, RevolutionsPerMinute
 from rtec.tomlfile import Strict, digest, nearest, read_toml, validated
@@ -33,6 +33,7 @@ class ControlTable(Strict):
     Attributes:
         local: answer on this computer, by a socket that file permissions guard.
         access: who may use it: "user" (the one that the daemon runs as, and root) or "group" (its group, too).
+        status_access: who may use the socket that only shows the status, as `rtec telemetry` does: as `access`.
         status_hz: how often the status is sent to clients that watch it.
         prometheus: "host:port" of this computer at which Prometheus reads figures; not given: nothing listens.
         compared: file with what `rtec compare --json` printed last; the status shows its residual.
@@ -40,6 +41,7 @@ class ControlTable(Strict):
 
     local: bool = True
     access: Literal["user", "group"] = "user"
+    status_access: Literal["user", "group"] = "group"
     status_hz: Annotated[float, Field(ge=0.1, le=50)] = 10.0
     prometheus: str | None = None
     compared: Path | None = None
@@ -125,7 +127,8 @@ class TableRewrites(Strict):
     """`[table]`: compensation tables that the daemon rewrites while the machine warms up.
 
     Attributes:
-        files: by axis, or by component as EYX for a table between two axes; relative paths start at the run file.
+        files: by axis, by component as EYX for a table between two axes, or as EZXY for a plane; relative paths start
+            at the run file.
         format: of all files; `rtec table formats` lists them.
         grid_mm: distance of the points.
         interval_s: each file is rewritten so often, where the prediction differs from it by `hysteresis_um`.
@@ -381,7 +384,7 @@ def _table_faults(file: RunFile, table: TableRewrites, machine: Machine, path: P
         if not target.parent.is_dir():
             out.append(f"{where} files.{key}: the folder {target.parent} is not there")
         try:
-            axis, corrects = table_axes(machine, key)
+            axis, corrects, second = table_axes(machine, key)
         except ConfigError as e:
             out.append(f"{where} files.{key}: {e}")
             continue
@@ -392,10 +395,24 @@ def _table_faults(file: RunFile, table: TableRewrites, machine: Machine, path: P
             )
         if corrects.name not in file.limits:
             out.append(f"{where} files.{key}: [limits.{corrects.name}] is missing; no table is written without limits")
-        zero = np.zeros(len(grid := grid_mm(axis, table.grid_mm)))
-        why = form.limits.refuses(CompensationTable(axis.name, corrects.name, grid, zero, zero)) if form else ""
-        out += [f"{where} files.{key}: {table.format} {why}"] if why else []
+        out += [f"{where} files.{key}: {why}" for why in (_unfit(form, axis, corrects, second, table) if form else ())]
     return out
+
+
+def _unfit(form: TableFormat, axis: Axis, corrects: Axis, second: Axis | None, table: TableRewrites) -> Iterator[str]:
+    """Why a format cannot hold a table of these axes."""
+    if form.limits.typed:
+        yield f"{table.format} is a list to type in; the daemon cannot put it into the control"
+        return
+    try:
+        grid, across = grids_mm(form, axis, second, table.grid_mm)
+    except ConfigError as e:
+        yield str(e)
+        return
+    zero = np.zeros((len(across), len(grid)) if second else len(grid))
+    name = second.name if second else ""
+    if why := form.refuses(CompensationTable(axis.name, corrects.name, grid, zero, zero, {}, name, across)):
+        yield f"{table.format} {why}"
 
 
 def _capture_faults(file: RunFile, machine: Machine, source: str) -> list[str]:

@@ -315,10 +315,10 @@ def _height(d: BallBarDiagnosis, of: OfHeight) -> str:
     else:
         test = "A flat test (height 0) in this plane separates them"
     return (
-        f"The height of the table ball, known to ±{1e-3 * of.known_um:g} mm, is not separated from "
-        f"{' and '.join(titles[name] for name in of.names)}: a ball {significant(abs(of.height_um))} µm "
-        f"{'higher' if of.height_um > 0.0 else 'lower'} would make what the fit has of them. {test}; or measure the "
-        "height, and name its uncertainty as [setup] height_uncertainty_mm."
+        f"The height of the table ball (known to ±{1e-3 * of.known_um:g} mm) is confounded with "
+        f"{' and '.join(titles[name] for name in of.names)}: a ball that is {number(abs(of.height_um))} µm "
+        f"{'higher' if of.height_um > 0.0 else 'lower'} has the same effect as the fitted ones. {test}. Or measure the "
+        "height and give its uncertainty as [setup] height_uncertainty_mm."
     )
 
 

@@ -8,20 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis.compare.bins import MOVES, REAL_DEGC, cut_into, time_unit
+from rtec.diagnosis.compare.compare import SLOW, SURELY
 from rtec.diagnosis.compare.result import Compared, Comparison, Outside
+from rtec.diagnosis.compare.shape import AGAIN
 from rtec.diagnosis.words import UNITS, named, sentence, spoken
+from rtec.estimation.outliers import left_out
 from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
 from rtec.version import __version__
-from rtec.wording import counted, number, percent, significant
+from rtec.wording import number, percent, significant
 
 Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
 AT_FLOOR = 1.1
 WORSE = "with the model the error is larger than without one"
-SLOW = 0.5
-"""Drift below this share of the noise is not reported."""
 
 
 def compare_page(c: Comparison, figures: bool = True) -> Page:
@@ -69,14 +70,11 @@ def _next(c: Comparison) -> list[str]:
 
 
 def _lead(c: Comparison) -> str:
-    """The worst news: of one reading column, and how many more there are."""
+    """The worst news: of one reading column, and how many others there are."""
     first = min(c.items, key=_badness)
-    more = f" {_counted_more(len(c.items) - 1)} in the table." if len(c.items) > 1 else ""
-    return _said(first, c) + more
-
-
-def _counted_more(n: int) -> str:
-    return f"{counted(n, 'more reading column')} {'is' if n == 1 else 'are'}"
+    others = len(c.items) - 1
+    more = f" The other {'one is' if others == 1 else f'{others} are'} in the table." if others else ""
+    return _said(first, c) + more + left_out(c.judged.given.wrong)
 
 
 def _badness(i: Compared) -> tuple[bool, float]:
@@ -99,7 +97,18 @@ def _said(first: Compared, c: Comparison) -> str:
         return f"{said} It is largest at {w.words}: {number(w.rms)} {unit}, elsewhere {number(w.elsewhere)} {unit}."
     if first.left.rms <= AT_FLOOR * first.floor:
         return f"{said} The model is at the noise floor."
-    return f"{said} No place stands out from noise."
+    if first.shape is not None:
+        return f"{said} It {first.shape.words}."
+    return f"{said} {_nowhere(first)}"
+
+
+def _nowhere(i: Compared) -> str:
+    """Where no place stands out."""
+    if i.left.rms <= SURELY * i.floor or i.noise.drift <= SLOW * i.floor:
+        return "No place stands out from noise."
+    if i.drift_goes_with:
+        return f"No single place stands out, but most of it {i.drift_goes_with}."
+    return "No place stands out: it is slow drift that no recorded channel explains."
 
 
 def _name(item: Compared, c: Comparison) -> str:
@@ -173,14 +182,18 @@ def _worst(c: Comparison) -> Section:
         if r.apart is not None
     ]
     shapes = [
-        f"{_name(i, c)}: the residual {i.shape.words}; that is {i.shape.share:.0%} of its mean square."
+        f"{_name(i, c)}: the residual {i.shape.words}; that is {percent(i.shape.share)} of its mean square."
         for i in c.items
         if i.shape is not None
     ]
     if not rows and (apart or shapes):
         return Section("Where the residual is largest", [*apart, *shapes])
     if not rows:
-        return Section("Where the residual is largest", ["No place stands out from noise."])
+        several = len(c.items) > 1
+        return Section(
+            "Where the residual is largest",
+            [f"{_name(i, c)}: {_nowhere(i)}" if several else _nowhere(i) for i in c.items],
+        )
     head = ("measurement", "where", "residual there", "elsewhere", "mean there", "readings", "unit")
     words = [
         f"{_name(i, c)}, {r.words}: nearly the same readings as {'; '.join(r.same[:MOST_SAME])}."
@@ -243,9 +256,19 @@ def _noise(c: Comparison) -> Section:
         source = "repeats" if i.noise.repeats is not None else "neighbouring readings"
         text = f"{_name(i, c)}: {number(i.floor)} {unit} between {source}"
         if i.noise.drift > SLOW * i.floor:
-            text += f"; {number(i.noise.drift)} {unit} of slow drift that no recorded channel explains"
+            text += f"; {_drift(i, f'{number(i.noise.drift)} {unit} of slow drift')}"
         words.append(f"{text}.")
     return Section("Where the noise floor comes from", words)
+
+
+def _drift(i: Compared, drift: str) -> str:
+    if i.drift_goes_with == AGAIN:
+        return f"no drift: most of the residual {AGAIN}"
+    return (
+        f"{drift}, most of which {i.drift_goes_with}"
+        if i.drift_goes_with
+        else f"{drift} that no recorded channel explains"
+    )
 
 
 def _seen(sees: Sequence[str]) -> str:
@@ -258,9 +281,9 @@ MOST_SENSORS = 8
 
 
 def _pictures(c: Comparison) -> list[Section]:
-    """Sections with figures, for each reading column."""
+    """Sections with figures, for each reading column; the one that the verdict is about comes first."""
     out: list[Section] = []
-    for item, s in zip(c.items, c.traces.readings.series, strict=True):
+    for item, s in sorted(zip(c.items, c.traces.readings.series, strict=True), key=lambda pair: _badness(pair[0])):
         several = sum(i.name == item.name for i in c.items) > 1
         title = f"{item.name} {item.column}" if several else item.name
         file = re.sub(r"[^A-Za-z0-9_.-]+", "-", title.replace(" ", "-")).strip(".-") or "measurement"

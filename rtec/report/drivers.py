@@ -37,6 +37,8 @@ def driver_page(driver: DriverFacts) -> Page:
         text.append(f"Kinds of output: {_takes(driver)}{by}.")
     if driver.resumes:
         text.append("After a reset or a lost position it stops until it is ordered to resume.")
+    if driver.scans:
+        text.append("`rtec init` looks on its port or bus for the numbers, and only reads.")
     text.append(f"Code: {driver.module}, of package {driver.package}.")
     sections = [Section("What it can do", text), *(_options_section(*part) for part in _by_table(driver.options))]
     return Page(driver.name, f"{driver.name}: {driver.summary}", (), sections)

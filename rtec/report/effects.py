@@ -2,7 +2,7 @@
 
 import inspect
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 from rtec.diagnosis.words import spoken
@@ -59,7 +59,7 @@ def families() -> dict[str, dict[str, About]]:
 def catalogue_page() -> Page:
     """The table of all effects, by family."""
     sections = [
-        Section(family, [], Table(("effect", "what", "equation"), _rows(abouts), words=(0, 1, 2)))
+        Section(family, [], Table(("effect", "what"), [(n, a.title) for n, a in abouts.items()], words=(0, 1)))
         for family, abouts in families().items()
     ]
     faults = [f"{name}: {fault}" for name, fault in plug_in_faults().items()]
@@ -68,14 +68,10 @@ def catalogue_page() -> Page:
     count = len(all_effects())
     return Page(
         title="Effects",
-        lead=f"{count} effects that a model can hold. `rtec effects NAME` shows one of them in full.",
+        lead=f"{count} effects that a model can hold. rtec effects NAME shows the equation of one, and more.",
         numbers=[(str(count), "effects")],
         sections=sections,
     )
-
-
-def _rows(abouts: Mapping[str, About]) -> list[tuple[str, str, str]]:
-    return [(name, about.title, about.equation) for name, about in abouts.items()]
 
 
 def effect_page(name: str) -> Page:

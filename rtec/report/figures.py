@@ -7,6 +7,7 @@ colour is enough. Only arrays come in: this layer knows nothing of who draws.
 import functools
 from collections.abc import Callable
 from io import BytesIO
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MplFigure
+    from matplotlib.text import Text
 
 Floats = NDArray[np.float64]
 OFF, ON, GREY = "#D55E00", "#0072B2", "#595959"
@@ -35,12 +37,16 @@ STYLE: Any = {
     "grid.color": "#DDDDDD",
     "lines.linewidth": 2.4,
     "lines.markersize": 7,
+    "axes.formatter.limits": (-9, 9),
+    "axes.formatter.useoffset": False,
 }
 KINDS: tuple[dict[str, Any], ...] = (
     {"color": OFF, "linestyle": "--", "marker": "s"},
     {"color": ON, "linestyle": "-", "marker": "o"},
 )
 WIDTH_IN = 11.0
+LETTER, MIN_LETTERS, LABELS_IN = 0.62, 12, 1.3
+"""Width of a bold letter in its size; letters that a line of a title has at least; room for the labels of a scale."""
 P = ParamSpec("P")
 
 
@@ -68,12 +74,21 @@ def as_png(draw: "Callable[P, MplFigure]") -> Callable[P, Png]:
                 if words := text.get_text():  # names from files are no formulas, and may be of what no font has
                     text.set_text(clean_lines(words))
                     text.set_parse_math(False)
+                    if text.get_fontweight() == "bold":
+                        text.set_text(_folded(text))
             figure.savefig(out, format="png", dpi=100, metadata={"Software": None})
         png = Png(out.getvalue())
         png.figure = figure
         return png
 
     return drawn
+
+
+def _folded(title: "Text") -> str:
+    """A title on as many lines as it needs; its panel is as wide as the figure, or shares it with those beside it."""
+    spec = title.axes.get_subplotspec() if title.axes else None
+    room_pt = 72.0 * (WIDTH_IN / (spec.get_geometry()[1] if spec else 1) - LABELS_IN)
+    return fill(title.get_text(), max(MIN_LETTERS, int(room_pt / (LETTER * float(title.get_fontsize())))))
 
 
 def canvas(height_in: float) -> "MplFigure":

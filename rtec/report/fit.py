@@ -5,6 +5,7 @@ import numpy as np
 from rtec.characterise import Characterisation
 from rtec.characterise.result import Coefficient
 from rtec.diagnosis.words import spoken
+from rtec.estimation.outliers import left_out
 from rtec.report.figures import Png
 from rtec.report.page import Figure, Page, Section, Table, note_words, typed
 from rtec.version import __version__
@@ -26,12 +27,13 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
     """
     unit = UNITS[r.unit]
     warnings = [f"{w.text}. What to do: {w.remedy}." for w in r.warnings]
-    first = f" {counted(len(warnings), 'warning')}; the first: {r.warnings[0].text.split(';')[0]}." if warnings else ""
+    shown = [w for w in r.warnings if w.code != "outliers"]
+    first = f" {counted(len(warnings), 'warning')}; the first: {shown[0].text.split(';')[0]}." if shown else ""
     return Page(
         title=f"Model of {r.model.machine.name}",
         lead=f"{counted(len(r.model.effects), 'effect')}, {counted(len(r.coefficients), 'coefficient')}: the residual "
         f"is {number(r.held_out_rms)} {unit} on held-out readings and {number(r.inside_rms)} {unit} in sample "
-        f"(root mean square); the noise floor is {number(r.judged.noise_floor)} {unit}.{first}",
+        f"(root mean square); the noise floor is {number(r.judged.noise_floor)} {unit}.{left_out(r.outliers)}{first}",
         numbers=[
             (f"{number(r.held_out_rms)}\u00a0{unit}", "residual on held-out readings"),
             (f"{number(r.inside_rms)}\u00a0{unit}", "residual in sample"),

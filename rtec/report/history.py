@@ -16,12 +16,10 @@ def history_page(h: History, figures: bool = True) -> Page:
     if not steps:
         lead = "This model has no history: it was written by hand, or fitted by an old version."
         return Page(f"History of {model.name}", lead, [], [])
-    last, errors = steps[-1], rescaled(steps)
-    # A refit alone begins with the residual of the model as it was.
-    begun = errors[0] if len(steps) > 1 or steps[0]["before"] is None else steps[0]["before"]
-    unit = UNITS.get(last["unit"], last["unit"])
-    fell = number(errors[-1]) if begun == errors[-1] else " to ".join(two_numbers(begun, errors[-1]))
-    went = "is" if begun == errors[-1] else "fell from"
+    unit = UNITS.get(steps[-1]["unit"], steps[-1]["unit"])
+    errors = stairs(steps)[1]
+    fell = number(errors[-1]) if errors[0] == errors[-1] else " to ".join(two_numbers(errors[0], errors[-1]))
+    went = "is" if errors[0] == errors[-1] else "fell from"
     lead = f"{counted(len(steps), 'change')}: the residual on held-out runs {went} {fell} {unit}."
     return Page(f"History of {model.name}", lead, [], history_sections(model, figures))
 

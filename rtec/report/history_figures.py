@@ -2,18 +2,22 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rtec.report.figures import OFF, ON, as_png, stacked
+from rtec.wording import number, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
 
 
 LONG, MANY = 18, 5
-"""Letters of a name that stand on one line; steps from which on names are slanted, so that they have room."""
+"""Letters of a name that are on one line; steps from which on names are slanted, so that they have room."""
+CROWD, WIDE = 9, 1000.0
+"""Steps from which on names are upright; range from which on sizes have digits of their own."""
 
 
 @as_png
@@ -28,31 +32,36 @@ def staircase(unit: str, names: Sequence[str], errors: Sequence[float], floor: f
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-    many = len(names) > MANY
-    figure, (ax,) = stacked(7.4 if many else 5.8)
+    many, crowd = len(names) > MANY, len(names) > CROWD
+    figure, (ax,) = stacked(8.6 if crowd else 7.4 if many else 5.8)
     known = [*errors, *([floor] if floor else [])]
+    range_ = max(known) / min(known)
     digits = max(0, 1 - math.floor(math.log10(min(known))))
-    low, high = min(known) / 1.5, max(known) * 1.6
+    write = significant if crowd or range_ > WIDE else partial(number, digits=digits)
+    low, high = min(known) / 1.5, max(known) * 1.5 * range_**0.1
     ax.set_yscale("log")
     for place, value in enumerate(errors):
         ax.fill_between([place, place + 1], low, value, color=ON, alpha=0.14, linewidth=0, zorder=1)
         ax.plot([place, place + 1], [value, value], color=ON, linewidth=4.0, solid_capstyle="butt")
-        ax.annotate(f"{value:.{digits}f}", (place + 0.5, value), (0, 6), textcoords="offset points", ha="center",
-                    va="bottom", fontsize=17, fontweight="bold", color=ON)  # fmt: skip
+        ax.annotate(write(value), (place + 0.5, value), (0, 6), textcoords="offset points", ha="center",
+                    va="bottom", fontsize=10 if crowd else 17, fontweight="bold", color=ON)  # fmt: skip
         if place and value < errors[place - 1]:
             ax.annotate("", (place, value), (place, errors[place - 1]), zorder=3,
-                        arrowprops={"arrowstyle": "-|>", "color": OFF, "linewidth": 3.0, "mutation_scale": 22,
+                        arrowprops={"arrowstyle": "-|>", "color": OFF, "linewidth": 1.5 if crowd else 3.0,
+                                    "mutation_scale": 9 if crowd else 22,
                                     "shrinkA": 0, "shrinkB": 0})  # fmt: skip
     if floor:
         ax.axhline(floor, color="black", linestyle="--", linewidth=2.0)
-        ax.annotate(f"noise floor\n{floor:.{digits}f} {unit}", (1.0, floor), (8, 0), xycoords=ax.get_yaxis_transform(),
+        ax.annotate(f"noise floor\n{write(floor)} {unit}", (1.0, floor), (8, 0), xycoords=ax.get_yaxis_transform(),
                     textcoords="offset points", ha="left", va="center", fontsize=14, annotation_clip=False)  # fmt: skip
     ax.set_ylim(low, high)
     ax.set_xlim(0.0, len(names))
-    ax.set_xticks(np.arange(len(names)) + 0.5, names if many else [_broken(n) for n in names], fontsize=13)
-    if many:
-        for label in ax.get_xticklabels():
-            label.set(rotation=30, ha="right", rotation_mode="anchor")
+    shown = [n.replace("(", "\n(", 1) for n in names] if crowd else names if many else [_broken(n) for n in names]
+    ax.set_xticks(np.arange(len(names)) + 0.5, shown, fontsize=9 if crowd else 13)
+    for label in ax.get_xticklabels() if crowd else []:
+        label.set(rotation=90, va="top")
+    for label in ax.get_xticklabels() if many and not crowd else []:
+        label.set(rotation=30, ha="right", rotation_mode="anchor")
     ax.tick_params(axis="x", length=0)
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

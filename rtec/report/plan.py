@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rtec.diagnosis.plan.answer import Answer
 from rtec.diagnosis.plan.parameters import hours_in_words
@@ -12,7 +13,7 @@ from rtec.report.page import Page, Section, Table
 from rtec.version import __version__
 from rtec.wording import number, significant
 
-SHOWN = 8
+SHOWN, BRIEF = 8, 4
 HARDLY = math.log(2.0)
 """A test with smaller odds for every pair is not listed."""
 NO_TEST = (
@@ -42,7 +43,25 @@ def plan_page(a: Answer, figures: bool = True) -> Page:
             f"Three standard errors, white noise of {a.noise:g} µm or µrad.",
             f"rtec {__version__}, rtec plan.",
         ],
+        brief=_brief(a),
     )
+
+
+def _brief(a: Answer) -> Section:
+    """What is not separated, and the tests to add; what is detectable where none is proposed."""
+    words = [word for section in (*_troubles(a.separation), *_hopeless(a)) for word in section.text]
+    if a.proposals:
+        n = len(a.separation.parameters)
+        rows = [[p.test.name, _minutes(p.test.hours), f"{p.after.rank} of {n}"] for p in a.proposals[:BRIEF]]
+        return Section("", words, Table(("test to add", "time, min", "then separated"), rows))
+    for section in separator_sections(a.separators):
+        if section.table:
+            return Section("", words, replace(section.table, rows=section.table.rows[:BRIEF]))
+    return Section("", words, _sizes(a.separation))
+
+
+def _minutes(hours: float) -> str:
+    return number(60.0 * hours, 0)
 
 
 def _condition(s: Separation) -> str:
@@ -96,10 +115,8 @@ def _sizes(s: Separation) -> Table:
         together = any(p.name in group for group in s.confounded)
         blind = "confounded" if together else "no"
         enough = blind if not math.isfinite(size) else "yes" if size < p.typical else "only if large"
-        rows.append(
-            [p.name, significant(size) if math.isfinite(size) else "∞", significant(p.typical), spoken(p.unit), enough]
-        )
-    return Table(("parameter", "found from", "usual size", "unit", "detectable"), rows, words=(0, 3, 4))
+        rows.append([p.name, enough, significant(size), significant(p.typical), spoken(p.unit)])
+    return Table(("parameter", "detectable", "from", "usual size", "unit"), rows, words=(0, 1, 4))
 
 
 def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
@@ -108,15 +125,15 @@ def _proposals(proposals: Sequence[Proposal]) -> list[Section]:
     rows = [
         [
             p.test.name,
-            hours_in_words(p.test.hours),
+            _minutes(p.test.hours),
             f"{p.after.rank}",
             _condition(p.after),
             ", ".join(p.gained[:4]) + (f" and {len(p.gained) - 4} more" if len(p.gained) > 4 else ""),
         ]
         for p in proposals[:SHOWN]
     ]
-    head = ("test to add", "takes", "separated", "condition", "newly separated")
-    return [Section("Tests to add, best first", [], Table(head, rows, words=(0, 1, 4)))]
+    head = ("test to add", "time, min", "separated", "condition number", "newly separated")
+    return [Section("Tests to add, best first", [], Table(head, rows, words=(0, 4)))]
 
 
 def separator_sections(separators: Sequence[Separator]) -> list[Section]:
@@ -124,9 +141,7 @@ def separator_sections(separators: Sequence[Separator]) -> list[Section]:
     if not separators:
         return []
     helpful = _helpful(separators)
-    rows = [
-        [s.test.name, hours_in_words(s.test.hours), f"{s.clear} of {len(s.pairs)}", _worst(s.pairs)] for s in helpful
-    ]
+    rows = [[s.test.name, _minutes(s.test.hours), f"{s.clear} of {len(s.pairs)}", _worst(s.pairs)] for s in helpful]
     names = dict.fromkeys(n for p in separators[0].pairs for n in (p.one, p.other))
     text = [
         f"Rivals: {', '.join(names)}. Each is taken as true at its usual size, and the others are fitted to its "
@@ -136,8 +151,8 @@ def separator_sections(separators: Sequence[Separator]) -> list[Section]:
         text.append(NO_TEST)
     if not rows:
         return [Section("Tests that separate the rivals", text)]
-    head = ("test to add", "takes", "pairs separated", "odds of the worst pair")
-    return [Section("Tests that separate the rivals, best first", text, Table(head, rows, words=(0, 1, 2, 3)))]
+    head = ("test to add", "time, min", "pairs separated", "odds of the worst pair")
+    return [Section("Tests that separate the rivals, best first", text, Table(head, rows, words=(0, 3)))]
 
 
 def _helpful(separators: Sequence[Separator]) -> list[Separator]:
@@ -166,5 +181,5 @@ def _key(value: object) -> str:
 
 def _worst(pairs: Sequence[Pair]) -> str:
     worst = min(pairs, key=lambda p: p.gain)
-    odds = "more than 1000 to 1" if worst.gain > math.log(1000.0) else f"{significant(math.exp(worst.gain))} to 1"
+    odds = "> 1000 to 1" if worst.gain > math.log(1000.0) else f"{significant(math.exp(worst.gain))} to 1"
     return odds if len(pairs) == 1 else f"{odds} ({worst.one} or {worst.other})"

@@ -95,10 +95,12 @@ def _iso230_figure(r: Positioning, index: int) -> Figure:
 
 HEAD = ("1/min", "hours", "from", "moved", "at once", "goes to", "τ, min", "95 %", "rms", "remark")
 MEANS = (
-    "Moved: last reading minus the last of the phase before. At once: how far the curve starts from that reading; not "
+    "Moved: last reading minus the last one of the phase before. At once: jump at the start of the phase, which is not "
     "thermal. Goes to: change at which the curve ends.",
-    "τ with its 95 % interval; two where a quick and a slow part describe it better; ? where not even a factor of two "
-    "is known. Not settled: τ has no upper bound. Rest has a shape: ripple, or a form that is no approach.",
+    "τ: time constant with its 95 % interval. It has two values where a quick and a slow part describe the drift "
+    "better, and a ? where it is not known to a factor of two.",
+    "Remarks: not settled: τ has no upper bound; rest has a shape: the residual of the curve is ripple, or the drift "
+    "does not approach an end.",
 )
 
 

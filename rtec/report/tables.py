@@ -11,6 +11,8 @@ from rtec.report.page import Page, Section, Table
 
 SHOWN_UM = 0.005
 """What is smaller is not listed."""
+NEAR_MM = 0.01
+"""So far from the end of the travel a table may end."""
 
 
 def written_page(
@@ -18,38 +20,64 @@ def written_page(
 ) -> Page:
     """The page of a table that was written."""
     low, high = float(table.positions_mm[0]), float(table.positions_mm[-1])
-    values = np.concatenate([table.forward_um, table.backward_um])
-    what = table.axis if table.axis == table.corrects else f"{table.corrects} along {table.axis}"
+    values = np.array([table.forward_um, table.backward_um])
+    points = f"{len(table.positions_mm)}{f' x {len(table.second_mm)}' if table.second else ''} points"
     worst = residuals[0]
     lead = (
-        f"{form.title}: axis {what}, {len(table.positions_mm)} points from {low:g} to {high:g} mm, errors from "
+        f"{form.title}: axis {table.what}, {points} from {low:g} to {high:g} mm, errors from "
         f"{values.min():+.2f} to {values.max():+.2f} µm. Largest residual: {worst.largest_um:.2f} µm, {worst.what}."
     )
     rows = [(r.what, f"{r.largest_um:.2f}") for r in residuals if r.largest_um >= SHOWN_UM] or [("nothing", "0.00")]
     left = Section("What the table cannot express", (), Table(("alone", "residual, µm"), rows))
     facts = [f"Columns: {form.sign}.", f"Use: {form.use.replace('= FILE', f'= {path.name}' if path else '= FILE')}."]
-    sections = [Section("", facts), left]
+    sections = [Section("", facts), left, *_heat_section(table)]
     return Page("Compensation table", lead, (), sections)
 
 
-def compared_page(table: CompensationTable, model: CompensationTable, form: TableFormat, source: Path) -> Page:
+def _heat_section(table: CompensationTable) -> list[Section]:
+    """What a control with temperature compensation needs."""
+    if not table.heat:
+        return []
+    rows = [(h.sensor, f"{h.offset_um:+.3f}", f"{h.slope_um_per_m:+.3f}", f"{h.residual_um:.3f}") for h in table.heat]
+    head = ("each °C of", f"at {table.heat[0].reference_mm:g} mm, µm", "slope, µm/m", "not straight, µm")
+    note = "For a control that adds temperature as a straight line; from the temperatures of the table on."
+    return [Section("What temperature adds to the error", [note], Table(head, rows))]
+
+
+def compared_page(
+    table: CompensationTable, model: CompensationTable, form: TableFormat, source: Path, travel_mm: tuple[float, float]
+) -> Page:
     """The page of a table that is there, beside what a model predicts at its points."""
-    forward, backward = model.forward_um - table.forward_um, model.backward_um - table.backward_um
-    both = np.abs(np.concatenate([forward, backward]))
-    k = int(both.argmax()) % len(table.positions_mm)
-    shift = float(np.concatenate([forward, backward]).mean())
-    rms = float(np.sqrt((both**2).mean()))
+    differences = np.array([model.forward_um - table.forward_um, model.backward_um - table.backward_um])
+    worst = np.unravel_index(np.abs(differences).argmax(), differences.shape)
+    place = f"{table.positions_mm[worst[-1]]:g} mm"
+    if table.second:
+        place += f", {table.second} {table.second_mm[worst[1]]:g} mm"
+    rms = float(np.sqrt((differences**2).mean()))
     lead = (
-        f"{source.name}: {form.title}, axis {table.axis}, {len(table.positions_mm)} points. The model "
-        f"differs from it by up to {both.max():.2f} µm (at {table.positions_mm[k]:g} mm), rms {rms:.2f} µm, "
-        f"mean {shift:+.2f} µm."
+        f"{source.name}: {form.title}, axis {table.what}, {table.forward_um.size} points. The model differs from it by "
+        f"up to {np.abs(differences).max():.2f} µm (at {place}), rms {rms:.2f} µm, mean {differences.mean():+.2f} µm."
     )
+    across = table.second_mm.tolist() if table.second else [0.0]
+    columns = [np.atleast_2d(v) for v in (table.forward_um, model.forward_um, table.backward_um, model.backward_um)]
     rows = [
-        (f"{q:g}", f"{a:+.2f}", f"{m:+.2f}", f"{b:+.2f}", f"{n:+.2f}")
-        for q, a, m, b, n in zip(
-            table.positions_mm, table.forward_um, model.forward_um, table.backward_um, model.backward_um, strict=True
-        )
+        (*([f"{y:g}"] if table.second else []), f"{q:g}", *(f"{c[j, i]:+.2f}" for c in columns))
+        for j, y in enumerate(across)
+        for i, q in enumerate(table.positions_mm.tolist())
     ]
-    head = ("position, mm", "table +, µm", "model +, µm", "table -, µm", "model -, µm")
+    head: tuple[str, ...] = ("position, mm", "table +, µm", "model +, µm", "table -, µm", "model -, µm")
+    head = (f"{table.second}, mm", f"{table.axis}, mm", *head[1:]) if table.second else head
     caption = "Error, actual minus nominal: + arriving in positive direction, - in negative."
-    return Page("Compensation table", lead, (), [Section("", (), Table(head, rows, caption, words=()))])
+    facts = [] if (covers := _covers(table, travel_mm)) is None else [covers]
+    return Page("Compensation table", lead, (), [Section("", facts, Table(head, rows, caption, words=()))])
+
+
+def _covers(table: CompensationTable, travel_mm: tuple[float, float]) -> str | None:
+    """Say where the table ends before the travel does."""
+    low, high = float(table.positions_mm[0]), float(table.positions_mm[-1])
+    if low <= travel_mm[0] + NEAR_MM and high >= travel_mm[1] - NEAR_MM:
+        return None
+    return (
+        f"The table covers {low:g} to {high:g} mm of the travel, {travel_mm[0]:g} to {travel_mm[1]:g} mm. Beyond its "
+        "ends a control holds its last value, or none."
+    )

@@ -35,6 +35,8 @@ PAGES: Final = {
 BESIDE: Final = ("import",)
 """Pages that another page leads to."""
 MOST_TABS: Final = 32
+WARM_UP_S: Final = 0.5
+"""After a page is sent the browser has the processor for so long."""
 MODULES: Final = {"import": "importing"}
 STYLE: Final = resources.files("rtec.studio").joinpath("studio.css")
 
@@ -77,7 +79,7 @@ class Studio:
         session.look()
         with shell:
             _Frame(session, name, dark)
-        jobs.warm_up()
+            ui.timer(WARM_UP_S, jobs.warm_up, once=True)
 
 
 class _Frame:

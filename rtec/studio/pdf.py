@@ -4,6 +4,9 @@ from io import BytesIO
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rtec.report.page import Page, Section, Table
 from rtec.text import clean_lines
 
@@ -11,11 +14,14 @@ if TYPE_CHECKING:
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure as MplFigure
 
+Pixels = NDArray[np.float32]
 WIDE_IN, HIGH_IN, EDGE_IN = 8.27, 11.69, 0.8
 LEAD, HEAD, TEXT, CELL = 14.0, 13.0, 10.0, 8.0
 """Sizes of type, points."""
 LINE: Final = 1.35
 """Distance of lines, in their size."""
+SMALLEST: Final = 0.7
+"""How much a figure may shrink to stay on the page that has room."""
 POINTS_PER_IN, WORDS_WIDE, MONO_WIDE = 72.0, 0.52, 0.602
 """Mean width of a letter, and width of a monospaced one, in its size."""
 
@@ -52,15 +58,19 @@ class _Sheet:
         self._pages.savefig(self._figure)  # type: ignore[no-untyped-call]
 
     def _section(self, section: Section) -> None:
-        self._need(2.0 * LINE * HEAD / POINTS_PER_IN + 0.5)
+        heading = 2.0 * LINE * HEAD / POINTS_PER_IN + 0.5
+        picture = _picture(section.figure.png) if section.figure is not None else None
+        # A heading stays with its figure.
+        alone = picture is not None and not section.text and section.table is None
+        self._need(heading + (SMALLEST * _height_in(picture) if alone and picture is not None else 0.0))
         self._left -= 0.15
         self._text(section.heading, HEAD, weight="bold")
         for sentence in section.text:
             self._text(sentence, TEXT)
         if section.table is not None:
             self._table(section.table)
-        if section.figure is not None:
-            self._image(section.figure.png)
+        if picture is not None:
+            self._image(picture)
 
     def _new(self) -> "MplFigure":
         from matplotlib.figure import Figure
@@ -99,18 +109,29 @@ class _Sheet:
         if table.caption:
             self._text(table.caption, CELL)
 
-    def _image(self, png: bytes) -> None:
-        from matplotlib.image import imread
-
-        picture = imread(BytesIO(png), format="png")
-        wide = WIDE_IN - 2.0 * EDGE_IN
-        high = min(wide * picture.shape[0] / picture.shape[1], HIGH_IN - 2.0 * EDGE_IN)
-        self._need(high)
+    def _image(self, picture: Pixels) -> None:
+        """As wide as the page; smaller where that saves a new one."""
+        full = _height_in(picture)
+        self._need(SMALLEST * full)
+        high = min(full, self._left)
         self._left -= high
+        wide = high * picture.shape[1] / picture.shape[0]
         place = (EDGE_IN / WIDE_IN, (self._left + EDGE_IN) / HIGH_IN, wide / WIDE_IN, high / HIGH_IN)
         axes = self._figure.add_axes(place)
         axes.imshow(picture, aspect="equal", interpolation="lanczos")
         axes.set_axis_off()
+
+
+def _picture(png: bytes) -> Pixels:
+    from matplotlib.image import imread
+
+    return np.asarray(imread(BytesIO(png), format="png"))
+
+
+def _height_in(picture: Pixels) -> float:
+    """Of a picture as wide as the page, or as high."""
+    wide = WIDE_IN - 2.0 * EDGE_IN
+    return float(min(wide * picture.shape[0] / picture.shape[1], HIGH_IN - 2.0 * EDGE_IN - 1.0))
 
 
 def _cut(text: str, width: int) -> str:

@@ -142,7 +142,10 @@ class TabSession:
         return "" if self.model else "Choose or fit a model on the page Measurements."
 
     def look(self) -> None:
-        """Read the folder's listing; what is gone is no longer chosen, and what is the only one of its kind is."""
+        """Read the folder's listing; what is gone is no longer chosen, and what is the only one of its kind is.
+
+        A model that is gone stays chosen while additions to it are not saved.
+        """
         try:
             self.listing = self.folder.listing()
         except RtecError as e:
@@ -150,7 +153,7 @@ class TabSession:
             self.fail(str(e))
         self.machine = _kept(self.machine, self.listing.machines)
         model = _kept(self.model, self.listing.models)
-        if model != self.model:
+        if model != self.model and len(self.steps) <= 1:  # else what was added would be lost with the file
             self.model = model
             self.forget()
         self.chosen = tuple(n for n in self.chosen if n in self.listing.measurements)

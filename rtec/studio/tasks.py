@@ -497,13 +497,18 @@ def preview(line: Reporter, model: "Model", wanted: Wanted, files: Sequence[Path
     )
 
 
+PREVIEWED = 6000
+"""Readings of a file of another program that are drawn."""
+
+
 @dataclass(frozen=True)
 class ImportView:
     """What a file of another program would become.
 
     Attributes:
         proposal: its map, and what is not known yet.
-        title, place, readings: what is drawn: title of the horizontal axis, (n,), and the readings by name, (n,) each.
+        title, place, readings: what is drawn: title of the horizontal axis, (n,), and the readings by name, (n,) each;
+            of very many readings evenly some.
         rows: of the measurement; 0 before the questions are answered.
         notes: on the import, in words.
         trouble: why it cannot be imported like that; empty where it can.
@@ -551,7 +556,9 @@ def look_at_foreign(
     moved = max(known.axes, key=lambda a: float(np.ptp(m.channels.get(a.channel, np.zeros(1)))))
     place = m.channels.get(moved.channel)
     title, over = ("time, h", m.time_s / 3600.0) if place is None else (f"{moved.name}, mm", place)
-    return ImportView(proposal, title, over, dict(m.readings), len(m), m.notes)
+    some = slice(None, None, max(1, len(m) // PREVIEWED))
+    readings = {name: values[some] for name, values in m.readings.items()}
+    return ImportView(proposal, title, over[some], readings, len(m), m.notes)
 
 
 def _proposed(path: Path, machine: "Machine | None", answers: dict[str, str]) -> "ImportProposal":

@@ -1,4 +1,4 @@
-"""Follows a daemon by its local socket, for reading only, and keeps its newest status."""
+"""Follows a daemon by the local socket that only shows the status, and keeps the newest one."""
 
 import asyncio
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtec.control.messages import RequestError, read_answer, request
-from rtec.control.places import of_config
+from rtec.control.places import status_of_config
 from rtec.errors import RtecError
 from rtec.telemetry.values import stands
 
@@ -45,7 +45,7 @@ class Follower:
     async def follow(self) -> None:
         """Follow until cancelled, over restarts of the daemon."""
         while True:
-            for path in of_config(self._config):
+            for path in status_of_config(self._config):
                 try:
                     await self._read(path)
                 except (OSError, RequestError, RtecError, EOFError, TimeoutError, asyncio.LimitOverrunError):

@@ -2,7 +2,7 @@
 
 import asyncio
 import socket
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -34,8 +34,16 @@ NORMAL, FAILURE, OFF_SPEC = 0, 1, 3
 """Of DeviceHealth, OPC 10000-100."""
 MOST_CONNECTIONS: Final = 32
 ACTIVATION_S: Final = 5.0
-"""A connection that has no session by then is closed."""
+"""A connection that has no session for so long is closed."""
+SHORTEST_SESSION_S: Final = 5.0
+LONGEST_SESSION_S: Final = 120.0
+"""A client asks how long it may be silent, within these; then its session ends."""
 LARGEST_MESSAGE: Final = 1 << 20
+LARGEST_BUFFER: Final = 1 << 20
+"""Bytes that may wait for a client; one that asks and does not read is cut off beyond that."""
+SLOW_S: Final = 10.0
+"""So is one that reads nothing for so long while something waits for it."""
+LOOK_S: Final = 0.1
 ANALOG_UNIT_TYPE: Final = 17497
 BASE_VARIABLE_TYPE: Final = 63
 
@@ -143,14 +151,36 @@ class UaPublisher:
         try:
             async with served:
                 self._say(f"OPC UA clients can connect to {served.endpoint.geturl()}")
-                while True:
-                    found = follower.live
-                    if found is not None and not self._nodes:
-                        await self._make(served, found)
-                    await self._write(found)
-                    await asyncio.sleep(self._table.period_s)
+                await asyncio.gather(
+                    self._publish(served, follower),
+                    self._cut_off(served.iserver.asyncio_transports),
+                    _close_idle(served.bserver.clients),
+                )
         except OSError as error:
             raise RtecError(f"[telemetry.opcua] listen {self._table.listen}: cannot listen there: {error}") from error
+
+    async def _publish(self, served: Any, follower: Follower) -> None:
+        while True:
+            found = follower.live
+            if found is not None and not self._nodes:
+                await self._make(served, found)
+            await self._write(found)
+            await asyncio.sleep(self._table.period_s)
+
+    async def _cut_off(self, transports: Sequence[asyncio.WriteTransport]) -> None:
+        """Cut clients off that do not read: the library lets their answers wait in memory without an end."""
+        waits: dict[asyncio.WriteTransport, tuple[int, float]] = {}
+        now = asyncio.get_running_loop().time
+        while True:
+            before, waits = waits, {}
+            for transport in list(transports):
+                size = transport.get_write_buffer_size()
+                last, since_s = before.get(transport, (0, now()))
+                waits[transport] = (size, since_s if size and size >= last else now())
+                if size > LARGEST_BUFFER or now() - waits[transport][1] > SLOW_S:
+                    self._say(f"{transport.get_extra_info('peername')}: cut off: it does not read ({size} bytes wait)")
+                    transport.abort()
+            await asyncio.sleep(LOOK_S)
 
     async def _server(self) -> Any:
         from asyncua import Server, ua
@@ -181,8 +211,9 @@ class UaPublisher:
         await served.load_private_key(self._base / self._table.key_file, format="pem")
         served.set_certificate_validator(_Trusted(self._base / self._table.trusted_folder).validate)
         limits = served.iserver
-        limits.max_connections, limits.max_pending_activation_seconds = MOST_CONNECTIONS, ACTIVATION_S
-        limits.max_session_timeout_ms, limits.max_subscriptions = 120_000.0, 4 * MOST_CONNECTIONS
+        limits.max_connections, limits.max_subscriptions = MOST_CONNECTIONS, 4 * MOST_CONNECTIONS
+        limits.max_pending_activation_seconds = 0  # `_close_idle` does it
+        limits.min_session_timeout_ms, limits.max_session_timeout_ms = 1e3 * SHORTEST_SESSION_S, 1e3 * LONGEST_SESSION_S
         limits.max_unacked_messages_per_subscription, limits.max_monitored_item_queue_size = 50, 100
         limits.max_pending_messages_per_connection = 50
         served.limits.max_message_size, served.limits.max_chunk_count = LARGEST_MESSAGE, 17
@@ -249,6 +280,32 @@ class UaPublisher:
             good = ua.Variant() if value is None else ua.Variant(value, kind, is_array=isinstance(value, list))
             await made.write_value(ua.DataValue(good, ua.StatusCode(state[1]), at, at))
             self._written[node] = state
+
+
+async def _close_idle(clients: Sequence[Any]) -> None:
+    """Close connections that have no session: the library ends that of a silent client, and leaves the connection."""
+    since_s: dict[Any, float] = {}
+    while True:
+        since_s = _idle(clients, since_s, asyncio.get_running_loop().time())
+        _cut_endless(clients)
+        await asyncio.sleep(LOOK_S)
+
+
+def _cut_endless(clients: Sequence[Any]) -> None:
+    """Close connections whose message does not end: the library takes in whatever length its first bytes give."""
+    for one in list(clients):
+        if len(one._buffer) > LARGEST_MESSAGE:
+            one.transport.abort()
+
+
+def _idle(clients: Sequence[Any], before_s: dict[Any, float], now_s: float) -> dict[Any, float]:
+    """Those that have no session, and since when; close them where that is too long ago."""
+    idle = [one for one in clients if not (one.processor.session and one.processor.session.is_activated())]
+    since_s = {one: before_s.get(one, now_s) for one in idle}
+    for one, began_s in since_s.items():
+        if now_s - began_s > ACTIVATION_S:
+            one.transport.abort()
+    return since_s
 
 
 def _unit(unit: str) -> Any:

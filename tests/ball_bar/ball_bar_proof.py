@@ -1,15 +1,19 @@
 """How well ball bars are diagnosed, on many machines drawn at random.
 
-python -m tests.ball_bar.ball_bar_proof [--machines 500] [--first 1000] [--only KIND] [--jobs 1] [--json FILE]
+python -m tests.ball_bar.ball_bar_proof [--machines 500] [--first 1000] [--only KIND] [--jobs 1] [--to FILE]
+
+`--to` keeps every machine as one line of JSON as soon as it is judged: after Ctrl-C the same command goes on there.
 """
 
 import argparse
 import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -61,24 +65,44 @@ def summary(judged: Sequence[Judged]) -> dict[str, float]:
     }
 
 
+def kept(path: Path | None) -> dict[tuple[str, int], Judged]:
+    """Machines that a file has; a line that was cut off is none."""
+    out = {}
+    for line in path.read_text("utf-8").splitlines() if path and path.exists() else ():
+        with suppress(json.JSONDecodeError):
+            j = Judged(**{name: _as_tuple(value) for name, value in json.loads(line).items()})
+            out[j.kind, j.seed] = j
+    return out
+
+
+def _as_tuple(value: Any) -> Any:
+    return tuple(_as_tuple(v) for v in value) if isinstance(value, list) else value
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run, print, and write where asked."""
+    """Run, print, and keep where asked."""
     wish = _arguments().parse_args(argv)
     kinds = wish.only or list(SHARE_OF)
     todo = [(k, wish.first + i) for k in kinds for i in range(round(wish.machines * SHARE_OF[k]))]
-    judged = []
-    with bar(f"{len(todo)} machines") as tell:
-        for j in run(todo, wish.jobs):
-            judged.append(j)
-            tell(len(judged), len(todo))
+    done = kept(wish.to)
+    file = wish.to.open("a", encoding="utf-8") if wish.to else nullcontext()
+    with suppress(KeyboardInterrupt), bar(f"{len(todo)} machines") as tell, file as to:
+        for j in run([t for t in todo if t not in done], wish.jobs):
+            done[j.kind, j.seed] = j
+            if to:
+                # A line begins with its end of line: after one that was cut off, too.
+                to.write("\n" + json.dumps(asdict(j)))
+                to.flush()
+            tell(sum(t in done for t in todo), len(todo))
+    judged = [done[t] for t in todo if t in done]
+    kinds = [k for k in kinds if any(j.kind == k for j in judged)]
+    if not kinds:
+        return 1
     found = {k: summary([j for j in judged if j.kind == k]) for k in kinds}
     table = Table("figure", *kinds)
     for name in next(iter(found.values())):
         table.add_row(name, *(f"{found[k][name]:.4g}" for k in kinds))
     Console(width=120).print(table)
-    if wish.json:
-        content = {"figures": found, "machines": [asdict(j) for j in judged]}
-        wish.json.write_text(json.dumps(content, indent=1), encoding="utf-8")
     return 0
 
 
@@ -90,7 +114,7 @@ def _arguments() -> argparse.ArgumentParser:
     parser.add_argument("--first", type=int, default=FIRST, help="first seed")
     parser.add_argument("--only", action="append", choices=KINDS, help="this kind; may be given again")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--json", type=Path, help="write all figures and machines to this file")
+    parser.add_argument("--to", type=Path, help="keep each machine as a line of this file, and go on from it")
     return parser
 
 

@@ -32,7 +32,7 @@ ALONE: list[tuple[dict[str, float], set[str], dict[str, float]]] = [
 
 
 def diagnosed(tests: Any, dynamic: dict[str, float], noise_um: float = 0.2, **more: Any) -> BallBarDiagnosis:
-    return diagnose(run_tests(tests, STATIC, dynamic, noise_um, seed=7, **more)[0])
+    return diagnose(run_tests(tests, STATIC, dynamic, noise_um, seed=7, **{"step_deg": 0.8, **more})[0])
 
 
 def named(d: BallBarDiagnosis) -> set[str]:

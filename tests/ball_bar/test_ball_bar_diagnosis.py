@@ -1,5 +1,6 @@
 """Diagnosis of ball-bar tests: [BB]'s tables, what tests separate, ISO 230-4, confidence, choice of the model."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -224,11 +225,11 @@ def test_the_model_is_chosen_as_the_paper_advises() -> None:
 
 
 def test_straight_guides_are_seldom_taken_for_bent() -> None:
-    """Oracle: nothing bent is there; 100 seeds, at most 3 may be taken for bent; of 5 with dynamic causes none."""
-    tests = [made(TABLE_2, GIVEN, 0.3, seed, step_deg=2.0) for seed in range(100)]
+    """Oracle: nothing bent is there; 60 seeds, at most 2 may be taken for bent; of 3 with dynamic causes none."""
+    tests = [made(TABLE_2, GIVEN, 0.3, seed, step_deg=3.0) for seed in range(60)]
     taken = [chosen(circles_of(given), "auto", 5.0, "shared", Beyond())[0].model for given in tests]
-    assert taken.count("non-linear") <= 3
-    assert {diagnose(given).fitted.model for given in tests[:5]} == {"linear"}
+    assert taken.count("non-linear") <= 2
+    assert {diagnose(given).fitted.model for given in tests[:3]} == {"linear"}
 
 
 def test_shares_are_ranked_and_add_up() -> None:
@@ -332,3 +333,19 @@ def test_harmonics_are_those_put_in() -> None:
     assert (found[2].amplitude_um, found[2].phase_deg) == pytest.approx((4.0, 0.3 / DEG))
     assert found[7].amplitude_um == pytest.approx(0.5)
     assert max(found[k].amplitude_um for k in (1, 3, 4, 5, 6, 8, 9)) < 1e-9
+
+
+# ---- measurements made in Python, as no file gives them
+
+
+def test_angles_come_from_positions_where_there_are_none() -> None:
+    """Oracle: the same test with its angles."""
+    m = made(((0.0, 150.0, "ccw"),), {"dx": 4.0})[0]
+    bare = replace(m, channels={k: v for k, v in m.channels.items() if k != "angle_deg"})
+    np.testing.assert_allclose(circle_of(bare).angle_rad, circle_of(m).angle_rad, atol=1e-9)
+
+
+def test_neither_angles_nor_positions_is_one_clear_error() -> None:
+    m = made(((0.0, 150.0, "ccw"),), {})[0]
+    with pytest.raises(MeasurementError, match="neither column 'angle_deg' nor positions"):
+        diagnose([replace(m, channels={})])

@@ -13,7 +13,7 @@ import pytest
 
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant, crc32, unstuff
 from tests.support import gateware
-from tests.support.gateware import GatewareBox, frame, line_times, missing
+from tests.support.gateware import BOARD, GatewareBox, frame, line_times, missing, spi_times
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 MS = 1_000_000
@@ -93,6 +93,7 @@ def test_a_conversation(both: Both) -> None:
     both.move(1000, -2000)
     both.tell(frame(READ, 8), ms=5)
     both.tell(command(9, 8, 50, 50))  # of another start: dropped
+    both.tell(frame(READ, 9))
     both.tell(command(10, 7, -3, 4), ms=5)
     both.tell(frame(READ, 11), ms=5)
     assert both.hard_plant.inserted == both.soft_plant.inserted == [-3, 4]
@@ -152,6 +153,37 @@ def test_at_4_khz_no_latch_of_three_axes_is_lost() -> None:
     # 11 bytes out and 43 in, of 10 bits, and what the chip thinks; 24 bytes out and the way through the pipeline.
     assert 180.0 < read_us < 250.0
     assert 80.0 < command_us < 100.0
+
+
+def test_over_spi_at_4_khz_no_latch_of_three_axes_is_lost() -> None:
+    """The same at 2 MHz; an answer goes on in the next transfer. Oracle: as above."""
+    read_us, command_us, lost = spi_times()
+    assert lost == 0
+    # 11 bytes out and 43 in, of 8 bits, and what the chip thinks; 24 bytes out and the way through the pipeline.
+    assert 216.0 < read_us < 280.0
+    assert 96.0 < command_us < 110.0
+
+
+@pytest.mark.parametrize("half", [2, 3, 9])
+def test_over_spi_a_frame_without_zeros_is_whole(half: int) -> None:
+    """Large negative numbers: the line cannot wait while the chip looks for the next zero. Oracle: what was put in.
+
+    Faster than `spi.v` allows too: what the simulated line does not need is there for that of a board.
+    """
+    with gateware.chip(3, **BOARD, SPI=1) as chip:
+        chip.settings(interval=12)
+        chip.run(1000, [0, 0, 0])
+        boot = unstuff(chip.spi(frame(HELLO, 1) + bytes(80), half).strip(b"\0"))[4:6]
+        chip.spi(frame(RESUME, 2, boot) + bytes(100), half)
+        chip.spi(frame(COMMAND, 0x1213, boot + struct.pack("<3i", -5, -6, -7)), half)
+        places = [-0x5A5B5C5D, -0x5A5B5C5E, -0x5A5B5C5F]
+        chip.run(3000, places)
+        for number in range(0x2101, 0x2111):
+            chip.since(0x11111111, 0)
+            (state,) = bodies(chip.spi(frame(READ, number) + bytes(90), half))
+            assert (state[:4], state[9:13].count(0)) == (struct.pack("<BBH", 1, 0x82, number), 0)
+            raw, inserted = struct.unpack("<6i", state[13:37])[::2], struct.unpack("<6i", state[13:37])[1::2]
+            assert (raw, inserted) == (tuple(places), (-5, -6, -7))
 
 
 def test_the_limit_holds_whatever_is_asked(both: Both) -> None:

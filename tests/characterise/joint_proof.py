@@ -1,12 +1,16 @@
 """Laser, ball bar and grid plates fitted together, on machines of exact transforms; run it for the whole proof.
 
 `python -m tests.characterise.joint_proof 300` draws machines at random and prints how far the numbers of a fit are from
-the truth, in their standard errors. Tip errors are the exact product of transforms of both chains, the shapes of the
-errors are written out here, the bar's length is a distance between two points: no code is shared with the fit.
+the truth, in their standard errors; with `--to FILE` it goes on where it was stopped. Tip errors are the exact product
+of transforms of both chains, the shapes of the errors are written out here, the bar's length is a distance between two
+points: no code is shared with the fit.
 """
 
+import argparse
+import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -203,21 +207,44 @@ def errors_of(seed: int) -> list[tuple[str, float]]:
     return out
 
 
-def main(count: int) -> None:
+def kept(path: Path | None) -> dict[int, list[tuple[str, float]]]:
+    """Machines that a file has, by their seeds; a line that was cut off is none."""
+    out = {}
+    for line in path.read_text("utf-8").splitlines() if path and path.exists() else ():
+        with suppress(json.JSONDecodeError):
+            seed, numbers = json.loads(line)
+            out[int(seed)] = [(str(name), float(z)) for name, z in numbers]
+    return out
+
+
+def main(argv: Sequence[str] | None = None) -> None:
     """Print the share of numbers within three standard errors, and the root mean square in these."""
-    whole: list[tuple[str, float]] = []
-    for seed in range(count):
-        whole += errors_of(seed)
+    parser = argparse.ArgumentParser(prog="python -m tests.characterise.joint_proof")
+    parser.add_argument("machines", type=int, nargs="?", default=300)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--to", type=Path, help="keep each machine as a line of this file, and go on from it")
+    wish = parser.parse_args(argv)
+    seeds, done = range(wish.first, wish.first + wish.machines), kept(wish.to)
+    with suppress(KeyboardInterrupt), wish.to.open("a", encoding="utf-8") if wish.to else nullcontext() as to:
+        for seed in seeds:
+            if seed in done:
+                continue
+            done[seed] = errors_of(seed)
+            if to:
+                to.write("\n" + json.dumps([seed, done[seed]]))
+                to.flush()
+    whole = [number for seed in seeds for number in done.get(seed, ())]
     z = np.array([v for _, v in whole])
     lines = [
-        f"{count} machines, {len(z)} numbers",
+        f"{sum(seed in done for seed in seeds)} machines, {len(z)} numbers",
         f"within 3 standard errors: {100.0 * np.mean(np.abs(z) < 3.0):.1f} %, rms {np.sqrt(np.mean(z**2)):.2f}",
     ]
     for name in SHAPES:
         mine = np.array([v for n, v in whole if n == name])
-        lines.append(f"{name}: {len(mine)}, rms {np.sqrt(np.mean(mine**2)):.2f}, largest {np.abs(mine).max():.2f}")
+        if len(mine):
+            lines.append(f"{name}: {len(mine)}, rms {np.sqrt(np.mean(mine**2)):.2f}, largest {np.abs(mine).max():.2f}")
     sys.stdout.write("\n".join(lines) + "\n")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 300)
+    main()

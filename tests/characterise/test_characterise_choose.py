@@ -207,6 +207,20 @@ def test_named_effects_and_no_others() -> None:
     assert len(exact.model.effects) == 5
 
 
+@pytest.mark.parametrize("seed", [0, 5])
+def test_an_effect_asked_for_by_its_name_is_fitted_once_where_that_is_enough(seed: int) -> None:
+    """Oracle: the truth, 9 µm/(m·K) with T_bed; with a second form or sensor beside it neither number is known."""
+    m = measurement(runs([30] * 8), noise_um=0.3, seed=seed, hours=2.0)
+    h, rng = m.time_s / 3600.0, np.random.default_rng(seed)
+    warm = {n: 20.0 + a * (1.0 - np.exp(-h / tau)) for n, a, tau in (("T_bed", 6.0, 1.5), ("T_column", 3.0, 3.0))}
+    warm = {n: v + 0.03 * rng.standard_normal(len(m)) for n, v in warm.items()}
+    values = m.readings["reading_um"] + 9e-3 * m.channels["x"] * (warm["T_bed"] - 20.0)
+    m = replace(m, channels={**m.channels, **warm}, readings={"reading_um": values})
+    (found,) = characterise([m], wanted=read_wanted("axis_expansion", MACHINE)).coefficients
+    assert found.effect == "axis_expansion(EXX, X, T_bed)"
+    assert found.value == pytest.approx(9.0, abs=0.4)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

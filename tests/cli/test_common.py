@@ -63,3 +63,39 @@ def test_brief_and_full(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Everything else." not in brief
     assert "Everything else." in full
     assert "--full" in brief
+
+
+@pytest.mark.parametrize(("names", "columns"), [(("laser-x", "beside"), 80), (("a", "b", "c"), 60)])
+def test_a_wide_table_of_few_rows_is_turned(names: tuple[str, ...], columns: int) -> None:
+    """Oracle: every number of the table, in the column under its name; the lines that a screen has room for."""
+    head = ("measurement", "readings", "root mean square", *(f"quantity{k}_without_blanks" for k in range(5)))
+    table = Table(head, [[name, *(f"{k}.{name}" for k in range(7))] for name in names])
+    console = Console(width=columns)
+    with console.capture() as shown:
+        print_table(table, console)
+    lines = [line.split() for line in shown.get().splitlines() if line.strip() and "─" not in line]
+    assert lines[0] == ["measurement", *names]
+    assert [line[-len(names) :] for line in lines[1:]] == [[f"{k}.{n}" for n in names] for k in range(7)]
+    assert max(map(len, shown.get().splitlines())) <= columns
+
+
+def test_columns_come_nearer_before_a_table_is_turned() -> None:
+    """Oracle: six columns of ten characters and five times two blanks, with the edges 76; three blanks need 79."""
+    table = Table(["column_001"] * 6, [["1.000"] * 6] * 20)
+    for columns in (78, 81):
+        console = Console(width=columns)
+        with console.capture() as shown:
+            print_table(table, console)
+        assert sum("1.000" in line for line in shown.get().splitlines()) == 20
+        assert max(map(len, shown.get().splitlines())) <= columns
+
+
+@pytest.mark.parametrize("columns", range(12, 40))
+def test_a_number_stays_with_its_unit(
+    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: no line begins with a unit."""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    show_page(Page("", "It is 88 % of 1.2 µm or 3 µm/m over 5 mm at 20 °C in 8 h, and 3 holes.", [], []))
+    starts = {line.split()[0] for line in capsys.readouterr().out.splitlines() if line.strip()}
+    assert not starts & {"%", "µm", "µm/m", "mm", "°C", "h,"}

@@ -158,6 +158,17 @@ def test_whatever_is_written_to_the_standard_streams(capsys: pytest.CaptureFixtu
     assert all(one_line(line) for line in said.err.split("\n"))
 
 
+def test_what_a_live_display_moves_the_cursor_with_is_not_written_out(capsys: pytest.CaptureFixture[str]) -> None:
+    """A display puts its own stream before the standard ones. Oracle: codes of ECMA-48, none of them as text."""
+    with shielded(), Live(Text("1 %"), console=Console(force_terminal=True), auto_refresh=False) as live:
+        live.update(Text(f"2 %\n{HOSTILE}"), refresh=True)
+        live.refresh()
+    said = capsys.readouterr().out
+    assert "\x1b[2K" in said
+    assert "\\u001b[2K" not in said
+    assert "\\u001b[31;5m" in said
+
+
 class Tags(HTMLParser):
     """Names of the tags of a page."""
 

@@ -158,6 +158,8 @@ def test_a_laser_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert any("multiples of the pitch" in w for w in r["warnings"])
     assert status(["iso230", file]) == 2
     assert "--machine" in capsys.readouterr().err
+    assert status(["iso230", file, "--machine", MACHINE, "--swap"]) == 2
+    assert "--swap is for the directions of a .dat" in capsys.readouterr().err
 
 
 def test_a_straightedge_that_is_turned_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -181,6 +183,10 @@ def test_a_straightedge_that_is_turned_over(tmp_path: Path, capsys: pytest.Captu
     said = capsys.readouterr().out
     assert "how the artefact was set up" in said
     assert "spindle" not in said
+    assert status(["straightness", file, "--machine", MACHINE, "--method", "artefact", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == r
+    assert status(["straightness", file, "--machine", MACHINE, "--method", "face"]) == 2
+    assert "method 'face' needs a table" in capsys.readouterr().err
 
 
 def test_a_drift_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -200,7 +206,10 @@ def test_a_drift_measurement(tmp_path: Path, capsys: pytest.CaptureFixture[str])
             }
         },
     }
-    r = as_json(["drift", measurement(tmp_path, "d", head, columns), "--machine", MACHINE], capsys)
+    file = measurement(tmp_path, "d", head, columns)
+    assert status(["drift", file, "--machine", MACHINE, "--radial1", "reading_radial2_um"]) == 2
+    assert "leave --radial1 out" in capsys.readouterr().err
+    r = as_json(["drift", file, "--machine", MACHINE], capsys)
     assert r["traces"][2]["name"] == "tilt"
     np.testing.assert_allclose(r["traces"][2]["values"], 0.6 * growth / 60 * 1e3, atol=1e-9)
     assert r["traces"][0]["fits"][0]["approach"]["tau_s"] == pytest.approx(5000, rel=0.01)

@@ -6,7 +6,7 @@ Oracles: what the simulated devices print, hold and take; the exact product of t
 import io
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,6 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.commission.answers import TEMPLATES, answers_from
-from rtec.commission.listen import pattern_of
 from rtec.commission.write import answers_text, machine_of
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
@@ -23,6 +22,9 @@ from rtec.loop.clock import RealClock
 from rtec.machine import load_machine
 from rtec.model import FittedEffect, Model, save_model
 from rtec.tomlfile import read_toml
+from rtec_drivers.ascii.scan import pattern, places_of
+from rtec_drivers.modbus.frame import ModbusRequest
+from rtec_drivers.modbus.scan import ModbusScanner
 from rtec_drivers.pty_peer import PtyPeer
 from tests.support.modbus_peer import FakeSlave, line
 from tests.support.offset_controller import OffsetController
@@ -32,11 +34,11 @@ pytestmark = pytest.mark.xdist_group("real-clock")
 
 @dataclass
 class Readout:
-    """Prints the positions of both axes; each may creep."""
+    """Prints the positions of both axes; the one that `moving` names moves."""
 
     x_mm: float = 100.0
     z_mm: float = 250.0
-    creep_mm: float = 0.0
+    moving: str = ""
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
         del data, now_ns
@@ -44,7 +46,8 @@ class Readout:
 
     def idle(self, now_ns: int) -> bytes:
         del now_ns
-        self.x_mm += self.creep_mm
+        self.x_mm += 0.01 * (self.moving == "x")
+        self.z_mm += 0.01 * (self.moving == "z")
         return f"X={self.x_mm:.4f} Z={self.z_mm:.4f}\r\n".encode()
 
 
@@ -180,27 +183,42 @@ def test_files_that_are_there_stay(devices: Lathe, tmp_path: Path, capsys: pytes
     assert status([*command, "--force"]) == 0
 
 
+Line = str | tuple[str, Callable[[], None]]
+"""What is typed, and what the hands do behind it."""
+
+
 class Keys(io.StringIO):
     """A terminal at which somebody types these lines, and then Ctrl-C."""
+
+    def __init__(self, lines: Sequence[Line]) -> None:
+        super().__init__()
+        self._lines = iter(lines)
 
     def isatty(self) -> bool:
         return True
 
     def readline(self, size: int = -1, /) -> str:  # type: ignore[override]
-        typed = super().readline(size)
-        if not typed:
+        del size
+        line = next(self._lines, None)
+        if line is None:
             raise KeyboardInterrupt
-        return typed
+        if isinstance(line, tuple):
+            line[1]()
+            line = line[0]
+        return f"{line}\n"
 
 
 LENGTHS = ["", "", "", ""]  # travel, resolution and pitch of an axis: the template's
 
 
+START = ["lathe", "L 3", *LENGTHS, *LENGTHS, ""]
+
+
 def typed(devices: Lathe) -> list[str]:
-    """What the machinist types: Enter takes what is proposed."""
-    start = ["lathe", "L 3", *LENGTHS, *LENGTHS, ""]
-    encoders = ["ascii_lines", devices.ports["0"], "", "", "", "", ""]
-    sensors = ["modbus", devices.ports["1"], "19200", "none", "1", "0", "0.1", "holding"]
+    """What the machinist types who knows the registers: Enter takes what is proposed."""
+    start = START
+    encoders = ["ascii_lines", devices.ports["0"], "y", "n", "", "", ""]
+    sensors = ["modbus", devices.ports["1"], "19200", "none", "n", "1", "0", "0.1", "holding"]
     offsets = ["ascii_offset", "mm", "0.1", "", "OK", devices.ports["2"], "", ""]
     return [*start, *encoders, *sensors, *offsets, "60", "20"]
 
@@ -216,9 +234,8 @@ def test_by_questions_with_live_values(
     devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The readout is heard at its port, and its line becomes the pattern; X moves when X is asked for."""
-    devices.readout.creep_mm = 0.01
-    live = ["y", "n", "n", "n", "n", "n", "n", "n"]
-    monkeypatch.setattr("sys.stdin", Keys("\n".join([*typed(devices), *live]) + "\n"))
+    live: list[Line] = [("y", lambda: setattr(devices.readout, "moving", "x")), *["n"] * 7]
+    monkeypatch.setattr("sys.stdin", Keys([*typed(devices), *live]))
     folder = tmp_path / "lathe"
     assert status(["init", str(folder), "--seconds", "0.5", "--no-check"]) == 0
     out = capsys.readouterr().out
@@ -236,10 +253,128 @@ def test_by_questions_with_live_values(
     assert (again / "run.toml").read_text() == (folder / "run.toml").read_text()
 
 
+class Warmth:
+    """Six thermocouples in one module of tenths of °C, wired in another order than they are named; and a clock."""
+
+    WIRED = (3, 0, 5, 1, 4, 2)
+    SENSORS = ("T_spindle", "T_headstock", "T_bed", "T_x_nut", "T_z_nut", "T_air")
+
+    def __init__(self) -> None:
+        self.seconds, self.hand, self.tenths = 0, "", dict.fromkeys(self.SENSORS, 215)
+        names = {address: name for name, address in zip(self.SENSORS, self.WIRED, strict=True)}
+        registers = {a: (lambda name=n: self.read(name)) for a, n in names.items()}
+        self.slave = FakeSlave(register={**registers, 6: self.tick, 7: lambda: 0}, last=7)
+
+    def tick(self) -> int:
+        self.seconds += 1
+        return self.seconds
+
+    def read(self, name: str) -> int:
+        self.tenths[name] += 2 * (name == self.hand)
+        return self.tenths[name]
+
+    def warm(self, name: str) -> Line:
+        return "y", lambda: setattr(self, "hand", name)
+
+
+@pytest.mark.usefixtures("no_ports")
+def test_warming_each_sensor_finds_its_register(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Slave 3 answers; its registers are those that were wired. Nothing but functions 3 and 4 goes out.
+
+    X is the number behind the letter Z here: it is what moves when X is asked for.
+    """
+    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(1, 5))
+    warmth, readout = Warmth(), Readout()
+    with PtyPeer(readout, RealClock(), tmp_path / "readout", 0.01), line({3: warmth.slave}) as bus:
+        move: list[Line] = [
+            ("y", lambda: setattr(readout, "moving", "z")),
+            ("y", lambda: setattr(readout, "moving", "x")),
+        ]
+        encoders: list[Line] = ["ascii_lines", str(tmp_path / "readout"), "y", "y", *move, "", "", ""]
+        warm = [warmth.warm(name) for name in Warmth.SENSORS]
+        sensors: list[Line] = ["modbus", bus.port, "19200", "none", "y", "y", *warm, ""]
+        offsets = ["ascii_offset", "mm", "0.1", "", "OK", "127.0.0.1:5001"]
+        monkeypatch.setattr("sys.stdin", Keys([*START, *encoders, *sensors, *offsets, "60", "20"]))
+        folder = tmp_path / "lathe"
+        assert status(["init", str(folder), "--seconds", "0.4", "--no-check"]) == 0, capsys.readouterr()
+        assert {frame[1] for frame in bus.unknown} <= {3, 4}
+    out = capsys.readouterr().out
+    assert "slave 3 answers: 8 input registers and 8 holding registers" in out
+    device = read_toml(folder / "run.toml")["device"]
+    found = device["thermocouples"]["slave"]["slave_3"]
+    assert found["id"] == 3
+    assert {n: r["address"] for n, r in found["register"].items()} == dict(
+        zip(Warmth.SENSORS, Warmth.WIRED, strict=True)
+    )
+    assert {r["scale"] for r in found["register"].values()} == {0.1}
+    assert device["encoders"]["patterns"] == [r"X=(?P<Z>[+-]?[\d.,]+)\s*Z=(?P<X>[+-]?[\d.,]+)"]
+    assert device["offsets"]["tcp"] == {"host": "127.0.0.1", "port": 5001}
+
+
+@pytest.mark.usefixtures("no_ports")
+def test_ctrl_c_in_a_search_keeps_the_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Slave 3 is found, then Ctrl-C: its registers go into the file, and so do the answers from before."""
+    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(1, 5))
+    true_ask = ModbusScanner._ask
+
+    def ask(self: ModbusScanner, request: ModbusRequest, timeout_ns: int) -> object:
+        if request.slave == 4:
+            raise KeyboardInterrupt
+        return true_ask(self, request, timeout_ns)
+
+    monkeypatch.setattr(ModbusScanner, "_ask", ask)
+    with line({3: FakeSlave(value=lambda _: 215, last=7)}) as bus:
+        encoders = ["ascii_lines", str(tmp_path / "none"), "n", "", "", "", "", ""]
+        sensors = ["modbus", bus.port, "19200", "none", "y", "n", ""]
+        offsets = ["ascii_offset", "mm", "0.1", "", "OK", "127.0.0.1:5001"]
+        live = ["n"] * 8
+        monkeypatch.setattr("sys.stdin", Keys([*START, *encoders, *sensors, *offsets, "60", "20", *live]))
+        assert status(["init", str(tmp_path / "lathe"), "--no-check"]) == 0, capsys.readouterr()
+    assert "ended early; what it found is kept" in capsys.readouterr().out
+    run = read_toml(tmp_path / "lathe" / "run.toml")
+    assert list(run["device"]["thermocouples"]["slave"]["slave_3"]["register"]) == list(Warmth.SENSORS)
+    assert load_machine(tmp_path / "lathe" / "machine.toml").name == "L 3"
+
+
+def scanning(folder: Path, devices: Lathe) -> Path:
+    """The answers file, but what is on the Modbus line is to be looked for."""
+    text = answers_file(folder, devices).read_text(encoding="utf-8")
+    before, _, rest = text.partition("[device.thermocouples.slave.module]")
+    path = folder / "scan.toml"
+    path.write_text(before + "scan = true\n\n[device.offsets]" + rest.partition("[device.offsets]")[2])
+    return path
+
+
+def test_an_answers_file_has_the_line_scanned(
+    devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Registers in order, in tenths of °C as 215 could be a room's; what was taken is printed."""
+    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(1, 3))
+    folder = tmp_path / "lathe"
+    assert status(["init", str(folder), "--answers", str(scanning(tmp_path, devices)), "--no-check"]) == 0
+    assert "T_spindle: slave 1, input register 0, now 21.50 °C" in capsys.readouterr().out
+    slave = read_toml(folder / "run.toml")["device"]["thermocouples"]["slave"]["slave_1"]
+    assert {n: r["address"] for n, r in slave["register"].items()} == {n: k for k, n in enumerate(Warmth.SENSORS)}
+
+
+def test_a_line_that_does_not_say_which_is_which_is_listed(
+    devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rtec_drivers.modbus.scan.NUMBERS", range(2, 4))
+    folder = tmp_path / "lathe"
+    assert status(["init", str(folder), "--answers", str(scanning(tmp_path, devices)), "--no-check"]) == 2
+    assert "[device.thermocouples] scan: what is there does not say" in capsys.readouterr().err
+    assert not folder.exists()
+
+
 @pytest.mark.usefixtures("no_ports")
 @pytest.mark.parametrize("lines", [0, 3, 12, 25])
 def test_ctrl_c_leaves_nothing(devices: Lathe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: int) -> None:
-    monkeypatch.setattr("sys.stdin", Keys("".join(f"{x}\n" for x in typed(devices)[:lines])))
+    monkeypatch.setattr("sys.stdin", Keys(typed(devices)[:lines]))
     assert status(["init", str(tmp_path / "lathe")]) == 130
     assert not (tmp_path / "lathe").exists()
 
@@ -280,7 +415,7 @@ def test_a_template_without_devices_names_what_is_missing() -> None:
 )
 def test_a_pattern_from_a_line(text: str, names: tuple[str, ...], values: tuple[str, ...]) -> None:
     """Oracle: Python's own matching of the line that the pattern was made from."""
-    match = re.fullmatch(pattern_of(text, names) or "", text)
+    match = re.fullmatch(pattern(text, places_of(text, names)), text)
     assert match is not None
     assert tuple(match[name] for name in names) == values
-    assert pattern_of("no number", names) is None
+    assert places_of("no number", names) == {}

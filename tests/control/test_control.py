@@ -11,15 +11,17 @@ import socket
 import stat
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
 
+from rtec.control import server
 from rtec.control.client import Client, DaemonPlace, find
 from rtec.control.messages import LARGEST_REQUEST
-from rtec.control.places import answers, listen, socket_path
+from rtec.control.places import answers, listen, socket_path, status_path
 from rtec.control.server import LARGEST_BUFFER, MOST_CONNECTIONS, Control, Guests
 from rtec.control.server import Line as Served
 from rtec.errors import RtecError
@@ -89,9 +91,10 @@ def test_nobody_else_can_open_the_socket(control: Control, setup: Setup) -> None
     assert stat.S_IMODE(socket_path(setup.path).stat().st_mode) == 0o600
 
 
-def test_the_group_can_where_the_run_file_says_so(tmp_path: Path) -> None:
-    """Whatever the umask allows more or less."""
-    before = os.umask(0)
+@pytest.mark.parametrize("umask", [0, 0o022, 0o027, 0o077])
+def test_the_group_can_where_the_run_file_says_so(tmp_path: Path, umask: int) -> None:
+    """Whatever the umask allows more or less: 027 is that of the service."""
+    before = os.umask(umask)
     try:
         made = listen(tmp_path / "s", "group")
     finally:
@@ -311,3 +314,80 @@ def test_the_status_is_sent_to_whoever_watches(control: Control, setup: Setup, d
         for _ in range(3):
             for one in watching[1:]:
                 assert (one.receive() or {})["status"]["cycles"] == daemon.status.cycles
+
+
+@pytest.mark.parametrize("ask", [{"ask": "session"}, {"ask": "order", "order": "hold", "session": "0" * 32, "seq": 1}])
+def test_the_status_socket_shows_the_status_and_takes_no_order(
+    control: Control, setup: Setup, daemon: FakeDaemon, ask: dict[str, object]
+) -> None:
+    """Law: whoever has only this socket can order nothing, not even after asking for the right to it."""
+    del control
+    with Line.to(setup.path, status_path) as line:
+        seen = line.ask(ask="status")
+        assert seen is not None
+        assert seen["machine"] == setup.machine.name
+        raised = line.ask(ask="as", name="cell", role="operate")
+        assert raised is not None
+        assert "more rights" in raised["refused"]
+        refused = line.ask(**ask)  # type: ignore[arg-type]
+        assert refused is not None
+        assert "may read, not operate" in refused["refused"]
+    assert daemon.orders == []
+
+
+def test_watchers_of_the_status_socket_are_sent_it_and_take_no_place_of_orders(
+    control: Control, setup: Setup, daemon: FakeDaemon
+) -> None:
+    """More watchers than there are places, silent ones: an order goes through at once, and the newest still watch."""
+    with ExitStack() as opened:
+        lines = [opened.enter_context(Line.to(setup.path, status_path)) for _ in range(server.MOST_WATCHERS + 8)]
+        assert lines[-1].ask(ask="watch") is not None
+        assert lines[-1].receive() is not None
+        with Line.to(setup.path) as line:
+            line.send(line.order())
+            done = line.receive()
+        assert done is not None
+        assert "done" in done
+    assert len(daemon.orders) == 1
+    assert control.guests.lines == [] or len(control.guests.lines) <= 1
+
+
+def test_the_user_of_the_network_process_may_only_read(
+    control: Control, setup: Setup, daemon: FakeDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even through the socket for orders, which its group may open with `access = "group"`."""
+    del control
+    monkeypatch.setattr(server, "_user", lambda _uid: server.TELEMETRY_USER)
+    with Line.to(setup.path) as line:
+        refused = line.ask(ask="session")
+    assert refused is not None
+    assert refused["refused"] == f"{server.TELEMETRY_USER} may read, not operate"
+    assert daemon.orders == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="another user than root is needed")
+def test_another_user_of_the_group_reads_the_status_and_finds_no_socket_for_orders(
+    setup: Setup, daemon: FakeDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the kernel, with a process of user 65534 in the group of the sockets."""
+    script = """
+import socket, sys
+for path in sys.argv[1:]:
+    with socket.socket(socket.AF_UNIX) as one:
+        try:
+            one.connect(path)
+            one.sendall(b'{"schema": 1, "ask": "status"}\\n')
+            print("read" if one.recv(10) else "nothing")
+        except PermissionError:
+            print("refused")
+"""
+    with tempfile.TemporaryDirectory(prefix="rtec-") as folder:
+        Path(folder).chmod(0o755)
+        monkeypatch.setenv("RUNTIME_DIRECTORY", folder)
+        with Control(setup, daemon, RealClock()):
+            places = [str(status_path(setup.path)), str(socket_path(setup.path))]
+            done = subprocess.run(
+                ["/usr/bin/python3", "-c", script, *places],
+                user=65534, group=os.getegid(), extra_groups=[], capture_output=True, text=True, check=True, cwd="/",
+            )  # fmt: skip
+    assert done.stdout.split() == ["read", "refused"]

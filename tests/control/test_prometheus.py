@@ -5,9 +5,10 @@ import json
 import re
 import shutil
 import socket
+import struct
 import subprocess
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,26 @@ def test_slow_clients_keep_nobody_out(place: str) -> None:
             slow = opened.enter_context(socket.create_connection((host, int(port))))
             slow.sendall(b"GET /metrics HTTP/1.1\r\n")
         assert get(place, "GET", "/metrics")[0] == 200
+
+
+def test_a_flood_dead_clients_and_a_restart(tmp_path: Path) -> None:
+    """Garbage, requests without an end, clients that leave in the midst, and others that stay and say nothing: the
+    scrape behind them is answered; so it is after a restart at the same place."""
+    place = free_place()
+    host, port = place.split(":")
+    for _ in range(2):
+        with control(tmp_path, place), ExitStack() as opened:
+            for text in (b"\0" * 100_000, b"GET " + b"x" * 1_000_000, b"GET /metrics HTTP/1.1\r\n\r\n" * 1000, b""):
+                flood = opened.enter_context(socket.create_connection((host, int(port))))
+                flood.setblocking(False)
+                with suppress(OSError):
+                    flood.send(text)
+            for _ in range(MOST_SCRAPES):
+                with socket.create_connection((host, int(port))) as gone:
+                    gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                    gone.sendall(b"GET /metrics HTTP/1.1\r\n\r\n")
+                opened.enter_context(socket.create_connection((host, int(port))))
+            assert get(place, "GET", "/metrics")[0] == 200
 
 
 @pytest.mark.parametrize("other", ["0.0.0.0:9464", "192.168.10.5:9464", "mill:9464", "9464", "127.0.0.1:99999"])

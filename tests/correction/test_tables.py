@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from rtec.cli.main import status
 from rtec.correction.tables import FORMATS, table_format
-from rtec.correction.tables.predict import checked, conditions, grid_mm, residuals, table_of
-from rtec.correction.tables.table import CompensationTable
+from rtec.correction.tables.predict import checked, conditions, grids_mm, residuals, table_of
+from rtec.correction.tables.table import CompensationTable, Floats, TableAxes
 from rtec.errors import ConfigError
 from rtec.machine import load_machine
 from rtec.model import load_model
+from tests.correction.table_examples import BECKHOFF, SINUMERIK
 
 CONFIGS = Path(__file__).parents[2] / "configs" / "linuxcnc"
 MACHINE = load_machine(CONFIGS / "mill-machine.toml")
@@ -23,7 +24,11 @@ AT = {"T_x": 26.0, "T_y": 25.0, "T_z": 24.0}
 errors = st.lists(st.tuples(st.floats(-200, 200), st.floats(-200, 200)), min_size=2, max_size=256)
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+def grid_mm(step_mm: float) -> Floats:
+    return grids_mm(FORMATS["siemens"], X, None, step_mm)[0]
+
+
+@pytest.mark.parametrize("name", ["linuxcnc", "linuxcnc-type-1", "siemens", "siemens-cec", "isg", "heidenhain"])
 @given(rows=errors, start=st.floats(-500, 500), step=st.floats(0.5, 50))
 def test_a_table_comes_back_to_the_last_digit(
     name: str, rows: list[tuple[float, float]], start: float, step: float
@@ -33,7 +38,7 @@ def test_a_table_comes_back_to_the_last_digit(
     n = np.arange(len(rows))
     positions = np.round(start, 4) + np.round(step, 4) * n
     table = CompensationTable("X", "X", positions, *np.array(rows).T)
-    back = form.read(form.text(checked(table, form)), "x", "X")
+    back = form.read(form.text(checked(table, form)), "x", TableAxes("X", "X"))
     assert np.allclose(back.positions_mm, positions, atol=1e-5)
     forward, backward = table.forward_um, table.backward_um
     if not form.limits.both_directions:
@@ -51,61 +56,16 @@ def test_the_two_types_of_linuxcnc_by_hand() -> None:
     assert second == [[0.0, -0.005, -0.007], [10.0, 0.003, 0.0]]
 
 
-SINUMERIK = """%_N_AX_EEC_INI
-CHANDATA(1)
-$AA_ENC_COMP[0,0,X1]=0.003 ; 1st compensation value (interpolation point 0): +3µm
-$AA_ENC_COMP[0,1,X1]=0.01 ; +10µm
-$AA_ENC_COMP[0,2,X1]=0.012 ; +12µm
-$AA_ENC_COMP_STEP[0,X1]=1.0
-$AA_ENC_COMP_MIN[0,X1]=-200.0
-$AA_ENC_COMP_MAX[0,X1]=600.0
-$AA_ENC_COMP_IS_MODULO[0,X1]=0
-M17
-"""
-BECKHOFF = """kopf.achs_nr                        2
-kopf.log_achs_name                  Y AXIS
-kw.ssfk.interval                    0
-kw.ssfk.kw_startpos                 -200000
-kw.ssfk.kw_nr_max                   3
-kw.ssfk.unit                        1
-kw.ssfk.bilateral                   1
-kw.ssfk.table[0].setpoint           -200000
-kw.ssfk.table[1].setpoint           -199306
-kw.ssfk.table[2].setpoint           -198667
-kw.ssfk.table[0].pos                0
-kw.ssfk.table[1].pos                24
-kw.ssfk.table[2].pos                -102
-kw.ssfk.table[0].neg                0
-kw.ssfk.table[1].neg                67
-kw.ssfk.table[2].neg                80
-"""
-
-
-def test_the_makers_own_examples() -> None:
-    """Oracles: 6FC5397-1BP40-3BA1, page 242 (its first three points); TF5200, non-equidistant bilateral SSFK (its first
-    three): actual 19856.5 µm at setpoint 19866.7 is the value -102, 19874.7 is 80."""
-    siemens = FORMATS["siemens"].read(SINUMERIK, "manual", "X")
-    assert siemens.positions_mm.tolist() == [-200.0, -199.0, -198.0]
-    assert siemens.forward_um.tolist() == siemens.backward_um.tolist() == [3.0, 10.0, 12.0]
-    lines = FORMATS["siemens"].text(siemens).splitlines()
-    assert "$AA_ENC_COMP[0,1,X1]=0.010000" in lines
-    assert "$AA_ENC_COMP_MIN[0,X1]=-200" in lines
-    isg = FORMATS["isg"].read(BECKHOFF, "manual", "Y")
-    assert isg.positions_mm.tolist() == pytest.approx([-20.0, -19.9306, -19.8667])
-    assert isg.forward_um[2] == pytest.approx(19856.5 - 19866.7)
-    assert isg.backward_um[2] == pytest.approx(19874.7 - 19866.7)
-    again = {" ".join(line.split()) for line in FORMATS["isg"].text(isg).splitlines()}
-    assert {" ".join(line.split()) for line in BECKHOFF.splitlines()[2:]} <= again
-
-
 @pytest.mark.parametrize(
     ("name", "old", "new", "says"),
     [
         ("siemens", "[0,1,X1]", "[0,5,X1]", "3 points at a distance of 1 mm"),
         ("siemens", "MODULO[0,X1]=0", "MODULO[0,X1]=1", "rotary"),
-        ("siemens", "[0,1,X1]", "[0,1,Z1]", "tables of 2 axes"),
+        ("siemens", "[0,1,X1]", "[0,1,AX2]", "tables of 2 axes"),
+        ("siemens", "[0,1,X1]", "[0,1,Z1]", "line 4: 'Z1' is another axis than X"),
+        ("siemens", "MAX[0,X1]=-198", "MAX[0,X1]=600", "up to MAX = 600 mm there are 801: is the file cut off"),
         ("siemens", "$AA_ENC_COMP_STEP[0,X1]=1.0", "", "without .AA_ENC_COMP_STEP"),
-        ("siemens", "M17", "R1=5", "line 10: 'R1=5' is no value"),
+        ("siemens", "M17", "R1=5\nM17", "line 10: 'R1=5' is no value"),
         ("isg", "unit                        1", "unit 0", "encoder increments"),
         ("isg", "table[2].neg                80", "table[9].neg 80", "each point needs its own"),
         ("isg", "kw_nr_max                   3", "kw_nr_max 999999999", "each point needs its own"),
@@ -115,13 +75,14 @@ def test_the_makers_own_examples() -> None:
 def test_a_wrong_table_of_a_maker_is_told(name: str, old: str, new: str, says: str) -> None:
     text = {"siemens": SINUMERIK, "isg": BECKHOFF}[name]
     assert old in text
+    axis = "X" if name == "siemens" else "Y"
     with pytest.raises(ConfigError, match=says):
-        FORMATS[name].read(text.replace(old, new), "x", "X")
+        FORMATS[name].read(text.replace(old, new), "x", TableAxes(axis, axis))
 
 
 def test_what_a_table_cannot_express_is_said_in_um() -> None:
     """Oracle: the model's own expansion: 11.5 µm/m/K x 0.1 m x (60 - 26) K at the ends of the travel."""
-    table = checked(table_of(MODEL, X, X, grid_mm(X, 5.0), conditions(MODEL, X, AT)), FORMATS["linuxcnc"])
+    table = checked(table_of(MODEL, X, X, grid_mm(5.0), conditions(MODEL, X, AT)), FORMATS["linuxcnc"])
     by_what = {r.what.split()[0]: r.largest_um for r in residuals(MODEL, table)}
     assert by_what["T_x"] == pytest.approx(11.5 * 0.1 * (60 - 26), rel=1e-3)
     assert by_what["at"] < 0.001
@@ -130,10 +91,10 @@ def test_what_a_table_cannot_express_is_said_in_um() -> None:
 
 
 def test_limits_of_the_format_are_checked() -> None:
-    fine = table_of(MODEL, X, X, grid_mm(X, 0.5), conditions(MODEL, X, AT))
+    fine = table_of(MODEL, X, X, grid_mm(0.5), conditions(MODEL, X, AT))
     with pytest.raises(ConfigError, match="takes 2 to 256 points, the table has 401"):
         checked(fine, FORMATS["linuxcnc"])
-    across = table_of(MODEL, X, MACHINE.axis("Y"), grid_mm(X, 10.0), conditions(MODEL, X, AT))
+    across = table_of(MODEL, X, MACHINE.axis("Y"), grid_mm(10.0), conditions(MODEL, X, AT))
     with pytest.raises(ConfigError, match="no tables between axes: Y cannot be corrected along X"):
         checked(across, FORMATS["linuxcnc"])
 
@@ -151,7 +112,7 @@ def test_limits_of_the_format_are_checked() -> None:
 )
 def test_a_wrong_file_is_told(text: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        FORMATS["linuxcnc"].read(text, "x.comp", "X")
+        FORMATS["linuxcnc"].read(text, "x.comp", TableAxes("X", "X"))
 
 
 def test_the_command_writes_reads_and_compares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rtec.correction.tables import FORMATS
-from rtec.correction.tables.predict import checked, grid_mm, table_of
+from rtec.correction.tables.predict import checked, grids_mm, table_of
 from rtec.machine import load_machine
 from tests.support.linuxcnc_plant import true_model
 from tests.support.linuxcnc_session import CONFIGS, Session, why_not
@@ -28,7 +28,7 @@ def test_the_error_is_gone_at_the_points_of_the_table() -> None:
     for j, axis in enumerate(machine.axes):
         at = {**DEGC, **{a.name: 0.0 for a in machine.axes if a.name != axis.name}}
         form = FORMATS[FORMAT_OF[axis.name]]
-        tables[axis.name] = checked(table_of(model, axis, axis, grid_mm(axis, STEP_MM), at), form)
+        tables[axis.name] = checked(table_of(model, axis, axis, grids_mm(form, axis, None, STEP_MM)[0], at), form)
         name = f"{axis.name.lower()}.comp"
         files[name] = form.text(tables[axis.name])
         kind = 1 if "type-1" in FORMAT_OF[axis.name] else 0

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rtec.control.server import MOST_CONNECTIONS
+from rtec.control.server import MOST_CONNECTIONS, TELEMETRY_USER
 from rtec.loop.run_file import load_setup
 
 ROOT = Path(__file__).parents[2]
@@ -111,6 +111,7 @@ def test_what_publishes_has_the_network_and_no_device(installed: Path) -> None:
     assert unit["ExecStart"] == ["/usr/bin/rtec telemetry /etc/rtec/%i.toml"]
     assert unit["RestrictAddressFamilies"] == ["AF_UNIX AF_INET AF_INET6"]
     assert unit["DevicePolicy"] == ["closed"]
+    assert unit["User"] == [TELEMETRY_USER]  # whom the daemon takes no order of
     assert "DeviceAllow" not in unit
     assert "LimitRTPRIO" not in unit
     assert unit["SuccessExitStatus"] == ["130"]

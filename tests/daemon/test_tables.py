@@ -1,8 +1,11 @@
 """`[table]` of a run file: tables that follow the temperatures, by limited changes, and stay where nothing is known."""
 
+import errno
 import json
 import math
+import os
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +13,7 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.correction.tables import FORMATS
-from rtec.correction.tables.table import CompensationTable
+from rtec.correction.tables.table import CompensationTable, TableAxes
 from rtec.daemon.status import Status
 from rtec.daemon.tables import LEAST_S, TableKeeper
 from rtec.errors import ConfigError
@@ -54,7 +57,7 @@ class Rig:
     @property
     def file(self) -> CompensationTable:
         path = self.path.with_name("x.comp")
-        return FORMATS["linuxcnc"].read(path.read_text(), "x", "X")
+        return FORMATS["linuxcnc"].read(path.read_text(), "x", TableAxes("X", "X"))
 
 
 @pytest.fixture
@@ -129,6 +132,47 @@ def test_a_value_beyond_the_limits_is_not_written(tmp_path: Path) -> None:
     assert "is beyond stop_um = 25 of [limits.X]" in alarms[0]
 
 
+def test_a_full_disk_leaves_the_table_whole(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk is full after the first half of the file. Oracle: one alarm that says so, the bytes of the old table, no
+    rest of the new one; the table goes on when there is space."""
+    rig.look(1.0, 26.0)
+    folder = rig.path.parent
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", full)
+        for k in range(5):
+            rig.look(400.0 + k, 31.0 + k / 10)
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+    assert rig.said[1:] == [("alarm", f"{folder / 'x.comp'}: cannot be written: No space left on device")]
+    rig.look(420.0, 31.0)
+    assert rig.said[-1][0] == "table"
+    assert "changed by up to 3.00 µm" in rig.said[-1][1]
+
+
+def test_another_reason_is_another_alarm(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: one alarm for each reason why the file cannot be written, however long it lasts."""
+    rig.look(1.0, 26.0)
+    for k, errors in enumerate((errno.ENOSPC, errno.EROFS)):
+        with monkeypatch.context() as patch:
+            patch.setattr("os.fsync", partial(refuse, errors))
+            for s in range(5):
+                rig.look(400.0 + 10 * k + s, 31.0 + s / 10)
+    reasons = [text.rpartition(": ")[2] for kind, text in rig.said if kind == "alarm"]
+    assert reasons == ["No space left on device", "Read-only file system"]
+
+
+def refuse(reason: int, number: int) -> None:
+    """Nothing can be written to an open file."""
+    del number
+    raise OSError(reason, os.strerror(reason))
+
+
+def full(number: int) -> None:
+    """Half of what was written is there; no more can be."""
+    os.ftruncate(number, os.fstat(number).st_size // 2)
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 LAGGED = """
 [[effect]]
 effect = "mount_expansion"
@@ -189,6 +233,12 @@ def test_what_is_no_table_is_not_replaced(tmp_path: Path) -> None:
         ('{X = "x.comp"}', '{X = "x.comp", Y = "x.comp"}', "is the file of X already"),
         ('{X = "x.comp"}', '{EYX = "x.comp"}', "has no tables between axes"),
         ("[table]", '[table]\nformat = "linuxcncc"', "no format 'linuxcncc'"),
+        (
+            "[table]",
+            '[table]\nformat = "fanuc"',
+            "fanuc is a list to type in; the daemon cannot put it into the control",
+        ),
+        ("[table]", '[table]\nformat = "isg-crosscomp2"', "write --cross EZXY"),
         ("grid_mm = 20.0", "grid_mm = 0.1", "takes 2 to 256 points"),
         ("hysteresis_um = 0.5", "hysteresis_um = 2.0", "hysteresis_um: must not be above"),
         ("interval_s = 300.0", "interval_s = 0.0", "interval_s"),
@@ -236,4 +286,36 @@ def test_a_run_with_tables_alone_writes_them_and_commands_nothing(
     assert set(result["largest_um"].values()) == {0.0}
     assert status(["run", str(run), "--step", "X=5um", "--duration", "1"]) == 2
     assert "no [role] actuator, only tables" in " ".join(capsys.readouterr().err.split())
-    assert FORMATS["siemens"].read(run.with_name("x.eec").read_text(), "x", "X").largest_um > 0.1
+    assert FORMATS["siemens"].read(run.with_name("x.eec").read_text(), "x", TableAxes("X", "X")).largest_um > 0.1
+
+
+def test_a_file_with_tables_of_other_axes_is_never_replaced(tmp_path: Path) -> None:
+    """Law: nothing is lost: a CEC file can hold eight tables; ours is rewritten only if it is alone."""
+    form, grid = FORMATS["siemens-cec"], np.linspace(-100.0, 100.0, 11)
+    text = TABLE.replace('{X = "x.comp"}', '{EYX = "cec.ini"}') + 'format = "siemens-cec"\n'
+    rig = Rig(tmp_path, text)
+    rig.look(1.0, 26.0)
+    ours = rig.path.with_name("cec.ini")
+    mine = ours.read_text()
+    assert "$AN_CEC_OUTPUT_AXIS[0]=(Y1)" in mine
+    other = form.text(CompensationTable("Z", "X", grid, 0 * grid, 0 * grid)).replace("[0", "[7")
+    ours.write_text(mine.replace("M17\n", "") + "".join(other.splitlines(keepends=True)[2:]))
+    before = ours.read_bytes()
+    with pytest.raises(ConfigError, match=r"holds 1 more tables, of other axes; \[table\] files.EYX would"):
+        Rig(tmp_path, text)
+    assert ours.read_bytes() == before
+
+
+def test_a_plane_follows_the_temperature(tmp_path: Path) -> None:
+    """Oracle: expansion by hand, at each of the rows."""
+    text = TABLE.replace('{X = "x.comp"}', '{EXXY = "x.lis"}') + 'format = "isg-crosscomp2"\n'
+    rig = Rig(tmp_path, text)
+    tables = []
+    for time_s, degc in ((1.0, 26.0), (500.0, 28.0)):
+        rig.look(time_s, degc)
+        read = FORMATS["isg-crosscomp2"].read(rig.path.with_name("x.lis").read_text(), "x", TableAxes("X", "X", "Y"))
+        tables.append(read)
+    grown = tables[1].forward_um - tables[0].forward_um
+    assert grown.shape == (11, 11)
+    assert grown[:, -1] == pytest.approx(np.full(11, 2 * GROWTH_UM), abs=0.11)
+    assert "changed by up to 2.3" in rig.said[-1][1]

@@ -11,6 +11,7 @@ import tomli_w
 
 from rtec.cli.main import status
 from rtec.diagnosis.compare.compare import compare, explained
+from rtec.effects.derived import lag_track
 from rtec.errors import MeasurementError
 from rtec.estimation.floor import flattened
 from rtec.machine import machine_from
@@ -109,6 +110,35 @@ def test_slow_drift_is_no_noise() -> None:
     assert item.noise.drift == pytest.approx(item.left.rms, rel=0.2)
     (said,) = [s for s in compare_page(c, figures=False).sections if s.heading.startswith("Where the noise")]
     assert "slow drift that no recorded channel explains" in said.text[0]
+
+
+def test_a_drift_that_a_delayed_temperature_explains_is_not_called_unexplained() -> None:
+    """Oracle: the truth, the spindle's length an hour behind T_bed; diagnose would name it."""
+    m = drift(3, white_um=0.3)
+    late = lag_track(m.channels["T_bed"], m.time_s, 3600.0)
+    m = replace(m, readings={"reading_axial_um": m.readings["reading_axial_um"] + 6.0 * (late - m.channels["T_bed"])})
+    c = compare(model(), [m])
+    assert c.items[0].drift_goes_with.startswith("goes with T_bed, about ")
+    assert float(c.items[0].drift_goes_with.split()[4]) == pytest.approx(60.0, rel=0.5)
+    page = compare_page(c, figures=False)
+    said = " ".join(str(t) for s in page.sections for t in s.text) + page.lead
+    assert "no recorded channel explains" not in said
+
+
+def test_three_runs_of_a_long_wave_come_again() -> None:
+    """Oracle: a wave along the axis, in three runs of a day without heat: a drift would be another in each."""
+    m = laser([SCALE], 3)
+    kept = m.run <= 2
+    wave = 60.0 * np.sin(2 * np.pi * m.channels["x"][kept] / 190.0) + 0.4 * np.sin(np.arange(kept.sum()) ** 2)
+    m = replace(
+        m, run=m.run[kept], time_s=m.time_s[kept], channels={k: v[kept] for k, v in m.channels.items()},
+        readings={"reading_um": wave},
+    )  # fmt: skip
+    c = compare(model(), [m])
+    page = compare_page(c, figures=False)
+    said = " ".join(t for s in page.sections for t in s.text) + page.lead
+    assert "drift that no recorded channel" not in said
+    assert "No place stands out" not in said
 
 
 def test_floor_from_repeats_does_not_depend_on_what_the_model_misses() -> None:

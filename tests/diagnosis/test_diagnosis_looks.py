@@ -6,8 +6,9 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.run_drift import run_drifts
-from rtec.diagnosis.search.screen import SKETCH, sketched
-from rtec.estimation.noise import INEXACT, Noise, find_noise, least_noise
+from rtec.diagnosis.search.screen import Bank, Projected, screen_all
+from rtec.estimation.candidates import library
+from rtec.estimation.noise import INEXACT, Noise, Whitener, find_noise, least_noise
 from rtec.estimation.readings import LOOK, looked_at, read
 from rtec.machine import Machine, machine_from
 from rtec.metrology.measurement import Measurement
@@ -89,16 +90,23 @@ def test_drift_from_run_to_run_is_told(change: float) -> None:
     assert float(told[0].split(" by ")[1].split(" ")[0]) == pytest.approx(change, abs=0.6)
 
 
-def test_rows_drawn_together_keep_inner_products() -> None:
-    """Oracle: the products of all rows. Chance depends on nothing else."""
+def test_what_chance_does_is_told_by_the_readings_that_are_kept() -> None:
+    """Oracle: the screen that keeps all. Evidence is that of all readings, and chance does about the same."""
     rng = np.random.default_rng(2)
-    d = np.cumsum(rng.standard_normal((5 * SKETCH, 12)), axis=1).astype(np.float32)
-    d /= np.linalg.norm(d, axis=0)
-    small = sketched(d, rng)
-    assert len(small) == SKETCH
-    np.testing.assert_allclose(small.T @ small, d.T @ d, atol=5.0 / np.sqrt(SKETCH))
-    assert sketched(d[:SKETCH], rng) is not None
-    assert len(sketched(d[:SKETCH], rng)) == SKETCH
+    n = 1200
+    time = np.arange(0.0, 60.0 * n, 60.0)
+    warm = {f"T_{name}": 20.0 + np.cumsum(rng.standard_normal(n)) * 0.1 for name in ("bed", "head")}
+    r = read([measured(0.5 * rng.standard_normal(n) + 0.2 * warm["T_bed"], time, 60, **warm)], smooth=False)
+    candidates, _ = library(r)
+    noise = Whitener(r, (Noise(0.5, 1e-4, 100.0, 0.0),), tuple(np.ones(s.nuisance.shape[1]) for s in r.series))
+    projected = Projected.of(noise, np.ones((n, 1)), r.values)
+    every, some = (
+        screen_all(Bank(r, candidates, keep), projected) for keep in (np.ones(n, bool), np.arange(n) % 2 > 0)
+    )
+    np.testing.assert_allclose(some.log_evidence, every.log_evidence, rtol=1e-9)
+    assert len(some.directions) == n // 2
+    chance = [s.family_p(200, np.random.default_rng(3))[1] for s in (every, some)]
+    assert np.median(chance[0]) == pytest.approx(np.median(chance[1]), abs=0.7)
 
 
 @pytest.mark.parametrize("runs", [1, 400])

@@ -108,7 +108,9 @@ def test_drift_is_found_as_it_was_drawn() -> None:
 
 def test_white_noise_has_no_drift() -> None:
     readings = read([drawn(11, drift=0.0)])
-    for noise in find_noise(readings, np.zeros((len(readings), 0))).noises:
+    noises = find_noise(readings, np.zeros((len(readings), 0))).noises
+    assert noises
+    for noise in noises:
         assert noise.sigma * np.sqrt(1.0 + noise.drift) == pytest.approx(0.4, rel=0.1)
         assert noise.floor == pytest.approx(0.4, rel=0.12)
 

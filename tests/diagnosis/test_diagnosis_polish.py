@@ -18,6 +18,7 @@ from rtec.diagnosis.search.refit import live_columns, polished, prepare
 from rtec.diagnosis.search.screen import Projected
 from rtec.errors import MeasurementError
 from rtec.estimation.gls import resolved
+from rtec.estimation.noise import find_noise
 from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
 from rtec.metrology.measurement import Measurement
@@ -82,16 +83,21 @@ def test_no_value_near_by_explains_more() -> None:
     assert left(found["s0"]) < left(5.0)
 
 
-def test_what_has_no_range_or_lies_between_readings_stays() -> None:
-    """An instant between two readings: nothing changes until it passes the next one."""
+def test_an_instant_is_looked_for_between_all_readings_near_by() -> None:
+    """Oracle: the pause in which the loss was put. Nothing changes until an instant passes the next reading."""
     m = laser([], 23)
     readings = read([m], 20.0)
     (step,) = (f.effect for f in effects("missed_counts,component=EXX,axis=X,q=2,t0=3600"))
-
-    def never() -> Projected:
-        raise AssertionError("nothing to look for")
-
-    assert polished(step, [{"t0": 3600.0}], 0, readings, never) == {"t0": 3600.0}
+    times = np.unique(readings.time_s)
+    pauses = 0.5 * (times[1:] + times[:-1])
+    true = float(pauses[len(pauses) // 2])
+    lost = replace(readings, values=readings.values + 40.0 * (readings.time_s > true))
+    whitener = find_noise(lost, np.ones((len(lost), 1)), steps=5)
+    projected = Projected.of(whitener, np.ones((len(lost), 1)), lost.values)
+    tried = [{"t0": float(t)} for t in pauses[len(pauses) // 2 % 7 + 3 :: 7]]
+    best = min(range(len(tried)), key=lambda i: abs(tried[i]["t0"] - true))
+    assert tried[best]["t0"] != true
+    assert polished(step, tried, best, lost, lambda: projected) == {"t0": true}
 
 
 def test_the_best_stays_between_its_neighbours() -> None:

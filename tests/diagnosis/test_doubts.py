@@ -51,6 +51,17 @@ def test_files_that_contradict_each_other_blame_no_effect() -> None:
     assert not d.findings[0].accepted
 
 
+def test_a_cold_day_and_a_hot_one_do_not_contradict_each_other() -> None:
+    """Oracle: the truth. Below the reference X is short, above it long: one day's line falls, the other's rises."""
+    heat = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11"
+    cold = laser([heat, *BENT], 21, thermal={"air_degc": 18.5, "body": {"T_bed": {"on_degc": 0.5}}})
+    hot = laser([heat, *BENT], 22, thermal={"air_degc": 22.0, "body": {"T_bed": {"on_degc": 16.0}}})
+    d = diagnose(model(*BENT), [cold, hot], draws=50)
+    assert "contradiction" not in kinds(d.doubts)
+    assert d.findings[0].effect.effect == "axis_expansion"
+    assert d.findings[0].accepted
+
+
 def test_beams_at_other_offsets_do_not_contradict_each_other() -> None:
     """Oracle: the arm: 38 µrad of tilt make 3.8 µm more on a beam that is 100 mm farther away."""
     tilts = [*BENT, "angular_reversal,component=EBX,axis=X,theta=38"]

@@ -7,7 +7,7 @@ from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.search.screen import Memory, Projected, screen
+from rtec.diagnosis.search.screen import Bank, Projected, screen_all
 from rtec.estimation.candidates import library
 from rtec.estimation.noise import Noise, Whitener
 from rtec.estimation.readings import read
@@ -66,11 +66,10 @@ def test_columns_kept_for_the_next_look_are_those_of_its_readings() -> None:
     keep = np.arange(len(readings)) % 3 > 0
     candidates, _ = library(readings, ["servo_lag", "polynomial_position"])
     noise = Whitener(readings, (Noise(0.5, 1e-4, 100.0, 0.0),), (np.zeros(0),))
-    kept: Memory = {}
-    screen(readings, candidates, Projected.of(noise, np.ones((len(readings), 1)), readings.values), None, kept, keep)
+    bank = Bank(readings, candidates, keep)
+    screen_all(bank, Projected.of(noise, np.ones((len(readings), 1)), readings.values))
     few = readings.without(~keep)
-    assert kept
-    for (number, theta), columns in kept.items():
-        candidate = candidates[number]
-        assert columns is not None
-        np.testing.assert_array_equal(columns, few.columns(candidate.effect, candidate.thetas[theta]))
+    assert bank.chunks
+    for chunk in bank.chunks:
+        made = [few.columns(candidates[i].effect, candidates[i].thetas[j]) for i, j in chunk.which.tolist()]
+        np.testing.assert_array_equal(chunk.columns, np.concatenate(made, axis=1))

@@ -29,12 +29,16 @@ def test_every_module_of_the_walks_exists(module: str) -> None:
 
 
 def test_every_package_is_on_the_map() -> None:
-    """Folders of rtec and of the drivers, by their names in the picture."""
-    folders = [p.parent for top in ("rtec", "drivers/rtec_drivers") for p in (ROOT / top).glob("*/__init__.py")]
+    """Folders of rtec and of the drivers by their names in the picture, each where a line or a column begins."""
     picture = PAGE.split("## The folders")[1].split("## A count")[0]
-    missing = [folder.name for folder in folders if not re.search(rf"\b{folder.name}\b", picture)]
+    rooms = set(re.findall(r"(?:^ |│ )([a-z]+)", picture, re.MULTILINE))
+    (drivers,) = re.findall(r"^ drivers/rtec_drivers +(.*):", picture, re.MULTILINE)
+    folders = {p.parent.name for p in (ROOT / "rtec").glob("*/__init__.py")}
     assert folders
-    assert missing == []
+    assert folders - rooms == set()
+    assert {p.parent.name for p in (ROOT / "drivers/rtec_drivers").glob("*/__init__.py")} == set(drivers.split())
+    modules = {p.stem for p in (ROOT / "rtec").glob("*.py")} - {"__init__"} - rooms
+    assert modules <= set(picture.split())
 
 
 def test_each_module_is_visited_once_but_the_driver() -> None:

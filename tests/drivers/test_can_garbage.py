@@ -72,8 +72,12 @@ def test_one_line_in_a_hundred_is_spoilt(adapter: SlcanAdapter) -> None:
                 line[at : at + rng.randrange(1, 4)] = rng.randbytes(rng.randrange(3))
             adapter.say(bytes(line))
             CLOCK.sleep_until_ns(CLOCK.now_ns() + MS // 5)
-        adapter.say(b"\rt1858" + pdo(285, 0, 0, 0).hex().encode() + b"\r")
-        assert until(lambda: value(device, "T_bed") == 28.5)
+
+        def reads_on() -> bool:  # again and again: a busy PC's line may be full and lose one
+            adapter.say(b"\rt1858" + pdo(285, 0, 0, 0).hex().encode() + b"\r")
+            return value(device, "T_bed") == 28.5
+
+        assert until(reads_on)
         assert device.attempts == 1
         assert device.faults() == []
         adapter.say(b"t18\r" * 5)

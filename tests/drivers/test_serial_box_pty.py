@@ -17,13 +17,16 @@ from rtec.correction.sinks import FollowingErrorSink, PhaseSink
 from rtec.errors import DriverError, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import RealClock
 from rtec_drivers.box.driver import SerialBoxDriver
+from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.pty_peer import PtyPeer
 from rtec_drivers.serial_line import Ports, SerialLine
+from tests.support import box_rig, gateware
 from tests.support.box_rig import SPEED, box_on_pty, options
 from tests.support.conformance import MACHINE, DriverLaws, Rig, open_files, soon
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 CLOCK = RealClock()
+each_box = box_rig.each_box
 
 
 class TestSerialBox(DriverLaws):
@@ -258,7 +261,8 @@ def test_a_full_port_does_not_block() -> None:
 
 def test_1000_reconnections_leak_nothing(tmp_path: Path) -> None:
     """The cable is really pulled a thousand times. Oracle: files and threads of this process before and after."""
-    with box_on_pty(tmp_path) as (peer, _, _), on(tmp_path, first_retry_s=0.0002, longest_retry_s=0.001) as driver:
+    with box_on_pty(tmp_path) as (peer, box, _), on(tmp_path, first_retry_s=0.0002, longest_retry_s=0.001) as driver:
+        times = 1000 if gateware.WHOLE or isinstance(box, BoxSimulator) else 100
 
         def pull_and_put_back() -> None:
             peer.pull()
@@ -268,6 +272,6 @@ def test_1000_reconnections_leak_nothing(tmp_path: Path) -> None:
 
         pull_and_put_back()
         files, threads = open_files(), threading.active_count()
-        for _ in range(1000):
+        for _ in range(times):
             pull_and_put_back()
         assert (open_files(), threading.active_count()) == (files, threads)

@@ -83,6 +83,18 @@ def test_peaks_that_come_again_are_the_machine() -> None:
     assert not found(m)
 
 
+@pytest.mark.parametrize("length", [15, 24, 40])
+def test_readings_of_loud_runs_are_kept(length: int) -> None:
+    """Oracle: normal noise, ten times as large in every other run; what is far off among such readings is found."""
+    for seed in range(8):
+        m = measurement(runs([length] * 16), noise_um=0.0, seed=seed)
+        noise = np.random.default_rng(seed).standard_normal(len(m)) * np.where(m.run % 2 == 0, 3.0, 0.3)
+        m = replace(m, readings={"reading_um": noise})
+        assert not found(m), seed
+        loud = int(np.flatnonzero(m.run == 8)[length // 2])
+        assert found(spoilt(m, [loud], [60.0])) == [loud]
+
+
 def test_a_long_burst_is_no_mistake_of_reading() -> None:
     m = laser([SCALE], 8, noise={"white_um": 0.1})
     rows = list(range(100, 108))

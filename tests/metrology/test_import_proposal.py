@@ -4,6 +4,7 @@ Oracles: one measurement written in five ways must come back as the same numbers
 the diagnosis; tables written by hand; the README of the real data.
 """
 
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from datetime import timedelta
@@ -201,6 +202,30 @@ def test_of_a_huge_file_the_beginning_is_looked_at(tmp_path: Path) -> None:
 # --- what columns are
 
 
+def test_remarks_hold_beyond_the_beginning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The beginning has one way out, the whole table six: no number of the beginning is told as the table's."""
+    text = WRITTEN["semicolons"](rows())
+    file = put(tmp_path, text, "foreign.txt")
+    monkeypatch.setattr("rtec.metrology.readers.layout.SAMPLE_BYTES", len(text) // 3)
+    answers = [x for a in ANSWERS.get("semicolons", []) for x in ("--answer", a)]
+    assert status(["import", str(file), "--machine", str(TURNING), *answers, "-o", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "concluded from the beginning of the file, " in said
+    beginning = said.partition("concluded from")[2].partition("assumed on import")[0]
+    assert re.findall(r"\d+ (?:times|runs)", beginning) == []
+    assert "66 rows in, 66 rows out" in said
+
+
+def test_a_t_and_a_place_in_one_word_is_a_temperature(tmp_path: Path) -> None:
+    """Old programs have no room for a blank: TNUT and TAIR. Oracle: the machine's names."""
+    lines = [f"{10 * k} {10 * k} {k}.0 2{k}.5 20.{k}" for k in range(8)]
+    file = put(tmp_path, "\n".join(["TIME NOMINAL DEV TNUT TAIR", *lines]) + "\n", "old.txt")
+    proposal = propose(file, MACHINE, None, {"axis": "X", "sensor of TNUT": "T_x_nut"})
+    assert {"T_x_nut_degc", "T_air_degc"} <= set(proposal.content["column"])
+
+
 def test_actual_and_nominal_beside_a_deviation_decide_its_sign(tmp_path: Path) -> None:
     """Oracle: ist - soll is +2 µm where the program writes -2."""
     p = proposed(tmp_path, "Soll X [mm];Ist X [mm];Abw [um]\n0;0.002;-2\n10;10.004;-4\n20;19.994;6\n30;30;0\n")
@@ -253,6 +278,25 @@ def test_an_ambiguous_comma_is_asked(tmp_path: Path) -> None:
     assert [q.choices for q in p.questions if q.key == "decimal"] == [(",", ".")]
     answered = p.answered({"decimal": ".", "instrument": "tool_tip"})
     assert import_table(p.path, answered.import_map()).columns["reading_um"].tolist() == [1234.0, 2345.0, 1111.0]
+
+
+def test_an_odd_cell_among_numbers_is_named_and_not_guessed(tmp_path: Path) -> None:
+    """Oracle: the table as it was written, where one cell of 500 is a broken number."""
+    cells = [f"{k};{k % 10 * 20};{k % 7},25" for k in range(500)]
+    cells[256] = "256;120;1.2.3"
+    file = put(tmp_path, "\n".join(["Zeit [s];Soll X [mm];Abweichung [µm]", *cells]))
+    proposal = propose(file, MACHINE)
+    question = next(q for q in proposal.open if q.default is None)
+    assert question.text.startswith("Line 258, column 'Abweichung [µm]': '1.2.3' is no number; 499 cells are.")
+    assert "reading" not in [q.key for q in proposal.open]
+    with pytest.raises(MeasurementError, match=r"Line 258.*'1\.2\.3'.*--answer 'odd cell of Abweichung \[µm\]=…'"):
+        proposal.import_map()
+    done = import_table(file, proposal.answered({question.key: "no value"}).import_map())
+    reading = np.asarray(done.columns["reading_um"], dtype=np.float64)
+    assert np.flatnonzero(np.isnan(reading)).tolist() == [256]
+    np.testing.assert_array_equal(np.delete(reading, 256), np.delete(np.arange(500) % 7 + 0.25, 256))
+    left = proposal.answered({question.key: "leave out"})
+    assert "reading_um" not in left.content["column"]
 
 
 def test_questions_and_answers(tmp_path: Path) -> None:

@@ -263,7 +263,7 @@ def test_the_commands_in_docs_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    commands = re.findall(r"^\$ rtec (.*?)(?: +#.*)?$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    commands = re.findall(r"^(?:\$ )?rtec (effects.*?)(?: +#.*)?$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     assert len(commands) == 4
     for command in commands:
         assert status(command.split()) == 0

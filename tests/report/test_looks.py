@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from rtec.cli.common import print_table
@@ -26,6 +28,7 @@ from rtec.metrology.instruments.registry import make_instrument
 from rtec.model import Model, save_model
 from rtec.report.compare import compare_page
 from rtec.report.diagnosis import diagnosis_page
+from rtec.report.figures import as_png, canvas
 from rtec.report.page import Table
 from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.settings import Settings
@@ -129,10 +132,12 @@ def test_the_worst_measurement_is_the_verdict_and_each_has_its_row() -> None:
     """Oracle: a model whose tilt has the wrong sign is worse than none; the scale of the other one is right."""
     tilted = angular(3)
     wrong = Model(small_machine(), effects(TILT.replace("k=30", "k=-30"), SCALE), name="wrong")
-    page = compare_page(compare(wrong, [laser([SCALE], 4), tilted]), figures=False)
+    page = compare_page(compare(wrong, [laser([SCALE], 4), tilted]))
     assert page.lead.startswith("tilt: the residual is")
     assert "With the model the error is larger than without one." in page.lead
-    assert page.lead.endswith("1 more reading column is in the table.")
+    assert page.lead.endswith("The other one is in the table.")
+    assert page.first_figure is not None
+    assert page.first_figure.name.startswith("tilt-")
     assert page.brief is not None
     assert page.brief.table is not None
     assert [row[0] for row in page.brief.table.rows] == ["laser-x-4", "tilt"]
@@ -188,3 +193,24 @@ def test_figures_of_several_measurements_show_each() -> None:
     assert {t.rsplit(", in ", 1)[1] for t in titles} == {"tilt", "laser-x-9"}
     page = diagnosis_page(d)
     assert any(s.figure is not None and s.figure.name == "evidence.png" for s in page.sections)
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+def test_a_long_title_is_whole(columns: int) -> None:
+    """Oracle: the words that went in, and the edges of the picture."""
+
+    @as_png
+    def draw() -> Figure:
+        figure = canvas(4.0)
+        for ax in np.atleast_1d(figure.subplots(1, columns)):
+            ax.set_title("axis_expansion_nonuniform(EXX, X, T_x_nut - T_headstock), in 2026-03-09 laser of the X axis")
+            ax.plot([0.0, 1.0], [-5e-5, 5e-5])
+        return figure
+
+    figure = draw().figure
+    figure.draw_without_rendering()
+    for ax in figure.axes:
+        title = next(t for t in ax.findobj(Text) if t.get_text().startswith("axis_"))
+        assert " ".join(title.get_text().split()).endswith("in 2026-03-09 laser of the X axis")
+        assert title.get_window_extent().x1 <= figure.bbox.x1
+        assert not ax.yaxis.get_offset_text().get_text()

@@ -127,6 +127,17 @@ def test_all_in_one_call_beat_each_alone(alone: Any) -> None:
     assert left_um(characterise(alone()).model) > 4.0 * together
 
 
+def test_a_cold_test_tells_what_is_square_and_long_from_what_is_warm() -> None:
+    """Oracle: the truth. The circles are read within 1 K, 1.2 K below the reference: a temperature could take the place
+    of every scale and angle, and nothing on a warmer day would be right."""
+    found = characterise(ball_bars()).coefficients
+    scales = {c.component: c.value for c in found if c.effect.startswith("scale")}
+    assert scales["EXX"] == pytest.approx(14.0, abs=5.0)
+    assert scales["EYY"] == pytest.approx(-9.0, abs=5.0)
+    warm = {c.component: c.value for c in found if c.effect.startswith("axis_expansion(")}
+    assert warm == {"EXX": pytest.approx(9.0, abs=4.0), "EYY": pytest.approx(8.0, abs=4.0)}
+
+
 def test_every_instrument_is_met_nearly_to_its_noise() -> None:
     """Oracle: the noise that was put in, 0.3 µm; the choice is the smallest within one standard error, so it may leave
     as much of the machine as that (0.27 µm in a plate: 0.4 µm together)."""

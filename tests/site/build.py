@@ -171,6 +171,7 @@ def config(source: Path, out: Path) -> str:
         "use_directory_urls": False,
         "nav": nav,
         "extra": {"generator": False},
+        "extra_css": ["look.css"],
         "theme": {"language": "en", "font": False, "features": features, "palette": colours},
         "markdown_extensions": extensions,
     }
@@ -225,6 +226,14 @@ def _docstring(thing: object) -> Iterator[str]:
             yield line.strip()
 
 
+LOOK = """\
+/* A key is read, and copied, in one piece; tables of pandas look like the others. */
+.md-typeset td:first-child code { white-space: nowrap; }
+.md-typeset table.dataframe { border-collapse: collapse; border: 0.05rem solid var(--md-typeset-table-color); }
+.md-typeset table.dataframe :is(th, td) { padding: 0.4em 1em; border: 0.05rem solid var(--md-typeset-table-color); }
+"""
+
+
 def build(out: Path) -> str:
     """Build the site; gives what Zensical printed.
 
@@ -235,6 +244,7 @@ def build(out: Path) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         source = Path(scratch) / "pages"
         gather(source)
+        (source / "look.css").write_text(LOOK, encoding="utf-8")
         settings = Path(scratch) / "zensical.toml"
         settings.write_text(config(source, Path(scratch) / "site"), encoding="utf-8")
         program = Path(sys.executable).with_name("zensical")

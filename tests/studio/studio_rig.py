@@ -94,18 +94,20 @@ def chromium() -> Iterator["Browser"]:
 
 @dataclass
 class Watched:
-    """A tab, what it asked for and complained of, and the commands that its pages showed."""
+    """A tab, what it asked for and complained of, the commands that its pages showed, and how far they jumped."""
 
     page: "Page"
     requests: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
+    jumped: float = 0.0
 
 
-def tab(browser: "Browser", address: str, width: int = 1440, height: int = 1000) -> Watched:
-    """Open a tab at an address and wait until the page is there."""
+def tab(browser: "Browser", address: str, width: int = 1440, height: int = 1000, script: str = "") -> Watched:
+    """Open a tab at an address and wait until the page is there; a script runs in every page before it loads."""
     page = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce").new_page()
     page.set_default_timeout(WAIT_MS)
+    page.add_init_script(script)
     watched = Watched(page)
     page.on("request", lambda r: watched.requests.append(r.url))
     page.on("websocket", lambda w: watched.requests.append(w.url))

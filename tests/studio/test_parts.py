@@ -1,5 +1,8 @@
 """Numbers as people type them, and what is drawn of very many readings."""
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +48,25 @@ def test_of_very_many_readings_the_worst_are_drawn() -> None:
     assert len(rows) == figures.MOST
     worst = np.argsort(-np.abs(many.left))[: figures.WORST]
     assert set(worst) <= set(rows)
+
+
+def test_no_plot_gets_all_of_very_many_readings() -> None:
+    """Oracle: the lengths of what is sent, of which no plot gets more than the page moves fluently."""
+    many = _many(100_000)
+    hours = {"time since the first reading, h": np.arange(100_000) / 3600.0, "T_bed, °C": 20.0 + many.left}
+    place = many.channels["X, mm"]
+    s = replace(many, channels={**many.channels, "Y, mm": place[::-1], **hours}, sensors=("T_bed, °C",))
+    made = {
+        "residual": figures.residual_over(s, "X, mm"),
+        "coloured": figures.residual_over(s, "X, mm", "T_bed, °C"),
+        "measured": figures.residual_over(s, "X, mm", what="measured"),
+        "time": figures.over_time(s),
+        "map": figures.residual_map(s, "X, mm", "Y, mm"),
+        "polar": figures.polar(s, np.deg2rad(place)),
+    }
+    sent = {n: sum(len(t.get("x", t.get("r", []))) for t in f["data"]) for n, f in made.items()}
+    assert {n: k for n, k in sent.items() if k > 2 * figures.MOST} == {}
+    assert {n: len(json.dumps(f)) for n, f in made.items() if len(json.dumps(f)) > 1_500_000} == {}
 
 
 def test_zoomed_in_every_reading_there_is_drawn() -> None:

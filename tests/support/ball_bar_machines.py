@@ -121,21 +121,35 @@ def judge(kind: str, seed: int) -> Judged:
     machine, recordings, clean, centred = measured(kind, seed)
     found, bb = diagnose(recordings), diagnose(recordings, dynamic=False, phase="angle")
     truth, count, within, inside, off = truth_of(machine), 0, 0, 0, []
+    z = []
     for v in found.fitted.values:
         if np.isfinite(v.value) and not v.with_ and _by_feed(v.name) in truth:
             far = v.value - truth[_by_feed(v.name)]
             far = (far + 180.0) % 360.0 - 180.0 if v.unit == "deg" else far
             count += 1
+            z.append(far / v.se)
             within += abs(far) <= 3.0 * v.se
             inside += abs(far) <= v.high - v.value
             if abs(far) > 3.0 * v.se:
                 off.append((v.name, far / v.se))
     named = {_by_feed(p.candidate.name) for p in found.found.beyond.picks}
     there = there_are(machine)
+    missed = tuple(sorted(there - named))
     return Judged(
         kind, seed, machine.noise_um, count, within, inside, tuple(off), explained(found, clean, centred),
-        explained(bb, clean, centred), tuple(sorted(named - there)), tuple(sorted(there - named)),
+        explained(bb, clean, centred), tuple(sorted(named - there)), missed, tuple(z),
+        _above(missed, found, truth | {n: machine.dynamic[n] for n in missed if n.startswith("spike")}),
     )  # fmt: skip
+
+
+def _above(missed: Sequence[str], found: BallBarDiagnosis, truth: Mapping[str, float]) -> tuple[str, ...]:
+    """Those of the missed that are larger than the size from which they would have been found by themselves."""
+    limits: Numbers = {}
+    for n in found.found.not_found:
+        name = _by_feed(n.candidate.name)
+        limits[name] = min(n.limit, limits.get(name, np.inf)) if not n.with_ else np.inf
+    sizes = {n: truth[n] if n in truth else truth[f"{n}_amplitude"] for n in missed if n in limits}
+    return tuple(n for n, size in sizes.items() if abs(size) > limits[n])
 
 
 SIZES = {
@@ -184,10 +198,9 @@ def judge_whole(seed: int) -> Judged:
     either = {v.name: {v.name, *v.with_} for v in found.fitted.values}
     named = {_by_feed(p.candidate.name) for p in found.found.beyond.picks}
     wrong = {n for n in named if not either.get(n, {n}) & there}
-    limits = {_by_feed(n.candidate.name): n.limit for n in found.found.not_found if not n.with_}
-    sizes = truth | {f"cyclic_{a}": m["wave_a"], f"spike_{a}": m["stick_a"]}
-    above = tuple(n for n in sorted(there - named) if n in limits and abs(sizes[n]) > limits[n])
-    missed = tuple(n for n in sorted(there - named) if n in limits)
+    looked_for = {_by_feed(n.candidate.name) for n in found.found.not_found if not n.with_}
+    missed = tuple(n for n in sorted(there - named) if n in looked_for)
+    above = _above(missed, found, truth | {f"spike_{a}": m["stick_a"]})
     return Judged(
         "whole", seed, noise, len(z), sum(abs(x) <= 3.0 for x in z), inside,
         tuple((v.name, x) for v, x in zip(sure, z, strict=True) if abs(x) > 3.0), found.explained, found.explained_bb,

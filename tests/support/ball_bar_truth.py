@@ -100,11 +100,8 @@ def moved_mm(m: TrueMachine, bar: Bar, angle_rad: Floats) -> Floats:
         def drive(angle: Floats, k: int = k, gain: float = gain, late: float = late) -> Floats:
             return np.asarray(bar.r * gain * np.cos(angle - sense * late - 0.5 * np.pi * k))
 
-        slide = np.empty(len(fine))
-        place, driven = float(drive(fine[:1])[0]), drive(fine)
-        for i, d in enumerate(driven):
-            place = min(max(place, d - 0.5 * clearance), d + 0.5 * clearance)
-            slide[i] = place
+        driven = drive(fine)
+        slide = driven if clearance == 0.0 else _dragged(driven, clearance)
         # The last turn is periodic: every reading is in it, whatever its angle.
         turn = np.interp(
             np.mod((angle_rad - fine[-1]) * sense, 2 * np.pi) - 2 * np.pi, (fine - fine[-1]) * sense, slide
@@ -118,6 +115,18 @@ def moved_mm(m: TrueMachine, bar: Bar, angle_rad: Floats) -> Floats:
     return out
 
 
+def _dragged(driven: Floats, clearance: float) -> Floats:
+    """Places of a slide that is dragged with this clearance, (n,)."""
+    place, half, out = float(driven[0]), 0.5 * clearance, []
+    for d in driven.tolist():
+        if d - place > half:
+            place = d - half
+        elif place - d > half:
+            place = d + half
+        out.append(place)
+    return np.array(out)
+
+
 def direction(bar: Bar, angle_rad: Floats, k: int) -> Floats:
     """Commanded way of an axis, -1 or +1, (n,)."""
     sense = 1.0 if bar.sense == "ccw" else -1.0
@@ -129,51 +138,46 @@ def reading_um(m: TrueMachine, bar: Bar, angle_rad: Floats) -> Floats:
     a, b, n = ("XYZ".index(d) for d in m.letters)
     unit = np.eye(3)
     place = moved_mm(m, bar, angle_rad)
-    out = np.empty(len(angle_rad))
-    ball = np.zeros(3)
-    ball[a], ball[b], ball[n] = 1e-3 * m["ex"], 1e-3 * m["ey"], bar.h + 1e-3 * bar.height_um
-    sides = [direction(bar, angle_rad, k) * 0.5e-3 * m[f"side_{'ab'[k]}"] for k in (0, 1)]
-    for i in range(len(angle_rad)):
-        p, q = place[i]
-        # Travel, mm, and turn, rad, of each axis' carriage, as the tool against the workpiece.
-        travel = {d: np.zeros(3) for d in "XYZ"}
-        turn = {d: np.zeros(3) for d in "XYZ"}
-        along_a = unit[a] + 1e-6 * (m["lean"] * unit[b] + m["rise_a"] * unit[n])
-        along_b = unit[b] + 1e-6 * m["rise_b"] * unit[n]
-        wave = 1e-3 * m["wave_a"] * np.sin(2 * np.pi * p / 10.0)
-        travel[m.plane[0]] = along_a * (p * (1.0 + 1e-6 * m["scale_a"]) + wave)
-        travel[m.plane[0]] += 0.5e-6 * p**2 * (-m["bend_a"] * unit[b] + m["arch_a"] * unit[n]) + sides[0][i] * unit[b]
-        travel[m.plane[1]] = along_b * q * (1.0 + 1e-6 * m["scale_b"])
-        travel[m.plane[1]] += 0.5e-6 * q**2 * (-m["bend_b"] * unit[a] - m["arch_b"] * unit[n]) + sides[1][i] * unit[a]
-        own, way = (m.plane[0], p) if m.carrier == 0 else (m.plane[1], -q)
-        turn[own] = turn[own] + unit["XYZ".index(own)] * 1e-9 * m["roll"] * way
-        # A slide that follows its arc turns by the arc's slope: its own line stays along the tangent.
-        travel[m.plane[1]] += -0.5e-6 * q**2 * m["turn_b"] * unit[a]
-        turn[m.plane[1]] = turn[m.plane[1]] + unit[n] * m.hand * 1e-6 * m["turn_b"] * q
-        tool, work = SIDES[m.kind]
-        tip = _point(tool, travel, turn, 1.0, np.zeros(3))
-        fixed = _point(work, travel, turn, -1.0, ball)
-        out[i] = np.linalg.norm(tip - fixed)
-    return np.asarray((out - np.hypot(bar.r, bar.h)) * 1e3 - bar.longer_um, dtype=np.float64)
+    ball = np.zeros((len(angle_rad), 3))
+    ball[:, a], ball[:, b], ball[:, n] = 1e-3 * m["ex"], 1e-3 * m["ey"], bar.h + 1e-3 * bar.height_um
+    side_a, side_b = (direction(bar, angle_rad, k)[:, None] * 0.5e-3 * m[f"side_{'ab'[k]}"] for k in (0, 1))
+    p, q = place[:, :1], place[:, 1:]
+    # Travel, mm, and turn, rad, of each axis' carriage, as the tool against the workpiece, (n, 3).
+    travel = {d: np.zeros_like(ball) for d in "XYZ"}
+    turn = {d: np.zeros_like(ball) for d in "XYZ"}
+    along_a = unit[a] + 1e-6 * (m["lean"] * unit[b] + m["rise_a"] * unit[n])
+    along_b = unit[b] + 1e-6 * m["rise_b"] * unit[n]
+    wave = 1e-3 * m["wave_a"] * np.sin(2 * np.pi * p / 10.0)
+    travel[m.plane[0]] += along_a * (p * (1.0 + 1e-6 * m["scale_a"]) + wave)
+    travel[m.plane[0]] += 0.5e-6 * p**2 * (-m["bend_a"] * unit[b] + m["arch_a"] * unit[n]) + side_a * unit[b]
+    travel[m.plane[1]] += along_b * q * (1.0 + 1e-6 * m["scale_b"])
+    travel[m.plane[1]] += 0.5e-6 * q**2 * (-m["bend_b"] * unit[a] - m["arch_b"] * unit[n]) + side_b * unit[a]
+    own, way = (m.plane[0], p) if m.carrier == 0 else (m.plane[1], -q)
+    turn[own] += unit["XYZ".index(own)] * 1e-9 * m["roll"] * way
+    # A slide that follows its arc turns by the arc's slope: its own line stays along the tangent.
+    travel[m.plane[1]] += -0.5e-6 * q**2 * m["turn_b"] * unit[a]
+    turn[m.plane[1]] += unit[n] * m.hand * 1e-6 * m["turn_b"] * q
+    tool, work = SIDES[m.kind]
+    tip = _point(tool, travel, turn, 1.0, np.zeros_like(ball))
+    fixed = _point(work, travel, turn, -1.0, ball)
+    length = np.linalg.norm(tip - fixed, axis=1)
+    return np.asarray((length - np.hypot(bar.r, bar.h)) * 1e3 - bar.longer_um, dtype=np.float64)
 
 
 def _point(axes: str, travel: Mapping[str, Floats], turn: Mapping[str, Floats], sign: float, point: Floats) -> Floats:
-    """A point that sits on the outermost carriage of a side, in the base's frame."""
-    out = np.asarray(point, dtype=np.float64)
+    """Points that sit on the outermost carriage of a side, in the base's frame, (n, 3)."""
     for d in reversed(axes):
-        out = _turned(sign * turn[d], out) + sign * travel[d]
-    return out
+        point = _turned(sign * turn[d], point) + sign * travel[d]
+    return point
 
 
 def _turned(vector: Floats, point: Floats) -> Floats:
-    """Rodrigues' rotation."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return point
-    axis = vector / angle
-    return np.asarray(
-        point * np.cos(angle) + np.cross(axis, point) * np.sin(angle) + axis * (axis @ point) * (1.0 - np.cos(angle))
-    )
+    """Rodrigues' rotation, (n, 3)."""
+    angle = np.linalg.norm(vector, axis=1, keepdims=True)
+    axis = vector / np.where(angle > 0.0, angle, 1.0)
+    along = (axis * point).sum(axis=1, keepdims=True)
+    turned = point * np.cos(angle) + np.cross(axis, point) * np.sin(angle) + axis * along * (1.0 - np.cos(angle))
+    return np.asarray(turned, dtype=np.float64)
 
 
 def truth_of(m: TrueMachine, bars: Sequence[Bar]) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from rtec_drivers.box.options import BoxOptions
 from rtec_drivers.box.simulator import BoxSimulator, StillPlant
 from rtec_drivers.pty_peer import PtyPeer, WireFaults
 from tests.support.conformance import MACHINE
-from tests.support.gateware import GatewareBox, missing
+from tests.support.gateware import GatewareBox, gateware_on_a_port, missing
 
 MS = 1_000_000
 SPEED = {"X": 400.0, "Z": 400.0}
@@ -34,6 +34,12 @@ def each_box(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     """A module that takes this in runs its tests twice: on the box in software, and on the simulated gateware."""
     if request.param == "gateware":
         monkeypatch.setattr(f"{__name__}.BoxSimulator", GatewareBox)
+        monkeypatch.setattr(f"{__name__}.on_a_port", gateware_on_a_port)
+
+
+def on_a_port(plant: StillPlant, link: Path, **box_options: Any) -> PtyPeer:
+    """The box in software behind a pseudo terminal."""
+    return PtyPeer(BoxSimulator(plant, 2, **box_options), RealClock(), link)
 
 
 class MemoryLine:
@@ -148,9 +154,8 @@ class MemoryBench(Bench):
 
 
 @contextmanager
-def box_on_pty(folder: Path, **box_options: Any) -> Iterator[tuple[PtyPeer, BoxSimulator, StillPlant]]:
+def box_on_pty(folder: Path, **box_options: Any) -> Iterator[tuple[PtyPeer, BoxSimulator | GatewareBox, StillPlant]]:
     """A box on a pseudo terminal whose name is `folder / "box"`."""
     plant = StillPlant(2)
-    box = BoxSimulator(plant, 2, **box_options)
-    with PtyPeer(box, RealClock(), folder / "box") as peer:
-        yield peer, box, plant
+    with on_a_port(plant, folder / "box", **box_options) as peer:
+        yield peer, cast("BoxSimulator | GatewareBox", peer.peer), plant

@@ -237,8 +237,13 @@ def _calls(rig: Rig, driver: Any) -> list[tuple[type, Callable[[], Any]]]:
     return [(role, call) for role, call in calls if rig.can(role)]
 
 
+AGO_MS = 500
+"""Counts that are older than this, when it is opened, do not come."""
+
+
 def _check_counts(rig: Rig, driver: Any, start_ns: int) -> None:
-    counts, last_ns = np.zeros(len(rig.machine.axes), np.int64), start_ns
+    counts = np.zeros(len(rig.machine.axes), np.int64)
+    last_ns = start_ns - AGO_MS * MS  # counts that were latched before it was opened may come first
     for _ in range(20):
         instant_ns = rig.soon(lambda: driver.read_counts(counts))
         assert last_ns <= instant_ns <= rig.clock.now_ns()

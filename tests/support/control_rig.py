@@ -2,7 +2,7 @@
 
 import json
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +68,10 @@ class Line:
         self.socket, self._received = made, b""
 
     @classmethod
-    def to(cls, config: Path) -> "Line":
-        """Connect to the daemon with that run file."""
+    def to(cls, config: Path, place: Callable[[Path], Path] = socket_path) -> "Line":
+        """Connect to the daemon with that run file; `place` gives its socket."""
         made = socket.socket(socket.AF_UNIX)
-        made.connect(str(socket_path(config)))
+        made.connect(str(place(config)))
         return cls(made)
 
     def __enter__(self) -> "Line":

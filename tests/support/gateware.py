@@ -19,13 +19,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.loop.clock import RealClock
 from rtec_drivers.box import gateware
 from rtec_drivers.box.simulator import Plant, crc32, stuff, unstuff
+from rtec_drivers.pty_peer import PtyPeer
 
 FOLDER: Final = Path(os.environ.get("RTEC_GATEWARE", Path(__file__).parents[2] / "drivers" / "box"))
 CLK_HZ: Final = 4_000_000
 BAUD: Final = 2_000_000
 SEPARATION: Final = 4
+REAL_CLOCK: Final = {"CLK_HZ": 2_000_000, "BAUD": 1_000_000}
+"""As many clocks a second as a busy computer simulates."""
+BOARD: Final = {"CLK_HZ": 12_000_000, "BAUD": 3_000_000, "SEPARATION": 16}
+"""As the boards have it."""
+SPI_BYTE_US: Final = 8 * 6 / 12
+SPI_CYCLE_BYTES: Final = 60
+"""At 2 MHz: 240 of the 250 µs of a cycle at 4 kHz."""
+WHOLE: Final = bool(os.environ.get("RTEC_WHOLE_GATEWARE"))
+"""`make gateware`: what is long runs on the gateware too."""
 Bytes = NDArray[np.uint8]
 _NUMBERS = count()
 
@@ -99,6 +110,13 @@ def chip(axes: int = 2, **sizes: int) -> gateware.Chip:
     return gateware.Chip(library(AXES=axes, **sizes))
 
 
+def gateware_on_a_port(plant: Plant, link: Path, **box_options: int) -> PtyPeer:
+    """The gateware behind a pseudo terminal."""
+    slow = chip(**REAL_CLOCK)
+    box = gateware.GatewareBox(slow, plant, slow.axes, longest_ms=gateware.LONGEST_MS, **box_options)
+    return gateware.on_a_port(box, RealClock(), link)
+
+
 class GatewareBox(gateware.GatewareBox):
     """The gateware as a box, built where it is needed."""
 
@@ -154,7 +172,7 @@ def line_times(cycles: int = 400) -> tuple[float, float, int]:
         µs from the first bit of a READ to the last of its answer, from the first bit of a COMMAND to its first inserted
         count, and how many of the latches at 4 kHz were lost.
     """
-    with chip(3, CLK_HZ=12_000_000, BAUD=3_000_000, SEPARATION=16) as box:
+    with chip(3, **BOARD) as box:
         box.settings(interval=12, counts_per_s=1_000_000)
         box.send(frame(4, 1, (1).to_bytes(2, "little")))
         box.run(6000, [0, 0, 0])
@@ -178,36 +196,48 @@ def line_times(cycles: int = 400) -> tuple[float, float, int]:
             box.run(3000, [places, places, places])
             came += box.received()
         box.run(3000, [places, places, places])
-        answers = [unstuff(block) for block in (came + box.received()).split(b"\0") if block]
-        good = {int.from_bytes(a[2:4], "little") for a in answers if _at_one_instant(a)}
-        return float(read_us), float(command_us), cycles - len(good)
+        return float(read_us), float(command_us), cycles - _latches(came + box.received())
 
 
-def spi_times() -> tuple[float, float]:
-    """The first two of `line_times` over SPI, without an adapter, at a quarter of the chip's 12 MHz, the most it takes.
+def spi_times(cycles: int = 400) -> tuple[float, float, int]:
+    """What `line_times` gives, over SPI without an adapter, at a sixth of the chip's 12 MHz, the most it takes.
 
     The master reads on while the chip thinks, so the answer comes in the same transfer as the question.
     """
-    with chip(3, CLK_HZ=12_000_000, BAUD=3_000_000, SEPARATION=16, SPI=1) as box:
+    with chip(3, **BOARD, SPI=1) as box:
         box.settings(interval=12, counts_per_s=1_000_000)
         box.run(500, [0, 0, 0])
-        boot = unstuff(box.spi(frame(1, 1) + bytes(80), half=2).strip(b"\0"))[4:6]
-        came = box.spi(frame(2, 2) + bytes(100), half=2)
-        read_us = (len(came.rstrip(b"\0")) + 1) * 8 * 4 / 12
-        box.spi(frame(4, 3, boot) + bytes(100), half=2)
+        boot = unstuff(box.spi(frame(1, 1) + bytes(80), half=3).strip(b"\0"))[4:6]
+        came = box.spi(frame(2, 2) + bytes(100), half=3)
+        read_us = (len(came.rstrip(b"\0")) + 1) * SPI_BYTE_US
+        box.spi(frame(4, 3, boot) + bytes(100), half=3)
         command = frame(3, 4, boot + struct.pack("<3i", 5, 5, 5))
-        box.spi(command, half=2)
-        command_us = len(command) * 8 * 4 / 12
+        box.spi(command, half=3)
+        command_us = len(command) * SPI_BYTE_US
         while not box.ledger(0).inserted:
             box.run(6, [0, 0, 0])
             command_us += 0.5
-        return read_us, command_us
+        came, places = b"", 0
+        for n in range(cycles):
+            sent = frame(2, n) + frame(3, n, boot + struct.pack("<3i", n % 7, -n % 5, n % 3))
+            sent += bytes(SPI_CYCLE_BYTES - len(sent))
+            came += box.spi(sent, half=3)
+            places += 50
+            box.run(3000 - 48 * len(sent) - 12, [places, places, places])
+        came += box.spi(bytes(SPI_CYCLE_BYTES), half=3)
+        return read_us, command_us, cycles - _latches(came)
 
 
 def frame(kind: int, number: int, payload: bytes = b"", version: int = 1) -> bytes:
     """A frame of the box link, as it goes over the wire."""
     body = bytes((version, kind)) + number.to_bytes(2, "little") + payload
     return b"\0" + stuff(body + crc32(body).to_bytes(4, "little")) + b"\0"
+
+
+def _latches(came: bytes) -> int:
+    """How many questions were answered by counts of one instant."""
+    answers = [unstuff(block) for block in came.split(b"\0") if block]
+    return len({int.from_bytes(a[2:4], "little") for a in answers if _at_one_instant(a)})
 
 
 def _at_one_instant(state: bytes) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 
 import tomli_w
 
+from tests.support import gateware
 from tests.support.modbus_peer import until
 from tests.support.setups import CONFIGS
 
@@ -47,9 +48,16 @@ def environment(folder: Path) -> dict[str, str]:
     return {**os.environ, "TMPDIR": str(folder)}
 
 
+def on_gateware(arguments: tuple[object, ...]) -> tuple[object, ...]:
+    """The same command with the box's gateware in the place of the box in software, where `make gateware` wants it."""
+    if not gateware.WHOLE or arguments[0] != "hil" or {"list", "--gateware"} & set(map(str, arguments)):
+        return arguments
+    return (*arguments, "--gateware", gateware.library(**gateware.REAL_CLOCK))
+
+
 def rtec(*arguments: object, env: Mapping[str, str] | None = None) -> "subprocess.CompletedProcess[str]":
     """Run the command line."""
-    command = [sys.executable, "-m", "rtec.cli.main", *map(str, arguments)]
+    command = [sys.executable, "-m", "rtec.cli.main", *map(str, on_gateware(arguments))]
     return subprocess.run(
         command, capture_output=True, text=True, env=env, start_new_session=True, timeout=400, check=False
     )
@@ -64,7 +72,7 @@ def facts_of(done: "subprocess.CompletedProcess[str]") -> dict[str, Any]:
 
 def start(folder: Path, sign: str, *arguments: object) -> "subprocess.Popen[str]":
     """Start the command line in a process group of its own; return when the bench has made this file."""
-    command = [sys.executable, "-m", "rtec.cli.main", *map(str, arguments)]
+    command = [sys.executable, "-m", "rtec.cli.main", *map(str, on_gateware(arguments))]
     process = subprocess.Popen(
         command,
         stdout=subprocess.PIPE,

@@ -51,6 +51,8 @@ class FakeSlave:
 
     Attributes:
         value: its register 0, by the number of the request; the following registers count up from it.
+        register: of these addresses the value, each time it is read.
+        last: its last address; requests beyond it are refused with error 2. Not given: it has all.
         delay_s: before it answers.
         silent: it does not answer.
         spoil: what becomes of an answer's bytes.
@@ -58,6 +60,8 @@ class FakeSlave:
     """
 
     value: Callable[[int], int] = lambda _: 0
+    register: Mapping[int, Callable[[], int]] = field(default_factory=dict)
+    last: int = 0xFFFF
     delay_s: float = 0.0
     silent: bool = False
     spoil: Callable[[int, bytes], bytes] = lambda _, data: data
@@ -121,8 +125,11 @@ class FakeLine:
         if slave.silent:
             return
         k, count, first = len(slave.asked_ns), frame[5], int.from_bytes(frame[2:4], "big")
-        words = b"".join(((slave.value(k) + first + i) & 0xFFFF).to_bytes(2, "big") for i in range(count))
-        body = frame[:2] + bytes([2 * count]) + words
+        base = slave.value(k)
+        numbers = [slave.register[a]() if a in slave.register else base + a for a in range(first, first + count)]
+        body = frame[:2] + bytes([2 * count]) + b"".join((n & 0xFFFF).to_bytes(2, "big") for n in numbers)
+        if first + count - 1 > slave.last:
+            body = bytes([frame[0], frame[1] | 0x80, 2])
         self._due.append((CLOCK.now_ns() + round(slave.delay_s * 1e9), slave.spoil(k, body + crc(body))))
 
 

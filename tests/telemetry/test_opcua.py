@@ -1,8 +1,10 @@
 """OPC UA. Oracles: node-opcua, a client with no code of ours or of the server's library; asyncua's client."""
 
 import asyncio
+import gc
 import json
 import os
+import select
 import shutil
 import socket
 import subprocess
@@ -11,11 +13,15 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
+from weakref import WeakSet
 
 import pytest
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.crypto.uacrypto import CertProperties
+from asyncua.server.binary_server_asyncio import OPCUAProtocol
+from asyncua.server.internal_session import InternalSession
+from asyncua.server.internal_subscription import InternalSubscription
 
 from rtec.control.server import Control
 from rtec.correction.guard import Flag
@@ -68,13 +74,18 @@ def task(setup: Setup, keys: Path, place: str) -> Task:
 
 
 @pytest.fixture(scope="module")
-def place(setup: Setup, keys: Path, daemon: LivingDaemon) -> Iterator[str]:
-    """Where the server listens."""
+def running(setup: Setup, keys: Path, daemon: LivingDaemon) -> Iterator[tuple[str, list[str]]]:
+    """Where the server listens, and what it says."""
     del daemon
     place = free_place()
     with served(task(setup, keys, place)) as said:
         connectable(said)
-        yield place
+        yield place, said
+
+
+@pytest.fixture
+def place(running: tuple[str, list[str]]) -> str:
+    return running[0]
 
 
 def connectable(said: list[str]) -> None:
@@ -90,17 +101,45 @@ def asked(place: str, keys: Path, who: str | None, do: Callable[[Client], Awaita
     """Connect as somebody, do something, and give what came of it."""
 
     async def run() -> Any:
-        client = Client(f"opc.tcp://{place}/rtec", timeout=LONG_S)
-        client.application_uri = f"urn:{who}"
+        client = await client_of(place, keys, who)
         if user:
             client.set_user(user)
-        if who is not None:
-            own, key, other = (CertProperties(str(keys / n), "pem") for n in (f"{who}.pem", f"{who}.key", "mill.pem"))
-            await client.set_security(SecurityPolicyBasic256Sha256, own, key, server_certificate=other)
         async with client:
             return await do(client)
 
     return asyncio.run(run())
+
+
+async def client_of(place: str, keys: Path, who: str | None = "office") -> Client:
+    """Not connected yet."""
+    client = Client(f"opc.tcp://{place}/rtec", timeout=LONG_S)
+    client.application_uri = f"urn:{who}"
+    if who is not None:
+        own, key, other = (CertProperties(str(keys / n), "pem") for n in (f"{who}.pem", f"{who}.key", "mill.pem"))
+        await client.set_security(SecurityPolicyBasic256Sha256, own, key, server_certificate=other)
+    return client
+
+
+def transport_of(client: Client) -> asyncio.Transport:
+    """Of a client that is connected."""
+    transport: asyncio.Transport = client.uaclient.protocol.transport
+    return transport
+
+
+def closed(client: Client) -> bool:
+    """Has the server closed the connection, whatever the client has read? The kernel says so."""
+    look = select.poll()
+    look.register(transport_of(client).get_extra_info("socket").fileno(), select.POLLRDHUP)
+    return bool(look.poll(0))
+
+
+IN_MEMORY = (OPCUAProtocol, InternalSession, InternalSubscription)
+
+
+def held() -> "WeakSet[Any]":
+    """Connections, sessions and subscriptions that the servers of this process have in memory."""
+    gc.collect()
+    return WeakSet(one for one in gc.get_objects() if isinstance(one, IN_MEMORY))
 
 
 async def status_of(client: Client, node: str) -> ua.DataValue:
@@ -224,13 +263,144 @@ def test_a_flood_and_a_restart(setup: Setup, keys: Path, daemon: LivingDaemon, m
             soon(RealClock(), served_again)
 
 
+def test_a_message_without_an_end(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first bytes give 2 GB. Oracle: the connection ends far before that, and not for want of a session."""
+    monkeypatch.setattr(opcua, "ACTIVATION_S", 1e6)
+    host, port = place.split(":")
+    with socket.create_connection((host, int(port)), timeout=LONG_S) as flood:
+        flood.sendall(b"OPNF" + (2**31 - 1).to_bytes(4, "little"))
+        with suppress(ConnectionError):
+            flood.sendall(bytes(2 << 20))
+            assert flood.recv(1) == b""
+
+
+@pytest.mark.parametrize("way", ["much waits", "long waits"])
+def test_who_does_not_read_is_cut_off(keys: Path, monkeypatch: pytest.MonkeyPatch, way: str) -> None:
+    """The library lets answers wait without an end. Oracle: real connections of the loopback: one whose peer reads goes
+    on, the other is aborted at the bytes that wait, or after the time."""
+    monkeypatch.setattr(opcua, "LARGEST_BUFFER", 1 << 20 if way == "much waits" else 1 << 40)
+    monkeypatch.setattr(opcua, "SLOW_S", 60.0 if way == "much waits" else 0.3)
+    monkeypatch.setattr(opcua, "LOOK_S", 0.01)
+    said: list[str] = []
+
+    async def run() -> None:
+        table = validated(OpcuaTable, {"certificate_file": "c", "key_file": "k", "trusted_folder": "t"}, "run")
+        publisher = opcua.UaPublisher(table, keys, "mill", said.append)
+        accepted: list[asyncio.StreamWriter] = []
+        server = await asyncio.start_server(lambda _, writer: accepted.append(writer), "127.0.0.1", 0)
+        address = server.sockets[0].getsockname()
+        peers = [await asyncio.open_connection(*address) for _ in range(2)]
+        while len(accepted) < 2:
+            await asyncio.sleep(0.01)
+        by_name = {writer.get_extra_info("peername"): writer for writer in accepted}
+        slow, quick = (by_name[writer.get_extra_info("sockname")] for _, writer in peers)
+        peers[0][1].transport.pause_reading()  # type: ignore[attr-defined]
+        watch = asyncio.create_task(publisher._cut_off([slow.transport, quick.transport]))
+        slow.write(bytes(16 << 20))
+        taken = 0
+        while not slow.transport.is_closing():
+            quick.write(bytes(1 << 16))
+            taken += len(await peers[1][0].readexactly(1 << 16))
+            await asyncio.sleep(0.01)
+        assert taken > 0
+        assert not quick.transport.is_closing()
+        watch.cancel()
+        server.close()
+        for writer in (*accepted, *(writer for _, writer in peers)):
+            writer.transport.abort()
+        await asyncio.sleep(0.05)
+
+    asyncio.run(run())
+    assert len(said) == 1
+    assert "cut off: it does not read" in said[0]
+
+
+def test_a_dead_client(setup: Setup, keys: Path, daemon: LivingDaemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has a session and a subscription and falls silent: its connection is closed, its memory is free. Oracles: the
+    objects of this process; the kernel. One that goes on to ask keeps its connection meanwhile."""
+    del daemon
+    monkeypatch.setattr(opcua, "SHORTEST_SESSION_S", 1.0)
+    monkeypatch.setattr(opcua, "ACTIVATION_S", 0.5)
+    place = free_place()
+
+    async def run() -> None:
+        async with await client_of(place, keys) as living:
+            others = held()
+            dead = await client_of(place, keys)
+            dead.session_timeout = 1000
+            await dead.connect()
+            await dead.create_subscription(50, object())
+            of_dead = held() - others
+            assert {type(one) for one in of_dead} == set(IN_MEMORY)
+            for job in (dead._supervisor_task, dead._stale_watchdog_task, dead._renew_channel_task):
+                job.cancel()
+            transport_of(dead).pause_reading()
+            while not closed(dead):
+                assert await living.get_namespace_array()
+                await asyncio.sleep(0.05)
+            while of_dead:
+                gc.collect()
+                assert await living.get_namespace_array()
+            transport_of(dead).abort()
+
+    with served(task(setup, keys, place)) as said:
+        connectable(said)
+        made(place, keys)
+        asyncio.run(asyncio.wait_for(run(), LONG_S))
+
+
+def test_a_client_that_asks_and_does_not_read(
+    running: tuple[str, list[str]], keys: Path, daemon: LivingDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """asyncua's client sends questions whose answers are long, reads none, and is cut off at the bytes that wait, not
+    by a time. Another client is answered all the while. Oracles: what the server says; the kernel."""
+    place, said = running
+    monkeypatch.setattr(opcua, "SLOW_S", 1e6)
+    made(place, keys)
+    daemon._status.devices = {"box": [30_000 * "x"]}
+
+    async def run() -> int:
+        async with await client_of(place, keys) as quick:
+            while len(str(await reading(quick, "Conditions"))) < 30_000:
+                await asyncio.sleep(0.02)
+            slow = await client_of(place, keys)
+            await slow.connect()
+            number = await slow.get_namespace_index(opcua.OURS)
+            one = ua.ReadValueId(ua.NodeId("Conditions", number), ua.AttributeIds.Value)
+            question = ua.ReadRequest()
+            question.Parameters.NodesToRead = 30 * [one]
+            transport_of(slow).pause_reading()
+            answered = 0
+            while not cut(said):
+                slow.uaclient.protocol._send_request(question)
+                assert await reading(quick, "mode") == [("on", "Good")]
+                answered += 1
+            assert await reading(quick, "mode") == [("on", "Good")]
+            while not closed(slow):
+                await asyncio.sleep(0.01)
+            await slow.disconnect()
+            return answered
+
+    try:
+        assert asyncio.run(asyncio.wait_for(run(), LONG_S)) > 1
+    finally:
+        daemon._status.devices = {}
+    assert len(cut(said)) == 1
+
+
+def cut(said: list[str]) -> list[str]:
+    return [line for line in said if "cut off: it does not read" in line]
+
+
 def node_modules() -> str:
     """Folder of node-opcua-client; RTEC_NODE_MODULES names it where it is not installed for all."""
     if shutil.which("node") is None:
         pytest.skip("node is not installed (Debian: nodejs)")
     folder = os.environ.get("RTEC_NODE_MODULES") or "/usr/local/lib/node_modules"
     if not (Path(folder) / "node-opcua-client").is_dir():
-        pytest.skip("node-opcua-client is not installed (npm install --global node-opcua-client)")
+        pytest.skip(
+            "node-opcua-client is not installed (npm ci in tests/telemetry/node, as .ci/run; RTEC_NODE_MODULES)"
+        )
     return folder
 
 
@@ -238,7 +408,7 @@ def test_an_independent_client(place: str, keys: Path) -> None:
     """node-opcua: browses, subscribes at 10 Hz, is refused a write, and a connection without encryption."""
     folder = node_modules()
     made(place, keys)
-    script = Path(__file__).with_name("opcua_client.js")
+    script = Path(__file__).with_name("node") / "opcua_client.js"
     done = subprocess.run(
         ["node", str(script), f"opc.tcp://{place}/rtec", str(keys)],
         capture_output=True, text=True, timeout=40, check=False, env={**os.environ, "NODE_PATH": folder},

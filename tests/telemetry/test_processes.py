@@ -1,17 +1,21 @@
 """The processes of `rtec telemetry`. Oracles: the broker's last will; what the kernel says of processes; the daemon."""
 
+import json
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rtec.cli.main import status
+from rtec.control.places import status_path
 from rtec.control.server import Control
 from rtec.errors import ConfigError
 from rtec.loop.clock import RealClock
@@ -19,8 +23,8 @@ from rtec.loop.run_file import load_setup
 from rtec.telemetry.processes import tasks
 from tests.support import setups
 from tests.support.conformance import soon
-from tests.support.control_rig import LONG_S, Line
-from tests.support.telemetry_rig import Broker, LivingDaemon, Subscriber
+from tests.support.control_rig import LONG_S, Line, free_place
+from tests.support.telemetry_rig import Broker, LivingDaemon, Subscriber, certificates
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 
@@ -78,6 +82,78 @@ def test_a_killed_process_is_started_again(tmp_path: Path, runtime_folder: Path)
                 sub.until(lambda _, content: content.get("state") == "offline")
                 soon(clock, lambda: gone(child))
                 assert line.ask(ask="status") is not None
+
+
+def heard(place: str, what: bytes) -> bool:
+    """Connect to the adapter as an agent does; is that among what it says at once?"""
+    try:
+        host, port = place.split(":")
+        with socket.create_connection((host, int(port)), timeout=LONG_S) as agent:
+            said = b""
+            while what not in said:
+                if not (more := agent.recv(65536)):
+                    return False
+                said += more
+            return True
+    except OSError:
+        return False
+
+
+def acknowledged(place: str) -> bool:
+    """Does the OPC UA server answer a Hello? The bytes are those of OPC 10000-6, 7.1.2.3."""
+    url, (host, port) = f"opc.tcp://{place}/rtec".encode(), place.split(":")
+    hello = struct.pack("<5II", 0, 65536, 65536, 0, 0, len(url)) + url
+    try:
+        with socket.create_connection((host, int(port)), timeout=LONG_S) as client:
+            client.sendall(b"HELF" + struct.pack("<I", 8 + len(hello)) + hello)
+            return client.recv(4) == b"ACKF"
+    except OSError:
+        return False
+
+
+def at_last(clock: RealClock, done: Callable[[], bool]) -> None:
+    """Wait for a process that has to start: far longer than for anything else."""
+    for _ in range(8):
+        with suppress(AssertionError):
+            soon(clock, done)
+            return
+    raise AssertionError
+
+
+def test_the_loop_does_not_notice(tmp_path: Path, runtime_folder: Path) -> None:
+    """A daemon runs, the processes in the network are killed and come again, then their parent is killed and takes them
+    along. Oracle: the daemon itself: its cycles go on, none of its parts is in trouble, it ends as ever."""
+    del runtime_folder
+    place, other = free_place(), free_place()
+    (certificates(tmp_path, "mill") / "trusted").mkdir()
+    files = {"certificate_file": "mill.pem", "key_file": "mill.key", "trusted_folder": "trusted"}
+    adapter, server = {"listen": place, "period_s": 0.05}, {"listen": other, **files}
+    config, clock = run_file(tmp_path, mtconnect=adapter, opcua=server), RealClock()
+    command = [sys.executable, "-m", "rtec.cli.main", "run", str(config), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as daemon:
+        try:
+            with telemetry(config) as parent:
+                at_last(clock, lambda: heard(place, b"|avail|AVAILABLE") and acknowledged(other))
+                first = children(parent.pid)
+                for child in first:
+                    os.kill(child, signal.SIGKILL)
+                soon(clock, lambda: all(map(gone, first)))
+                at_last(clock, lambda: heard(place, b"|avail|AVAILABLE") and len(children(parent.pid)) == 2)
+                again = children(parent.pid)
+                assert len(first) == 2
+                parent.kill()
+                at_last(clock, lambda: all(map(gone, again)))
+            with Line.to(config, status_path) as line:
+                before = line.ask(ask="status")
+                soon(clock, lambda: (line.ask(ask="status") or {})["status"]["cycles"] > before["status"]["cycles"])  # type: ignore[index]
+            assert before is not None
+            assert before["status"]["parts"] == {}
+            assert before["control"]["not_let_in"] == 0
+            daemon.send_signal(signal.SIGINT)
+            out, _ = daemon.communicate(timeout=LONG_S)
+        finally:
+            daemon.kill()
+    assert json.loads(out)["cycles"] > before["status"]["cycles"]
 
 
 def test_off_by_default(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,8 +1,8 @@
 """Every command that a page shows runs as it is printed, or the block says that it is not to be run.
 
-The fence says which: `console` is run here, the blocks of a page in order, in a folder that only `rtec init --example`
+The fence says which: `bash` is run here, the blocks of a page in order, in a folder that only `rtec init --example`
 has filled; `sh` is run by the page's own test; `text` is output, or commands for files and devices of the reader's.
-Oracle: exit status 0, and for a block of `text` right below a console block the output itself.
+Oracle: exit status 0, and for a block of `text` right below a block of commands the output itself.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from rtec.cli.main import status
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 FENCE = re.compile(r"^ *```([\w-]*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
-KINDS = {"console", "sh", "text", "toml", "json", "python", "py", "ini", "hal"}
+KINDS = {"bash", "sh", "text", "toml", "json", "python", "py", "ini", "hal"}
 OWN = {
     "tutorial.md": "tests/tutorial/test_tutorial.py",
     "campaign.md": "tests/tutorial/campaign.py",
@@ -40,10 +40,9 @@ def fences(page: Path) -> list[tuple[str, str]]:
 
 
 def commands(text: str) -> list[str]:
-    """The commands of a console block, continued lines joined."""
+    """The commands of a block, continued lines joined."""
     lines = text.replace("\\\n", " ").splitlines()
-    assert all(line.startswith("$ ") for line in lines), text
-    return [shlex.join(shlex.split(line.removeprefix("$ "), comments=True)) for line in lines]
+    return [shlex.join(shlex.split(line, comments=True)) for line in lines]
 
 
 def run(command: str, folder: Path) -> str:
@@ -80,14 +79,14 @@ def test_every_block_says_what_it_is(page: Path) -> None:
         assert (ROOT / other).is_file()
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if any(k == "console" for k, _ in fences(p))], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [p for p in PAGES if any(k == "bash" for k, _ in fences(p))], ids=lambda p: p.name)
 def test_every_command_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: exit status; a block of text right below a console block is what its commands print."""
+    """Oracle: exit status; a block of text right below a block of commands is what its commands print."""
     monkeypatch.setenv("COLUMNS", "120")  # as wide as the pages
     assert run("rtec init --example", tmp_path)
     printed, blocks = "", fences(page)
     for k, (kind, text) in enumerate(blocks):
-        if kind == "console":
+        if kind == "bash":
             printed = "".join(run(c, tmp_path) for c in commands(text) if c not in ELSEWHERE)
-        elif kind == "text" and k and blocks[k - 1][0] == "console" and f"```\n\n```text\n{text}" in page.read_text():
+        elif kind == "text" and k and blocks[k - 1][0] == "bash" and f"```\n\n```text\n{text}" in page.read_text():
             assert plain(text) in plain(printed), text

@@ -1,6 +1,7 @@
 // Frames out: takes the bytes of a frame, adds the CRC, sends it stuffed (COBS) between two zeros.
 //
-// Give `size` bytes by `put` while `wants`, then it sends by itself; `idle` says that a new frame may begin.
+// Give `size` bytes by `put` while `wants`, then it sends by itself; `idle` says that a new frame may begin. It is stuffed
+// before its first byte goes out: then a byte is ready 3 clocks after the one before, as a line that cannot wait asks.
 `default_nettype none
 module frame_out #(
     parameter SIZE_BITS = 6
@@ -17,10 +18,10 @@ module frame_out #(
     output reg                  out_valid,
     input  wire                 out_ready
 );
-  localparam IDLE = 0, FILL = 1, CRC = 2, HEAD = 3, LOOK = 4, SCAN = 5, CODE = 6, COPY = 7, TAIL = 8;
+  localparam IDLE = 0, FILL = 1, CRC = 2, LOOK = 3, STUFF = 4, HEAD = 5, CODE = 6, COPY = 7, TAIL = 8;
   reg [3:0] state;
   reg [7:0] memory[0:(1<<SIZE_BITS)-1];
-  reg [SIZE_BITS-1:0] length, filled, from, to;
+  reg [SIZE_BITS-1:0] length, filled, to, zero;  // `zero`: place of the zero behind `to`, or the end
   reg [7:0] value;
   reg [1:0] part;
   wire busy, unused;
@@ -30,15 +31,17 @@ module frame_out #(
 
   assign idle = state == IDLE;
   assign wants = state == FILL && !busy && filled != length;
-  wire write = take || state == CRC;
+  wire stuffs = state == STUFF && value == 0;
+  wire write = take || state == CRC || stuffs;
+  wire [SIZE_BITS-1:0] where = stuffs ? to : filled, distance = zero - to;
   wire [7:0] crc_byte = crc[8*part+:8];
+  wire [7:0] what = stuffs ? distance : state == CRC ? crc_byte : data;
   wire sent = out_valid && out_ready;
   wire free = !out_valid || out_ready;
-  wire at_end = to == length;
 
   always @(posedge clk) begin
     value <= memory[to];
-    if (write) memory[filled] <= state == CRC ? crc_byte : data;
+    if (write) memory[where] <= what;
     if (sent) out_valid <= 0;
     if (rst) begin
       state <= IDLE;
@@ -58,44 +61,34 @@ module frame_out #(
         CRC: begin
           filled <= filled + 1'b1;
           part <= part + 1'b1;
-          if (part == 2'd3) begin
-            length <= filled + 1'b1;
-            state <= HEAD;
-          end
+          length <= filled + 1'b1;
+          zero <= filled + 1'b1;
+          to <= filled;
+          if (part == 2'd3) state <= LOOK;
+        end
+        LOOK: state <= STUFF;  // `value` follows `to` a clock later
+        STUFF: begin  // from the end: a zero becomes the distance to the one behind it
+          if (value == 0) zero <= to;
+          to <= to - (to != 0);
+          state <= to == 0 ? HEAD : LOOK;
         end
         HEAD:
         if (free) begin
           out <= 0;
           out_valid <= 1;
-          from <= 0;
-          to <= 0;
-          state <= LOOK;
-        end
-        LOOK: state <= SCAN;  // `value` follows `to` a clock later
-        SCAN:  // `to` goes on to the next zero, or to the end
-        if (at_end || value == 0) state <= CODE;
-        else begin
-          to <= to + 1'b1;
-          state <= LOOK;
+          state <= CODE;
         end
         CODE:
         if (free) begin
-          out <= to - from + 8'd1;
+          out <= zero + 8'd1;
           out_valid <= 1;
-          length <= to;           // the block that is copied ends here
-          filled <= length;       // and the frame there
-          to <= from;
-          state <= COPY;
           part <= 0;
+          state <= COPY;
         end
         COPY: begin
           part <= 1;  // wait a clock for `value`
-          if (to == length) begin
-            length <= filled;
-            from <= to + 1'b1;
-            to <= to + 1'b1;
-            state <= to == filled ? TAIL : LOOK;
-          end else if (part != 0 && free) begin
+          if (to == length) state <= TAIL;
+          else if (part != 0 && free) begin
             out <= value;
             out_valid <= 1;
             to <= to + 1'b1;

@@ -1,7 +1,8 @@
 // SPI, mode 0, the box is the slave: the same bytes as on the serial line.
 //
-// A clock of the line takes at least 4 of ours. Where there is nothing to say, zeros go out; zeros that come in end
-// frames and mean nothing else, so that the master may clock out zeros to listen.
+// A clock of the line takes at least 6 of ours. The box's bit changes 3 to 4 of ours after the edge at which the master took
+// the one before, so it is there in time for the next. Where there is nothing to say, zeros go out; zeros that come in
+// end frames and mean nothing else, so that the master may clock out zeros to listen.
 `default_nettype none
 module spi (
     input  wire       clk,
@@ -23,7 +24,7 @@ module spi (
     data   <= {data[0], mosi};
     select <= {select[0], !ss_n};
   end
-  wire rise = clock[2:1] == 2'b01, fall = clock[2:1] == 2'b10;
+  wire rise = clock[2:1] == 2'b01;
 
   reg [2:0] bits;
   reg [6:0] in;
@@ -37,21 +38,16 @@ module spi (
       bits <= 0;
       out <= tx_valid ? tx_data : 8'd0;
       loaded <= tx_valid && !rst;
-    end else begin
-      if (rise) begin
-        in   <= {in[5:0], data[1]};
-        bits <= bits + 1'b1;
-        if (bits == 0) tx_ready <= loaded;
-        if (bits == 7) begin
-          rx_data  <= {in, data[1]};
-          rx_valid <= 1;
-        end
-      end
-      if (fall) begin
-        if (bits == 0) begin  // a byte is over: take the next one
-          out <= tx_valid ? tx_data : 8'd0;
-          loaded <= tx_valid;
-        end else out <= {out[6:0], 1'b0};
+    end else if (rise) begin
+      in   <= {in[5:0], data[1]};
+      bits <= bits + 1'b1;
+      out  <= {out[6:0], 1'b0};
+      if (bits == 0) tx_ready <= loaded;
+      if (bits == 7) begin  // a byte is over: take the next one
+        rx_data  <= {in, data[1]};
+        rx_valid <= 1;
+        out      <= tx_valid ? tx_data : 8'd0;
+        loaded   <= tx_valid;
       end
     end
   end

@@ -16,7 +16,7 @@ module uart #(
     input  wire       tx_valid,
     output wire       tx_ready
 );
-  localparam BITS = $clog2(DIVISOR + 1);
+  localparam BITS = $clog2(DIVISOR);
   localparam [BITS-1:0] LAST = DIVISOR - 1, MIDDLE = DIVISOR / 2 - 1;
 
   reg [1:0] synced;

@@ -60,6 +60,7 @@ struct Chip {
   std::deque<uint8_t> to_box;
   int sending = 0, send_bits = 0;
   double send_wait = 1, bit_clocks = kDivisor;  // the other side has a clock of its own
+  int glitch = 0;                               // clocks for which the line is low, whatever is sent
   std::vector<uint8_t> from_box;
   int got = 0, got_wait = 0, got_bits = 0;
 
@@ -84,6 +85,7 @@ struct Chip {
   }
 
   void drive_line() {
+    if (glitch > 0) { --glitch; top.rx = 0; return; }
     if (--send_wait > 0) return;
     if (send_bits == 0) {
       if (to_box.empty()) { top.rx = 1; send_wait = 1; return; }
@@ -229,6 +231,14 @@ void chip_power(Chip* chip, int rst, uint32_t a, uint32_t b, int64_t clocks) {
 void chip_broken(Chip* chip, uint32_t mask) { chip->top.broken = mask; }
 void chip_pace(Chip* chip, double bit_clocks) { chip->bit_clocks = bit_clocks; }
 void chip_freeze(Chip* chip, int frozen) { chip->frozen = frozen; }
+void chip_glitch(Chip* chip, int clocks) { chip->glitch = clocks; }
+
+// Registers that would take hours to get there: the time since the start, and how long nothing was heard.
+void chip_time(Chip* chip, uint32_t time_us, uint32_t silent_ms) {
+  chip->top.rootp->chip__DOT__core__DOT__watch__DOT__time_us = time_us;
+  chip->top.rootp->chip__DOT__core__DOT__watch__DOT__silent_ms = silent_ms;
+}
+
 int chip_relay(Chip* chip) { return chip->top.relay; }
 int chip_resumed(Chip* chip) { return chip->top.rootp->chip__DOT__core__DOT__line__DOT__resumed; }
 int64_t chip_commands(Chip* chip) { return static_cast<int64_t>(chip->commands); }

@@ -1,20 +1,24 @@
 """Readouts and thermocouple boards that print lines of text on a serial port: counts, temperatures, spindle speed."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import Scanner
 from rtec.machine import Machine
+from rtec.tomlfile import validated
+from rtec_drivers.ascii.scan import AsciiScanner
 from rtec_drivers.ascii.text import SPINDLE, AsciiOptions, LineParser, LineReader
 from rtec_drivers.box.options import max_counts_per_s
 from rtec_drivers.count_tracker import CountTracker
 from rtec_drivers.reopen import Reopener
-from rtec_drivers.serial_line import PortFinder, Ports, SerialLine
+from rtec_drivers.serial_line import PortFinder, PortOptions, Ports, SerialLine
 from rtec_drivers.stuck import StuckWatch
 
 
@@ -127,6 +131,12 @@ decimal = ","
 patterns = ['T1=(?P<T_bed>\\S+) T2=(?P<T_air>\\S+)']   # T1= 21,4 is then T_bed, by the machine's names
 units = {T_air = "degf"}
 """
+
+    @classmethod
+    def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
+        """Listen what the port prints."""
+        way = {key: value for key, value in table.items() if key in PortOptions.model_fields}
+        return AsciiScanner(validated(PortOptions, way, "ascii_lines"), clock)
 
     def __init__(
         self, options: AsciiOptions, machine: Machine, clock: Clock, base: Path = Path(), ports: Ports | None = None

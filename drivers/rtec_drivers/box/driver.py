@@ -1,9 +1,10 @@
 """Encoder box on a serial port: reads latched counts, inserts counts (RTEC box link, `docs/rtec-box-link.md`)."""
 
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +12,17 @@ from numpy.typing import NDArray
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import Scanner
 from rtec.machine import Machine
+from rtec.tomlfile import validated
 from rtec_drivers.box import protocol
 from rtec_drivers.box.ledger import BoxLedger
 from rtec_drivers.box.options import BoxOptions, axis_order, max_counts_per_s
+from rtec_drivers.box.scan import BoxScanner
 from rtec_drivers.box.session import BoxAnswer, BoxSession
 from rtec_drivers.count_tracker import CountTracker
 from rtec_drivers.reopen import Reopener
-from rtec_drivers.serial_line import PortFinder, Ports, SerialLine
+from rtec_drivers.serial_line import PortFinder, PortOptions, Ports, SerialLine
 
 IntArray = NDArray[np.int64]
 FIRST_WAIT_S = 0.1
@@ -53,6 +57,14 @@ driver = "serial_box"
 port = "/dev/serial/by-id/usb-RTEC_box_0042-if00"
 max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
 """
+
+    @classmethod
+    def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
+        """Ask whether a box is at this port, and what its inputs count."""
+        way = {key: value for key, value in table.items() if key in PortOptions.model_fields}
+        return BoxScanner(
+            validated(PortOptions, {"baud": BoxOptions.model_fields["baud"].default, **way}, "serial_box"), clock
+        )
 
     def __init__(
         self, options: BoxOptions, machine: Machine, clock: Clock, base: Path = Path(), ports: Ports | None = None

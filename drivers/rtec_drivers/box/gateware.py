@@ -3,9 +3,13 @@
 `make -C drivers/box sim` makes the library that this drives. `GatewareBox` takes and gives bytes as `BoxSimulator`
 does, so whatever speaks to the one can speak to the other, UART and all. What the controller has is decoded from the
 lines that go out.
+
+`python -m rtec_drivers.box.gateware LINK --library LIBRARY` is one behind a serial port, in a process of its own.
 """
 
+import argparse
 import ctypes
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -14,12 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ConfigError
-from rtec_drivers.box.simulator import Plant
+from rtec.loop.clock import Clock, RealClock
+from rtec_drivers.box.simulator import MovingPlant, Plant, until_input_ends
+from rtec_drivers.pty_peer import PtyPeer
 
 LIMIT: Final = 2**31 - 1
 LONGEST_ANSWER_CLOCKS: Final = 100_000
 PIPELINE_CLOCKS: Final = 100
 """An encoder's edge has been counted and is out after so many clocks, whatever filter the board ties."""
+PERIOD_S: Final = 0.0005
+"""Behind a port the chip is run this often, so that little is due when a question comes."""
+LONGEST_MS: Final = 20
+"""Behind a port no more is caught up at once: on a slow computer the chip's own clock is slow, too."""
 Bytes = NDArray[np.uint8]
 _CHIP: Final = ctypes.c_void_p
 _CALLS: Final[dict[str, tuple[Any, list[Any]]]] = {
@@ -31,6 +41,8 @@ _CALLS: Final[dict[str, tuple[Any, list[Any]]]] = {
     "power": (None, [_CHIP, ctypes.c_int, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_int64]),
     "broken": (None, [_CHIP, ctypes.c_uint32]),
     "pace": (None, [_CHIP, ctypes.c_double]),
+    "glitch": (None, [_CHIP, ctypes.c_int]),
+    "time": (None, [_CHIP, ctypes.c_uint32, ctypes.c_uint32]),
     "freeze": (None, [_CHIP, ctypes.c_int]),
     "relay": (ctypes.c_int, [_CHIP]),
     "resumed": (ctypes.c_int, [_CHIP]),
@@ -118,6 +130,18 @@ class Chip:
         )  # fmt: skip
         self._lib.chip_settings(self._chip, (ctypes.c_uint32 * len(given))(*given))
 
+    def check_axes(self, axes: int) -> None:
+        """Has it so many?
+
+        Raises:
+            ConfigError: it has not.
+        """
+        if self.axes != axes:
+            raise ConfigError(
+                f"{self.library}: gateware of {self.axes} axes, the machine has {axes}; "
+                f"`make -C drivers/box sim AXES={axes}` makes another"
+            )
+
     def close(self) -> None:
         """End the simulation."""
         if self._chip:
@@ -152,6 +176,14 @@ class Chip:
     def pace(self, faster: float) -> None:
         """Let the other end of the serial line send faster than the chip expects: 0.01 is by 1 %."""
         self._lib.chip_pace(self._chip, self.clk_hz / self.baud / (1.0 + faster))
+
+    def glitch(self, clocks: int) -> None:
+        """Hold the serial line low for so many clocks."""
+        self._lib.chip_glitch(self._chip, clocks)
+
+    def since(self, start_us: int, heard_ms: int) -> None:
+        """Let this be the time since its start, and since it heard a command."""
+        self._lib.chip_time(self._chip, start_us, heard_ms)
 
     def freeze(self, frozen: bool) -> None:
         """Let the register of the chip's time be stuck, or not."""
@@ -216,14 +248,16 @@ class Chip:
 class GatewareBox:
     """The gateware with the interface of `BoxSimulator`: bytes in, bytes out, wired to a plant.
 
-    The chip lives as long as the clock says that it should; while its line carries a frame it may be ahead. After a
-    start its counters begin where the plant's are, as after homing.
+    The chip lives as long as the clock says that it should, but what it would have to catch up beyond `longest_ms` is
+    left out; while its line carries a frame it may be ahead. After a start its counters begin where the plant's are,
+    as after homing.
 
     Args:
         chip: a simulated chip that is this box's alone.
         plant: its encoders and the controller behind it.
         axes: how many; must be the library's.
         counter_bits, hold_after_ms, counts_per_s, box_serial, boot: as of `BoxSimulator`.
+        longest_ms: most that it catches up at once.
 
     Raises:
         ConfigError: the chip has another number of axes.
@@ -239,17 +273,15 @@ class GatewareBox:
         counts_per_s: int = 20_000,
         box_serial: int = 42,
         boot: int = 1,
+        longest_ms: int = 1000,
     ) -> None:
         self.chip, self.plant, self.axes = chip, plant, axes
+        self._longest = longest_ms * chip.clk_hz // 1000
         self._settings: dict[str, Any] = {
             "counter_bits": counter_bits, "hold_after_ms": hold_after_ms, "counts_per_s": counts_per_s,
             "box_serial": box_serial, "boot": boot - 1,
         }  # fmt: skip
-        if chip.axes != axes:
-            raise ConfigError(
-                f"{chip.library}: gateware of {chip.axes} axes, the machine has {axes}; "
-                f"`make -C drivers/box sim AXES={axes}` makes another"
-            )
+        chip.check_axes(axes)
         self._clocks, self._start_ns = 0, -1
         self._broken = self._frozen = False
         self._inserted = [0] * axes
@@ -313,14 +345,14 @@ class GatewareBox:
         return out + self.chip.received()
 
     def idle(self, now_ns: int) -> bytes:
-        """Time goes by, and encoders move; of a long silence a second is enough."""
+        """Time goes by, and encoders move."""
         if self._start_ns < 0:
             self._start_ns = now_ns
         due = (now_ns - self._start_ns) * self.chip.clk_hz // 10**9 - self._clocks
         places = self._places if self._frozen else tuple(self.plant.counts(now_ns))
         moved, self._places = places != self._places, places
         if due > 0 or moved:
-            wanted = min(max(due, 0), self.chip.clk_hz)
+            wanted = min(max(due, 0), self._longest)
             took = self.chip.run(wanted, list(places))
             took += self.chip.run(PIPELINE_CLOCKS, list(places)) if moved else 0
             self._clocks += max(due - wanted, 0) + took
@@ -342,3 +374,26 @@ class GatewareBox:
         if inserted != self._inserted:
             self._inserted = inserted
             self.plant.insert(list(inserted))
+
+
+def on_a_port(box: GatewareBox, clock: Clock, link: Path) -> PtyPeer:
+    """The box behind a serial port; it needs about a third of a processor for each 2 MHz."""
+    return PtyPeer(box, clock, link, PERIOD_S)
+
+
+def main(arguments: list[str]) -> None:
+    """Serve until standard input ends, which it does when whoever started this is gone."""
+    parser = argparse.ArgumentParser(prog="rtec_drivers.box.gateware", description=__doc__)
+    parser.add_argument("link", type=Path, help="name to give to the port")
+    parser.add_argument("--library", type=Path, required=True, help="what `make -C drivers/box sim` made")
+    parser.add_argument("--counts-per-s", type=int, default=100_000)
+    parser.add_argument("--span-counts", type=int, default=100_000)
+    given = parser.parse_args(arguments)
+    with Chip(given.library) as chip:
+        plant = MovingPlant(chip.axes, given.counts_per_s, given.span_counts)
+        with on_a_port(GatewareBox(chip, plant, chip.axes, longest_ms=LONGEST_MS), RealClock(), given.link):
+            until_input_ends()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

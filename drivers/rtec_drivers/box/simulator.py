@@ -257,6 +257,13 @@ class MovingPlant:
         """Nobody looks."""
 
 
+def until_input_ends() -> None:
+    """Say that it is ready; wait."""
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    sys.stdin.read()
+
+
 def main(arguments: list[str]) -> None:
     """Serve until standard input ends, which it does when whoever started this is gone."""
     parser = argparse.ArgumentParser(prog="rtec_drivers.box.simulator", description=__doc__)
@@ -267,9 +274,7 @@ def main(arguments: list[str]) -> None:
     given = parser.parse_args(arguments)
     plant = MovingPlant(given.axes, given.counts_per_s, given.span_counts)
     with PtyPeer(BoxSimulator(plant, given.axes), RealClock(), given.link):
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
-        sys.stdin.read()
+        until_input_ends()
 
 
 if __name__ == "__main__":

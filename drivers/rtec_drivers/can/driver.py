@@ -1,10 +1,11 @@
 """Temperatures and spindle speed from frames on a CAN bus, named in a DBC file or mapped in CANopen PDOs."""
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +13,12 @@ from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock
+from rtec.loop.ports import Scanner
 from rtec.machine import Machine
 from rtec.quantities import Factor
+from rtec.tomlfile import validated
 from rtec_drivers.can.bus import CanOptions, CanPort
+from rtec_drivers.can.scan import CanScanner
 from rtec_drivers.can.signals import NMT, Dbc, NodeOptions, NodeWatch, SignalOptions, SignalSource
 from rtec_drivers.thermocouple import Conversion, TemperatureReadings, open_code_faults
 
@@ -114,6 +118,12 @@ node = 8
 pdo = 2
 map = ["i32"]
 """
+
+    @classmethod
+    def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
+        """Listen which frames come, and which of their bytes change."""
+        way = {key: value for key, value in table.items() if key in CanOptions.model_fields}
+        return CanScanner(validated(CanOptions, way, "can"), clock, "temperature")
 
     def __init__(self, options: CanTemperatureOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
         self._options, self._clock = options, clock

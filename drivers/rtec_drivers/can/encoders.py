@@ -1,8 +1,9 @@
 """Encoders on a CAN bus (CANopen profile CiA 406, or any with a DBC file) as one count source."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,12 @@ from pydantic import Field
 
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout
 from rtec.loop.clock import Clock
+from rtec.loop.ports import Scanner
 from rtec.machine import Machine
 from rtec.quantities import MillimetresPerSecond
-from rtec.tomlfile import nearest
+from rtec.tomlfile import nearest, validated
 from rtec_drivers.can.bus import CanOptions, CanPort
+from rtec_drivers.can.scan import CanScanner
 from rtec_drivers.can.signals import Dbc, NodeOptions, NodeWatch, SignalOptions
 from rtec_drivers.count_tracker import CountTracker
 
@@ -91,6 +94,12 @@ pdo = 1
 map = ["u32"]
 max_speed_mm_s = 500
 """
+
+    @classmethod
+    def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
+        """Listen which frames come, and which of their bytes change."""
+        way = {key: value for key, value in table.items() if key in CanOptions.model_fields}
+        return CanScanner(validated(CanOptions, way, "can_encoders"), clock, "axis")
 
     def __init__(self, options: CanEncoderOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
         names = machine.axis_names

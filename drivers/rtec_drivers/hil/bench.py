@@ -43,7 +43,7 @@ class HilBench:
 
     def run(self, order: HilOrder, tell: Tell) -> HilResult:
         """Run all four: simulated and behind buses, off and on."""
-        wiring = read_wiring(order.config)
+        wiring = read_wiring(order.config, order.gateware)
         _check_faults(order.faults, wiring)
         off_s = order.off_s or wiring.options.off_s
         on_s = max([order.on_s or wiring.options.on_s, *(f.end_s + RECOVER_S for f in order.faults)])
@@ -63,6 +63,11 @@ class HilBench:
     def soak(self, order: SoakOrder, tell: Tell) -> SoakResult:
         """Run for long, with faults by chance."""
         return soak(order, tell)
+
+
+def _words(bus: Bus, wiring: Wiring) -> str:
+    simulated = f"; simulated gateware {wiring.gateware}" if bus == "box" and wiring.gateware else ""
+    return WORDS[bus] + simulated
 
 
 def _check_faults(faults: Sequence[FaultOrder], wiring: Wiring) -> None:
@@ -101,7 +106,7 @@ def _result(
         rate_hz=on.setup.file.run.rate_hz,
         off_s=off_s,
         on_s=on_s,
-        wiring={name: WORDS[bus] for name, bus in wiring.buses.items()},
+        wiring={name: _words(bus, wiring) for name, bus in wiring.buses.items()},
         buses=buses,
         simulated=alike,
         off_timing=_timing(off),

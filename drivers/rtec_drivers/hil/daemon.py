@@ -62,7 +62,7 @@ def run_on_buses(
     log.unlink(missing_ok=True)
     words = f"behind real buses, {'corrected' if mode == 'on' else 'uncorrected'}"
     tell(words, 0, 0)
-    with _no_state_left(config), FarSides(config, folder, every_ms) as far:
+    with _no_state_left(config), FarSides(config, folder, every_ms, wiring.gateware) as far:
         tenths = round(duration_s * 10)
         watch = FaultWatch(faults, wiring.buses, clock, lambda s: tell(words, round(s * 10), tenths))
 

@@ -22,11 +22,12 @@ from rtec.loop.run_file import Realtime
 from rtec.loop.state_files import state_places
 from rtec.machine import Machine, load_machine
 from rtec.tomlfile import validated
+from rtec_drivers.box.gateware import LONGEST_MS, Chip, GatewareBox, on_a_port
 from rtec_drivers.box.options import BoxOptions, axis_order
 from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.can.driver import CanTemperatureOptions
 from rtec_drivers.hil.adapter import adapter
-from rtec_drivers.hil.injector import Injector, Switch, box_switches, can_switches, modbus_switches
+from rtec_drivers.hil.injector import Box, Injector, Switch, box_switches, can_switches, modbus_switches
 from rtec_drivers.hil.plant import InBoxOrder, MachinePlant, Recorder, Sensed
 from rtec_drivers.hil.slaves import slave_line
 from rtec_drivers.hil.wiring import SENSED, TRACK, Wiring, read_wiring
@@ -57,9 +58,16 @@ class MachinePart:
         (name,) = (n for n, bus in wiring.buses.items() if bus == "box")
         options = _options(BoxOptions, wiring.tables["device"][name])
         plant = InBoxOrder(self._plant, axis_order(options.axes, machine))
-        axes, opts = len(machine.axes), wiring.options
-        self._box = BoxSimulator(plant, axes, 32, opts.hold_after_ms, opts.counts_per_s, options.box_serial or 42)
-        self._peer = stack.enter_context(PtyPeer(self._box, CLOCK, wiring.link(folder, name)))
+        axes, opts, link = len(machine.axes), wiring.options, wiring.link(folder, name)
+        more = (32, opts.hold_after_ms, opts.counts_per_s, options.box_serial or 42)
+        self._box: Box
+        if wiring.gateware is None:
+            self._box = BoxSimulator(plant, axes, *more)
+            peer = PtyPeer(self._box, CLOCK, link)
+        else:
+            self._box = GatewareBox(Chip(wiring.gateware), plant, axes, *more, longest_ms=LONGEST_MS)
+            peer = on_a_port(self._box, CLOCK, link)
+        self._peer = stack.enter_context(peer)
         stack.enter_context(_ticking(self._follow))
         self.switches: dict[str, Switch] = box_switches(
             self._peer, self._box, self._plant, machine.axes[0].counts_per_mm
@@ -204,9 +212,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--part", choices=sorted(PARTS), required=True)
     parser.add_argument("--folder", type=Path, required=True, help="for ports, and for what is handed over")
     parser.add_argument("--every-ms", type=int, default=10, help="the tip is looked at this often")
+    parser.add_argument("--gateware", type=Path, help="a library of simulated gateware: in the place of the box")
     given = parser.parse_args(arguments)
     with ExitStack() as stack:
-        part = PARTS[given.part](read_wiring(given.config), given.folder, stack, given.every_ms)
+        part = PARTS[given.part](read_wiring(given.config, given.gateware), given.folder, stack, given.every_ms)
         _say({"ready": True, "warnings": part.warnings})
         ordered = _serve(part, given.folder)
     if not ordered:

@@ -23,14 +23,15 @@ class FarSides:
         config: run file with section `[hil]`.
         folder: for ports, and for what is handed over.
         every_ms: the tip is looked at this often.
+        gateware: a library of simulated gateware, in the place of the box in software.
 
     Attributes:
         warnings: what the system did not grant them.
     """
 
-    def __init__(self, config: Path, folder: Path, every_ms: int) -> None:
+    def __init__(self, config: Path, folder: Path, every_ms: int, gateware: Path | None = None) -> None:
         self.warnings: list[str] = []
-        self._config, self._folder, self._every_ms = config, folder, every_ms
+        self._config, self._folder, self._every_ms, self._gateware = config, folder, every_ms, gateware
         self._processes: dict[str, subprocess.Popen[str]] = {}
 
     def __enter__(self) -> Self:
@@ -78,6 +79,7 @@ class FarSides:
     def _start(self, part: str) -> "subprocess.Popen[str]":
         command = [sys.executable, "-m", "rtec_drivers.hil.far_side", str(self._config), "--part", part]
         command += ["--folder", str(self._folder), "--every-ms", str(self._every_ms)]
+        command += ["--gateware", str(self._gateware)] if self._gateware else []
         return subprocess.Popen(  # noqa: S603 - our own interpreter and module
             command,
             stdin=subprocess.PIPE,

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rtec.loop.clock import Clock
+from rtec_drivers.box.gateware import GatewareBox
 from rtec_drivers.box.simulator import BoxSimulator
 from rtec_drivers.hil.adapter import SlcanSimulator
 from rtec_drivers.hil.plant import MachinePlant
@@ -14,6 +15,7 @@ from rtec_drivers.pty_peer import PtyPeer
 GARBAGE = bytes((0x55, 0x00, 0xFF, 0x13, 0x0D, 0x80, 0x2A))
 JUMP_MM = 10.0
 LATE_BOX_NS, LATE_NS = 3_000_000, 700_000_000
+Box = BoxSimulator | GatewareBox
 Switch = Callable[[bool], None]
 """Switches a fault on, or off."""
 
@@ -65,7 +67,7 @@ class Injector:
             self._switches[event.name](event.begins)
 
 
-def box_switches(peer: PtyPeer, box: BoxSimulator, plant: MachinePlant, counts_per_mm: float) -> dict[str, Switch]:
+def box_switches(peer: PtyPeer, box: Box, plant: MachinePlant, counts_per_mm: float) -> dict[str, Switch]:
     """The faults of an encoder box."""
 
     def reset(on: bool) -> None:

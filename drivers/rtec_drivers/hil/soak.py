@@ -46,7 +46,7 @@ def draw_faults(buses: Sequence[Bus], duration_s: float, seed: int) -> list[Faul
 
 def soak(order: SoakOrder, tell: Tell) -> SoakResult:
     """Run for as long as told, corrected, and judge."""
-    wiring = read_wiring(order.config)
+    wiring = read_wiring(order.config, order.gateware)
     duration_s = order.minutes * 60.0
     faults = draw_faults(list(wiring.buses.values()), duration_s, order.seed)
     every_ms = every_ms_of(duration_s)

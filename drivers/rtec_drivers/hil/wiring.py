@@ -10,7 +10,9 @@ from pydantic import Field
 
 from rtec.errors import ConfigError
 from rtec.loop.run_file import RunFile
+from rtec.machine import load_machine
 from rtec.tomlfile import nearest, read_toml, validated
+from rtec_drivers.box.gateware import Chip
 from rtec_drivers.hil.catalogue import BUS_OF_DRIVER, Bus
 from rtec_drivers.sim import SimOptions
 
@@ -48,12 +50,14 @@ class Wiring:
         tables: what it says; paths are absolute.
         options: its section `[hil]`.
         buses: by the device's name, the bus that it is put behind.
+        gateware: a library of simulated gateware, in the place of the box in software.
     """
 
     path: Path
     tables: Mapping[str, Any]
     options: HilOptions
     buses: Mapping[str, Bus]
+    gateware: Path | None = None
 
     def link(self, folder: Path, device: str) -> Path:
         """Name of the port that a device finds its far side behind."""
@@ -78,11 +82,11 @@ class Wiring:
         return _write(folder / "simulated.toml", {**kept, "role": role, "device": device})
 
 
-def read_wiring(path: Path) -> Wiring:
+def read_wiring(path: Path, gateware: Path | None = None) -> Wiring:
     """Read a run file for the bench.
 
     Raises:
-        ConfigError: it has no section `[hil]`, or a device that has no far side here.
+        ConfigError: it has no section `[hil]`, a device that has no far side here, or gateware that does not fit.
     """
     tables = read_toml(path)
     if "hil" not in tables:
@@ -95,7 +99,11 @@ def read_wiring(path: Path) -> Wiring:
     options = validated(HilOptions, tables["hil"], f"{path}: [hil]")
     if options.actuator != "pulse":
         raise ConfigError(f"{path}: [hil] actuator: the encoder box inserts counts: 'pulse'")
-    return Wiring(path, tables, options, _buses(tables["device"], str(path)))
+    buses = _buses(tables["device"], str(path))
+    if gateware is not None:
+        with Chip(gateware) as chip:
+            chip.check_axes(len(load_machine(Path(tables["run"]["machine"])).axes))
+    return Wiring(path, tables, options, buses, gateware)
 
 
 def _buses(devices: Mapping[str, Mapping[str, Any]], source: str) -> dict[str, Bus]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rtec.correction.sinks import Sink
+from rtec.correction.sinks import Sink, differs
 from rtec.errors import ConfigError, DriverError, DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
@@ -192,11 +192,7 @@ unit_um = 0.01
     def refuses(self, sink: Sink) -> str:
         """Take the one kind that the options name, in their unit."""
         options = self.options
-        if sink.kind != options.actuator:
-            return f"takes {options.actuator!r} (its option actuator), not {sink.kind!r}"
-        if sink.kind != "pulse" and not math.isclose(sink.unit_um, options.unit_um, rel_tol=1e-9):
-            return f"has units of {options.unit_um:g} µm (its option unit_um), the output has {sink.unit_um:g} µm"
-        return ""
+        return differs(sink, options.actuator, options.unit_um)
 
     def apply(self, output: IntArray) -> None:
         """Send the absolute output of every axis; nothing is waited for.

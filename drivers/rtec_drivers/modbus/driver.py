@@ -1,9 +1,9 @@
 """Temperatures over Modbus RTU and TCP, from modules with a shipped register map or one written in the run file."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,34 +11,16 @@ from pydantic import Field, model_validator
 
 from rtec.errors import ConfigError, DriverUnavailable
 from rtec.loop.clock import Clock
+from rtec.loop.ports import Scanner
 from rtec.machine import Machine
-from rtec.tomlfile import Strict, nearest
-from rtec_drivers.byte_line import ByteLine, TcpPlace, way_of
+from rtec.tomlfile import Strict, nearest, validated
+from rtec_drivers.byte_line import ByteLine, way_of
 from rtec_drivers.link_worker import NS, Backoff, Worker
-from rtec_drivers.modbus.frame import Exchange, RtuExchange, TcpExchange
 from rtec_drivers.modbus.map import Register, blocks_of, load_profile
 from rtec_drivers.modbus.poll import Poller, Slave
-from rtec_drivers.serial_line import PortOptions
+from rtec_drivers.modbus.scan import ModbusScanner
+from rtec_drivers.modbus.way import ModbusLineOptions
 from rtec_drivers.thermocouple import TemperatureReadings
-
-TCP_PORT = 502
-
-
-class TcpOptions(TcpPlace):
-    """A TCP connection to Modbus slaves.
-
-    Attributes:
-        rtu: the connection carries a serial line's frames, as simple serial servers do.
-    """
-
-    port: Annotated[int, Field(ge=1, le=65535)] = TCP_PORT
-    rtu: bool = False
-
-
-class ModbusPort(PortOptions):
-    """As every serial port, at the rate that Modbus modules are delivered with."""
-
-    baud: Annotated[int, Field(ge=300, le=4_000_000)] = 9600
 
 
 class SlaveOptions(Strict):
@@ -75,29 +57,14 @@ class SlaveOptions(Strict):
         return self
 
 
-class ModbusOptions(Strict):
+class ModbusOptions(ModbusLineOptions):
     """What a run file may say of a Modbus line.
 
     Attributes:
-        serial: a serial line; either this
-        tcp: or a connection over TCP.
         slave: the slaves by a name of your choice.
     """
 
-    serial: ModbusPort | None = None
-    tcp: TcpOptions | None = None
     slave: Annotated[dict[str, SlaveOptions], Field(min_length=1)]
-
-    @model_validator(mode="after")
-    def _one_line(self) -> Self:
-        if (self.serial is None) == (self.tcp is None):
-            raise ValueError("give either serial or tcp")
-        return self
-
-
-SILENT_CHARACTERS = 3.5
-LEAST_SILENCE_NS = 1_750_000
-"""MODBUS over Serial Line 1.02, 2.5.1.1: above 19200 baud the silence between frames stays 1.75 ms."""
 
 
 class ModbusDriver:
@@ -147,6 +114,12 @@ type = "int16"
 scale = 0.1
 open_codes = [32767, -32768]
 """
+
+    @classmethod
+    def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
+        """Look which slaves answer, and which registers they have."""
+        way = {key: table[key] for key in ("serial", "tcp") if key in table}
+        return ModbusScanner(validated(ModbusLineOptions, way, "modbus"), clock)
 
     def __init__(self, options: ModbusOptions, machine: Machine, clock: Clock, base: Path = Path()) -> None:
         del base
@@ -212,18 +185,10 @@ open_codes = [32767, -32768]
     def _serve(self, line: ByteLine) -> None:
         worker = self._worker
         if worker is not None:
-            self.poller = Poller(self._slaves, self._readings, self._clock, self._exchange(worker.wait_until_ns))
+            self.poller = Poller(
+                self._slaves, self._readings, self._clock, self._options.exchange(self._clock, worker.wait_until_ns)
+            )
             self.poller.serve(line, worker)
-
-    def _exchange(self, wait: Callable[[int], None]) -> Exchange:
-        tcp, port = self._options.tcp, self._options.serial
-        if tcp is not None and not tcp.rtu:
-            return TcpExchange(self._clock)
-        silence_ns = LEAST_SILENCE_NS
-        if port is not None:
-            bits = 1 + port.bytesize + (port.parity != "none") + port.stopbits
-            silence_ns = max(silence_ns, round(SILENT_CHARACTERS * bits * NS / port.baud))
-        return RtuExchange(self._clock, wait, silence_ns)
 
     def _slave(self, name: str, table: SlaveOptions) -> Slave:
         tcp = self._options.tcp

@@ -1,6 +1,5 @@
 """Counts and temperatures from another process, and commands to it, by ZeroMQ (`docs/zmq-link.md`)."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -9,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.correction.sinks import Sink
+from rtec.correction.sinks import Sink, differs
 from rtec.errors import DriverFault, DriverTimeout, DriverUnavailable
 from rtec.loop.clock import Clock
 from rtec.machine import Machine
@@ -233,11 +232,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         options = self.options
         if options.command is None:
             return "has no address for commands (its option command)"
-        if sink.kind != options.actuator:
-            return f"takes {options.actuator!r} (its option actuator), not {sink.kind!r}"
-        if sink.kind != "pulse" and not math.isclose(sink.unit_um, options.unit_um, rel_tol=1e-9):
-            return f"has units of {options.unit_um:g} µm (its option unit_um), the output has {sink.unit_um:g} µm"
-        return ""
+        return differs(sink, options.actuator, options.unit_um)
 
     def apply(self, output: IntArray) -> None:
         """Send the absolute output of every axis. Nothing is waited for.

@@ -6,21 +6,24 @@ to the command, `nominal - actual = -error`. `tests/correction/test_tables_linux
 """
 
 import math
+import re
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from rtec.correction.tables.table import CompensationTable, TableLimits, rising
+from rtec.correction.tables.table import CompensationTable, TableAxes, TableFormat, TableLimits, rising, same_axis
 from rtec.errors import ConfigError
 
-MOST_POINTS = 256
-QUANTUM_UM = 0.001
-LARGEST_UM = 10_000.0
+MOST_POINTS: Final = 256
+QUANTUM_UM: Final = 0.001
+LARGEST_UM: Final = 10_000.0
 """A centimetre is no error of a screw: the other type was meant, or other units."""
+_OURS = re.compile(r"; LinuxCNC COMP_FILE, .*, axis (\w+)(?:, (\d+) points)?")
 
 
 @dataclass(frozen=True)
-class CompFile:
+class CompFile(TableFormat):
     """The file of `COMP_FILE_TYPE` 0 or 1; positions in mm."""
 
     kind: int
@@ -40,12 +43,15 @@ class CompFile:
     @property
     def use(self) -> str:
         """Where the INI file names it."""
-        return f"[JOINT_n] COMP_FILE = FILE, COMP_FILE_TYPE = {self.kind}; no BACKLASH; start LinuxCNC again"
+        return (
+            f"[JOINT_n] COMP_FILE = FILE, COMP_FILE_TYPE = {self.kind}; LINEAR_UNITS = mm; no BACKLASH; "
+            "start LinuxCNC again"
+        )
 
     @property
     def limits(self) -> TableLimits:
         """256 points, both directions, any distances."""
-        return TableLimits(MOST_POINTS, True, False, False, QUANTUM_UM)
+        return TableLimits(MOST_POINTS, True, "own", False, QUANTUM_UM)
 
     def text(self, table: CompensationTable) -> str:
         """Points first; LinuxCNC stops reading at the first line that is none."""
@@ -54,20 +60,20 @@ class CompFile:
         columns = [nominal + e for e in columns] if self.kind == 0 else [-e + 0.0 for e in columns]
         rows = np.column_stack([nominal, *columns])
         lines = ["".join(f"{v:>14.6f}" for v in row) for row in rows]
-        at = ", ".join(f"{name} = {value:g}" for name, value in table.at.items())
         lines += [
-            f"; {self.title}, axis {table.axis}",
+            f"; {self.title}, axis {table.axis}, {len(rows)} points",
             f"; columns: {self.sign}",
-            *([f"; made for: {at}"] if at else []),
+            *([f"; made for: {table.made_for}"] if table.at else []),
         ]
         return "\n".join(lines) + "\n"
 
-    def read(self, text: str, source: str, axis: str) -> CompensationTable:
-        """Read as LinuxCNC does."""
-        rows = []
+    def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
+        """Read as LinuxCNC does; a line that is half a point is refused."""
+        rows: list[tuple[float, float, float]] = []
         for n, line in enumerate(text.splitlines(), 1):
             row = _three(line)
             if row is None:
+                _ends(line, source, n, axes.moves, len(rows))
                 break
             if not all(math.isfinite(v) for v in row):
                 raise ConfigError(f"{source}: line {n}: a value that is no finite number")
@@ -86,7 +92,7 @@ class CompFile:
             raise ConfigError(
                 f"{source}: an error of {np.abs(errors).max():g} mm, which is no screw's; is it of --format {other}?"
             )
-        return CompensationTable(axis, axis, nominal, 1e3 * errors[:, 0], 1e3 * errors[:, 1])
+        return CompensationTable(axes.moves, axes.corrects, nominal, 1e3 * errors[:, 0], 1e3 * errors[:, 1])
 
 
 def _three(line: str) -> tuple[float, float, float] | None:
@@ -95,3 +101,18 @@ def _three(line: str) -> tuple[float, float, float] | None:
     except ValueError:
         return None
     return a, b, c
+
+
+def _ends(line: str, source: str, n: int, axis: str, points: int) -> None:
+    """Check the first line that is no point: it is not half a one, and what rtec wrote there is true."""
+    words = line.split()
+    try:
+        float(words[0] if words else "none")
+    except ValueError:
+        pass
+    else:
+        raise ConfigError(f"{source}: line {n}: {line[:60]!r} is half a point: is the file cut off?")
+    if ours := _OURS.match(line):
+        same_axis(ours[1], axis, source, n)
+        if ours[2] and int(ours[2]) != points:
+            raise ConfigError(f"{source}: line {n}: written with {ours[2]} points, and {points} are there")

@@ -1,11 +1,13 @@
 """From a model to a table, and what the table cannot express."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 
-from rtec.correction.tables.table import CompensationTable, Floats, TableFormat
+from rtec.correction.tables.heidenhain import LEAST_MM, exponent
+from rtec.correction.tables.table import NO_PLACES, CompensationTable, Floats, HeatLine, TableFormat
 from rtec.effects.derived import FAR_MM
 from rtec.errors import ConfigError
 from rtec.machine import Axis, Machine
@@ -17,6 +19,8 @@ History = tuple[Floats, Mapping[str, Floats]]
 """Instants, s, rising, (m,), and slow channels at them, (m,) each, for effects that lag: the last one is now."""
 BETWEEN = 10
 """Positions in each step of a table at which the model is compared with it."""
+LEAST_HEAT_UM = 1e-3
+"""What one °C must add, µm, for it to be worth a line."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,11 @@ def conditions(model: Model, axis: Axis, given: Mapping[str, float]) -> dict[str
     for name in given:
         if name not in known:
             raise ConfigError(f"--at {name}: no temperature, spindle_rpm or other axis{nearest(name, known)}")
+    allowed = {a.name: a.travel_mm for a in others} | {s.name: s.range_degc for s in machine.sensors}
+    for name, value in given.items():
+        low, high = allowed.get(name, (0.0, 1e6))
+        if not low <= value <= high:
+            raise ConfigError(f"--at {name}={value:g}: outside the machine's own range, {low:g} to {high:g}")
     missing = [s for s in machine.sensor_names if s in model.channels and s not in given]
     if missing:
         raise ConfigError(
@@ -59,19 +68,30 @@ def conditions(model: Model, axis: Axis, given: Mapping[str, float]) -> dict[str
     return out | dict(given)
 
 
-def table_axes(machine: Machine, name: str) -> tuple[Axis, Axis]:
-    """Give the axis that moves and the one that is corrected, of an axis' name or of a component such as EYX.
+def table_axes(machine: Machine, name: str) -> tuple[Axis, Axis, Axis | None]:
+    """Give the axis that moves, the one that is corrected, and for a plane the second one that moves.
+
+    Args:
+        machine: whose axes.
+        name: an axis; a component as EYX, the error of Y along X; or as EZXY, the error of Z over X and Y.
 
     Raises:
-        ConfigError: neither.
+        ConfigError: none of these.
     """
-    if name in machine.axis_names:
-        return machine.axis(name), machine.axis(name)
-    moved, corrected = name[2:], name[1:2]
-    if name[:1] == "E" and {moved, corrected} <= set(machine.axis_names) and moved != corrected:
-        return machine.axis(moved), machine.axis(corrected)
+    names = machine.axis_names
+    if name in names:
+        return machine.axis(name), machine.axis(name), None
+    corrected, moved = name[1:2], name[2:]
+    if name[:1] == "E" and corrected in names:
+        if moved in names and moved != corrected:
+            return machine.axis(moved), machine.axis(corrected), None
+        for first in names:
+            second = moved.removeprefix(first)
+            if second != moved and second in names and second != first:
+                return machine.axis(first), machine.axis(corrected), machine.axis(second)
     raise ConfigError(
-        f"{name!r} is no axis and no component as EYX (error of Y along X){nearest(name, machine.axis_names)}"
+        f"{name!r} is no axis, no component as EYX (error of Y along X) and none as EZXY (error of Z over X and Y)"
+        f"{nearest(name, names)}"
     )
 
 
@@ -82,8 +102,13 @@ def table_of(
     positions_mm: Floats,
     at: Mapping[str, float],
     history: History | None = None,
+    second: Axis | None = None,
+    second_mm: Floats = NO_PLACES,
 ) -> CompensationTable:
-    """Give the errors that a model predicts along an axis, one value a direction.
+    """Give the errors that a model predicts along an axis, or over the plane of two, one value a direction.
+
+    Beyond the travel the last straight line goes on to the next point, so that the table is right up to the end of the
+    travel.
 
     Args:
         model: at rest, far from a reversal.
@@ -92,9 +117,65 @@ def table_of(
         positions_mm: (n,), rising.
         at: of `conditions`.
         history: of the slow channels until now; not given: they have been as in `at` for long.
+        second: other axis that moves.
+        second_mm: (m,), its positions, rising.
     """
-    forward, backward = (_error_um(model, axis, corrects, positions_mm, at, d, history) for d in (1.0, -1.0))
-    return CompensationTable(axis.name, corrects.name, positions_mm, forward, backward, dict(at))
+    predicted = _Predicted(model, axis, corrects, second, history)
+
+    def errors(direction: float) -> Floats:
+        def row(changed: Mapping[str, float]) -> Floats:
+            known = {**at, **changed}
+            return _to_travel(lambda places: predicted.um(places, known, direction), positions_mm, axis)
+
+        if second is None:
+            return row({})
+        rows = {y: row({second.name: y}) for y in np.clip(second_mm, *second.travel_mm).tolist()}
+        edge = np.array(list(rows))
+        columns = np.stack(list(rows.values())).T
+
+        def across(column: Floats) -> Floats:
+            return _to_travel(lambda places: np.interp(places, edge, column), second_mm, second)
+
+        return np.stack([across(column) for column in columns]).T
+
+    return CompensationTable(
+        axis.name,
+        corrects.name,
+        positions_mm,
+        errors(1.0),
+        errors(-1.0),
+        {k: v for k, v in at.items() if second is None or k != second.name},
+        second.name if second else "",
+        second_mm,
+    )
+
+
+def with_heat(model: Model, table: CompensationTable) -> CompensationTable:
+    """Add what each °C adds, as straight lines; a table between axes has none: the controls have nothing for it."""
+    machine = model.machine
+    axis = machine.axis(table.axis)
+    if table.second or table.axis != table.corrects:
+        return table
+    predicted = _Predicted(model, axis, axis, None, None)
+    low, high = axis.travel_mm
+    reference = 0.0 if low <= 0.0 <= high else low
+    places = np.linspace(low, high, 4 * BETWEEN + 1)
+
+    def line(sensor: str) -> HeatLine:
+        degc = table.at[sensor]
+        warm, cold = (
+            np.mean([predicted.um(places, {**table.at, sensor: t}, d) for d in (1.0, -1.0)], axis=0)
+            for t in (degc + 0.5, degc - 0.5)
+        )
+        slope, offset = np.polyfit(places - reference, warm - cold, 1)
+        off = np.abs(warm - cold - offset - slope * (places - reference)).max()
+        return HeatLine(sensor, reference, float(offset), 1e3 * float(slope), float(off))
+
+    lines = (line(sensor) for sensor in machine.sensor_names if sensor in model.channels)
+    half = 0.5 * (high - low)
+    return replace(
+        table, heat=tuple(h for h in lines if abs(h.offset_um) + 1e-3 * half * abs(h.slope_um_per_m) > LEAST_HEAT_UM)
+    )
 
 
 def residuals(
@@ -113,31 +194,36 @@ def residuals(
     machine = model.machine
     axis, corrects = machine.axis(table.axis), machine.axis(table.corrects)
     at = dict(table.at)
-    fine = np.linspace(table.positions_mm[0], table.positions_mm[-1], BETWEEN * (len(table.positions_mm) - 1) + 1)
+    coarse, fine = (_places(table.positions_mm, axis, n) for n in (1, BETWEEN))
+    second = machine.axis(table.second) if table.second else None
+    rows = [_places(table.second_mm, second, n) if second else np.zeros(1) for n in (1, 2)]
+    predicted = _Predicted(model, axis, corrects, second, history)
 
-    def worst(places: Floats, changed: Mapping[str, float]) -> float:
+    def worst(places: Floats, changed: Mapping[str, float], across: Floats) -> float:
+        every = np.tile(places, len(across))
+        known: dict[str, float | Floats] = {**at, table.second: np.repeat(across, len(places)), **changed}
         return max(
             float(
                 np.abs(
-                    _error_um(model, axis, corrects, places, {**at, **changed}, d, history) - table.error_um(places, d)
+                    predicted.um(every, known, d)
+                    - np.concatenate([table.error_um(places, d, y) for y in across.tolist()])
                 ).max()
             )
             for d in (1.0, -1.0)
         )
 
-    own = worst(table.positions_mm, {})
     out = [
-        TableResidual("at its points (rounding, direction)", own),
-        TableResidual("between its points", worst(fine, {})),
+        TableResidual("at its points (rounding, direction, zero)", worst(coarse, {}, rows[0])),
+        TableResidual("between its points", worst(fine, {}, rows[1])),
     ]
     for name, (low, high) in _ranges(model, machine, axis).items():
-        if not slow and name not in machine.axis_names:
+        if name == table.second or (not slow and name not in machine.axis_names):
             continue
         unit = "°C" if name in machine.sensor_names else "1/min" if name == "spindle_rpm" else "mm"
         out.append(
             TableResidual(
                 f"{name} from {low:g} to {high:g} {unit} (table: {at.get(name, 0.0):g})",
-                max(worst(table.positions_mm, {name: value}) for value in (low, high)),
+                max(worst(coarse, {name: value}, rows[0]) for value in (low, high)),
             )
         )
     return sorted(out, key=lambda r: -r.largest_um)
@@ -149,16 +235,82 @@ def checked(table: CompensationTable, form: TableFormat) -> CompensationTable:
     Raises:
         ConfigError: the format cannot hold it.
     """
-    why = form.limits.refuses(table)
+    why = form.refuses(table)
     if why:
         raise ConfigError(f"{form.title} {why}")
-    return form.limits.held(table)
+    return form.held(table)
 
 
-def grid_mm(axis: Axis, step_mm: float) -> Floats:
-    """Give even positions over the travel of an axis, at most `step_mm` apart."""
+def grids_mm(form: TableFormat, axis: Axis, second: Axis | None, step_mm: float) -> tuple[Floats, Floats]:
+    """Give even positions that cover the travel of an axis, and of the second one of a plane (else none).
+
+    Args:
+        form: where its points are.
+        axis: whose travel.
+        second: of a plane.
+        step_mm: distance.
+
+    Raises:
+        ConfigError: more points than the format takes.
+    """
+    limits, axes = form.limits, [axis] if second is None else [axis, second]
+    travels = [a.travel_mm for a in axes]
+    step_mm = min(step_mm, max(max(-low, high) if limits.grid == "origin" else high - low for low, high in travels))
+    if limits.grid == "origin":
+        step_mm = max(0.001, round(step_mm, 3))
+    elif limits.grid == "steps":
+        step_mm = max(1e-4, round(step_mm, 4))
+    elif limits.grid == "powers":
+        step_mm = LEAST_MM * 2 ** exponent(step_mm)
+    ends = []
+    for low, high in travels:
+        zero = (min(0.0, low), max(0.0, high)) if limits.grid == "origin" else (0.0, high - low)
+        ends.append((-_steps(-zero[0] / step_mm), max(_steps(zero[1] / step_mm), 1)))
+    count = prod(last - first + 1 for first, last in ends)
+    if count > limits.most_points:
+        raise ConfigError(
+            f"{form.title} takes 2 to {limits.most_points} points, the table has {count}: choose another --grid"
+        )
+
+    def places(a: Axis, first: int, last: int) -> Floats:
+        low, high = a.travel_mm
+        if limits.grid == "travel":
+            return np.linspace(low, high, last + 1)
+        return (0.0 if limits.grid == "origin" else low) + step_mm * np.arange(first, last + 1, dtype=np.float64)
+
+    found = [places(a, *end) for a, end in zip(axes, ends, strict=True)]
+    return found[0], found[1] if second else NO_PLACES
+
+
+def _steps(ratio: float) -> int:
+    return int(np.ceil(ratio - 1e-9))
+
+
+def _places(points_mm: Floats, axis: Axis, between: int) -> Floats:
+    """The points in the travel, or so many places in each step of them."""
+    low, high = max(points_mm[0], axis.travel_mm[0]), min(points_mm[-1], axis.travel_mm[1])
+    if between == 1 or low >= high:
+        return np.unique(np.clip(points_mm, low, high))
+    return np.linspace(low, high, between * (len(points_mm) - 1) + 1)
+
+
+def _to_travel(errors: Callable[[Floats], Floats], points_mm: Floats, axis: Axis) -> Floats:
+    """Errors at points; at the first one beyond the travel what makes the straight line right at its end."""
     low, high = axis.travel_mm
-    return np.linspace(low, high, max(2, int(np.ceil((high - low) / step_mm - 1e-9)) + 1))
+    values = errors(np.clip(points_mm, low, high)).copy()
+    inside = np.flatnonzero((points_mm >= low) & (points_mm <= high))
+    if len(inside):
+        for beyond, last, end in (
+            (slice(inside[-1] + 1, None), inside[-1], high),
+            (slice(None, inside[0]), inside[0], low),
+        ):
+            outer = points_mm[beyond]
+            gap = end - points_mm[last]
+            if len(outer) and abs(gap) > 1e-9:
+                first = outer[np.abs(outer - end).argmin()]
+                edge = values[beyond][0]
+                values[beyond] = values[last] + (edge - values[last]) * (first - points_mm[last]) / gap
+    return values
 
 
 def _ranges(model: Model, machine: Machine, axis: Axis) -> dict[str, tuple[float, float]]:
@@ -168,31 +320,45 @@ def _ranges(model: Model, machine: Machine, axis: Axis) -> dict[str, tuple[float
     return out
 
 
-def _error_um(
-    model: Model,
-    axis: Axis,
-    corrects: Axis,
-    positions_mm: Floats,
-    at: Mapping[str, float],
-    direction: float,
-    history: History | None,
-) -> Floats:
-    machine, n = model.machine, len(positions_mm)
-    times, before = history or (np.zeros(0), {})
-    m = len(times)
-    time_s = np.r_[times, np.full(n, times[-1] if m else 0.0)]
-    positions_mm = np.r_[np.full(m, positions_mm[0]), positions_mm]
-    n += m
-    channels: dict[str, Floats] = {}
-    for a in machine.axes:
-        moves = a.name == axis.name
-        channels[a.channel] = positions_mm if moves else np.full(n, at[a.name])
-        channels[a.direction_channel] = np.full(n, direction if moves else 1.0)
-        channels[a.since_reversal_channel] = np.full(n, FAR_MM)
-        channels[a.velocity_channel] = channels[a.acceleration_channel] = np.zeros(n)
-    channels |= {name: np.full(n, at.get(name, model.reference_degc)) for name in machine.sensor_names}
-    channels |= {name: np.full(n, at.get(name, 0.0)) for name in ("spindle_rpm", *CONSTANT_CHANNELS)}
-    for name, values in before.items():
-        channels[name][:m] = values
-    tip = model.predict(model.state(time_s, channels))
-    return np.asarray(tip[m:, "XYZ".index(corrects.direction)])
+@dataclass(frozen=True)
+class _Predicted:
+    """What a table of these axes ought to hold."""
+
+    model: Model
+    axis: Axis
+    corrects: Axis
+    second: Axis | None
+    history: History | None
+
+    def um(self, positions_mm: Floats, at: Mapping[str, float | Floats], direction: float) -> Floats:
+        """Errors at positions; of an axis that does not move itself the difference from the middle of the travel."""
+        errors = self._error_um(positions_mm, at, direction)
+        moving = [self.axis, *([self.second] if self.second else [])]
+        if self.corrects.name in [a.name for a in moving]:
+            return errors
+        middle = {a.name: 0.5 * sum(a.travel_mm) for a in moving}
+        there = np.array([middle[self.axis.name]])
+        known = {**at, **middle}
+        return errors - 0.5 * (self._error_um(there, known, 1.0) + self._error_um(there, known, -1.0))
+
+    def _error_um(self, positions_mm: Floats, at: Mapping[str, float | Floats], direction: float) -> Floats:
+        model, machine, n = self.model, self.model.machine, len(positions_mm)
+        times, before = self.history or (np.zeros(0), {})
+        m = len(times)
+        time_s = np.r_[times, np.full(n, times[-1] if m else 0.0)]
+        positions_mm = np.r_[np.full(m, positions_mm[0]), positions_mm]
+        n += m
+        channels: dict[str, Floats] = {}
+        for a in machine.axes:
+            moves = a.name == self.axis.name
+            place = np.asarray(at[a.name] if not moves else 0.0)
+            channels[a.channel] = positions_mm if moves else np.r_[np.full(m, place.flat[0]), np.full(n - m, place)]
+            channels[a.direction_channel] = np.full(n, direction if moves else 1.0)
+            channels[a.since_reversal_channel] = np.full(n, FAR_MM)
+            channels[a.velocity_channel] = channels[a.acceleration_channel] = np.zeros(n)
+        channels |= {name: np.full(n, at.get(name, model.reference_degc)) for name in machine.sensor_names}
+        channels |= {name: np.full(n, at.get(name, 0.0)) for name in ("spindle_rpm", *CONSTANT_CHANNELS)}
+        for name, values in before.items():
+            channels[name][:m] = values
+        tip = model.predict(model.state(time_s, channels))
+        return np.asarray(tip[m:, "XYZ".index(self.corrects.direction)])

@@ -1,9 +1,11 @@
 """A compensation table without a format: errors at points along an axis, both directions; and what a format takes."""
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Protocol
+from pathlib import Path
+from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +13,53 @@ from numpy.typing import NDArray
 from rtec.errors import ConfigError
 
 Floats = NDArray[np.float64]
+NO_PLACES: Floats = np.zeros(0)
+LARGEST_FILE: Final = 4 << 20
+"""Bytes; the largest table of any format has a quarter of that."""
+UNTRIED = "not tried on a control"
+"""In the first line of every file of a format that no control has read from us."""
+Grid = Literal["travel", "steps", "origin", "powers"]
+"""Where a format has its points, at a distance d: even over the travel, d at most; from the low end in steps of d;
+at the multiples of d, with position 0; from the low end in steps of 1 µm times a power of two, d at most."""
+
+
+@dataclass(frozen=True)
+class HeatLine:
+    """What one °C of one sensor adds to the errors along an axis, as a straight line.
+
+    Attributes:
+        sensor: its name.
+        reference_mm: position of `offset_um`.
+        offset_um: at that position, µm/°C.
+        slope_um_per_m: µm/m·°C.
+        residual_um: largest difference between the model and the line, µm/°C.
+    """
+
+    sensor: str
+    reference_mm: float
+    offset_um: float
+    slope_um_per_m: float
+    residual_um: float
 
 
 @dataclass(frozen=True)
 class CompensationTable:
-    """Position errors along one axis, actual minus nominal.
+    """Position errors along one axis, or over the plane of two, actual minus nominal.
+
+    Where the corrected axis does not move itself, the errors are the difference from those at the middle of the travel
+    of the axes that move: so the table adds to one of the corrected axis, which has these.
 
     Attributes:
         axis: that moves.
-        corrects: axis whose position is wrong; the same, but in a table between two axes (straightness, squareness).
+        corrects: axis whose position is wrong; the same, but in a table between axes (straightness, squareness).
         positions_mm: (n,), rising.
-        forward_um, backward_um: (n,), error where the axis arrived in positive and in negative direction.
+        forward_um, backward_um: (n,), error where the axis arrived in positive and in negative direction; in a plane
+            (m, n), one row for each position of the second axis.
         at: what it was made for: temperatures by sensor, °C, positions of other axes, mm; empty where not known.
+        second: in a plane the other axis that moves; else "".
+        second_mm: (m,), rising; empty where there is none.
+        heat: what the temperatures add, for controls that add it themselves.
+        others: tables beside this one in the file that it was read from.
     """
 
     axis: str
@@ -31,15 +68,46 @@ class CompensationTable:
     forward_um: Floats
     backward_um: Floats
     at: Mapping[str, float] = field(default_factory=dict)
+    second: str = ""
+    second_mm: Floats = field(default_factory=lambda: NO_PLACES)
+    heat: tuple[HeatLine, ...] = ()
+    others: int = 0
 
-    def error_um(self, positions_mm: Floats, direction: float) -> Floats:
-        """Error at any positions, µm: straight between the points, constant beyond the ends."""
-        return np.interp(positions_mm, self.positions_mm, self.forward_um if direction > 0 else self.backward_um)
+    def error_um(self, positions_mm: Floats, direction: float, second_mm: float = 0.0) -> Floats:
+        """Error at any positions, µm: straight between the points, constant beyond the ends.
+
+        Args:
+            positions_mm: (k,).
+            direction: above 0: arrived in positive direction.
+            second_mm: of the second axis, in a plane.
+        """
+        values = self.forward_um if direction > 0 else self.backward_um
+        if self.second:
+            values = np.array([np.interp(second_mm, self.second_mm, column) for column in values.T])
+        return np.interp(positions_mm, self.positions_mm, values)
+
+    def at_points_of(self, other: "CompensationTable", direction: float) -> Floats:
+        """Error at the points of another table, µm, in its shape."""
+        if not other.second:
+            return self.error_um(other.positions_mm, direction)
+        return np.stack([self.error_um(other.positions_mm, direction, y) for y in other.second_mm.tolist()])
 
     @property
     def largest_um(self) -> float:
         """Largest error of either direction, µm."""
         return float(max(np.abs(self.forward_um).max(), np.abs(self.backward_um).max()))
+
+    @property
+    def what(self) -> str:
+        """For people: the axis, or which is wrong along which."""
+        if self.second:
+            return f"{self.corrects} over {self.axis} and {self.second}"
+        return self.axis if self.axis == self.corrects else f"{self.corrects} along {self.axis}"
+
+    @property
+    def made_for(self) -> str:
+        """The temperatures and positions it was made for, in one line; "" where they are not known."""
+        return ", ".join(f"{name} = {value:g}" for name, value in self.at.items())
 
 
 @dataclass(frozen=True)
@@ -47,47 +115,76 @@ class TableLimits:
     """What a format can hold.
 
     Attributes:
-        most_points: of one table.
+        most_points: of one table; of a plane the product.
         both_directions: has it a value for each direction?
-        between_axes: can the axis that moves and the one that is corrected differ?
+        takes: one axis alone, only two different ones, both of these, or a plane of two.
         even_steps: must the points be at even distances?
         quantum_um: smallest step of a value, µm.
         largest_um: largest value, µm; None: no limit is known.
+        grid: where its points are.
+        zero: a value that must be 0: the one at position 0, the first, or none.
+        typed: is it a list that somebody types in, and no file that a control reads?
+        adds_heat: can the control add a straight line for each temperature itself?
     """
 
     most_points: int
     both_directions: bool
-    between_axes: bool
+    takes: Literal["own", "between", "either", "plane"]
     even_steps: bool
     quantum_um: float
     largest_um: float | None = None
+    grid: Grid = "travel"
+    zero: Literal["", "origin", "first"] = ""
+    typed: bool = False
+    adds_heat: bool = False
 
     def refuses(self, table: CompensationTable) -> str:
         """Say why a table cannot be written; "" where it can."""
-        n = len(table.positions_mm)
-        if not 2 <= n <= self.most_points:
-            return f"takes 2 to {self.most_points} points, the table has {n}: choose another --grid"
-        if table.axis != table.corrects and not self.between_axes:
+        n, m = len(table.positions_mm), len(table.second_mm) if table.second else 2
+        points = n * m if table.second else n
+        if min(n, m) < 2 or points > self.most_points:
+            return f"takes 2 to {self.most_points} points, the table has {points}: choose another --grid"
+        if self.takes == "plane" and not table.second:
+            return "has tables over two axes only: write --cross EZXY for the error of Z over X and Y"
+        if self.takes != "plane" and table.second:
+            return f"has no tables over two axes: {table.corrects} cannot be corrected over {table.axis}{table.second}"
+        if self.takes == "own" and table.axis != table.corrects:
             return f"has no tables between axes: {table.corrects} cannot be corrected along {table.axis}"
-        steps = [b - a for a, b in pairwise(table.positions_mm.tolist())]
-        if self.even_steps and max(steps) - min(steps) > 1e-6 * max(steps):
-            return "takes points at even distances only"
+        if self.takes == "between" and table.axis == table.corrects:
+            return f"has tables between two axes only: write --cross, as EY{table.axis} for the error of Y"
+        for places in (table.positions_mm, table.second_mm):
+            steps = [b - a for a, b in pairwise(places.tolist())]
+            if self.even_steps and steps and max(steps) - min(steps) > 1e-6 * max(steps):
+                return "takes points at even distances only"
         if self.largest_um is not None and table.largest_um > self.largest_um:
             return f"takes values up to {self.largest_um:g} µm, the table has {table.largest_um:.1f} µm"
         return ""
 
-    def held(self, table: CompensationTable) -> CompensationTable:
-        """Give the table as the format holds it: rounded, and the mean of both directions where it has one value."""
+    def held(self, table: CompensationTable, quantum_um: float | None = None) -> CompensationTable:
+        """Give the table as the format holds it: rounded, with its zero, one value where it has one for both.
 
-        def rounded(values: Floats) -> Floats:
-            return np.rint(values / self.quantum_um) * self.quantum_um
-
+        Args:
+            table: any.
+            quantum_um: of this table, where it is not that of the format.
+        """
+        step = quantum_um or self.quantum_um
         forward, backward = table.forward_um, table.backward_um
         if not self.both_directions:
             forward = backward = 0.5 * (forward + backward)
-        return CompensationTable(
-            table.axis, table.corrects, table.positions_mm, rounded(forward), rounded(backward), table.at
-        )
+        if self.zero:
+            place = 0.0 if self.zero == "origin" else float(table.positions_mm[0])
+            shift = np.interp(place, table.positions_mm, forward)
+            forward, backward = forward - shift, backward - shift
+        forward, backward = (np.rint(values / step) * step for values in (forward, backward))
+        return replace(table, forward_um=forward, backward_um=backward)
+
+
+class TableAxes(NamedTuple):
+    """Names: axis that moves, axis whose position is wrong, and in a plane the other axis that moves (else "")."""
+
+    moves: str
+    corrects: str
+    second: str = ""
 
 
 class TableFormat(Protocol):
@@ -113,12 +210,25 @@ class TableFormat(Protocol):
         """What it can hold."""
         ...
 
+    def refuses(self, table: CompensationTable) -> str:
+        """Say why a table cannot be written; "" where it can."""
+        return self.limits.refuses(table)
+
+    def held(self, table: CompensationTable) -> CompensationTable:
+        """Give the table as the format holds it."""
+        return self.limits.held(table)
+
     def text(self, table: CompensationTable) -> str:
-        """Write a table that `limits` does not refuse."""
+        """Write a table that is not refused, as it is held."""
         ...
 
-    def read(self, text: str, source: str, axis: str) -> CompensationTable:
-        """Read a table of an axis.
+    def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
+        """Read a table.
+
+        Args:
+            text: of the file.
+            source: the file, for messages.
+            axes: whose table it is; a file that names others is refused.
 
         Raises:
             ConfigError: what is wrong, with the line.
@@ -139,3 +249,71 @@ def rising(positions_mm: Floats, source: str) -> Floats:
         k = int(falls[0]) + 1
         raise ConfigError(f"{source}: point {k + 1}, {positions_mm[k]:g} mm, does not lie beyond the one before")
     return positions_mm
+
+
+def end(comment: str) -> str:
+    """Give the last line of a file of ours, so that a half of one is not taken for a whole one."""
+    return f"{comment} end"
+
+
+def whole(text: str, source: str, comment: str) -> None:
+    """Check that a file which rtec wrote has its last line.
+
+    Raises:
+        ConfigError: it has not.
+    """
+    ours = any(line.startswith(comment) and UNTRIED in line for line in text.splitlines()[:5])
+    if ours and text.rstrip().rpartition("\n")[2] != end(comment):
+        raise ConfigError(f"{source}: without its last line {end(comment)!r}: is the file cut off?")
+
+
+def table_text(path: Path) -> str:
+    """Read a file of a control: UTF-8, or the Latin letters that older ones write.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ConfigError: it is no plain file, too large for a table, or cannot be read.
+    """
+    if path.exists() and not path.is_file():  # opening a FIFO would wait for somebody who writes into it
+        raise ConfigError(f"{path}: cannot be read as a table: it is no plain file")
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+    except FileNotFoundError:
+        raise
+    except OSError as e:
+        raise ConfigError(f"{path}: cannot be read as a table: {e.strerror}") from e
+    if len(data) > LARGEST_FILE:
+        raise ConfigError(f"{path}: cannot be read as a table: it has more than {LARGEST_FILE >> 20} MB")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def number(text: str, source: str, line: int) -> float:
+    """Give a finite number of a table.
+
+    Raises:
+        ConfigError: it is none, or beyond 100 m (in mm; a table has nothing such).
+    """
+    try:
+        value = float(text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-"))
+    except ValueError:
+        value = np.nan
+    if not abs(value) < 1e5:
+        raise ConfigError(f"{source}: line {line}: {text[:30]!r} is no number of a table")
+    return value
+
+
+def same_axis(name: str, axis: str, source: str, line: int) -> None:
+    """Check that a name in a file, as X1 or "Y-ACHSE", can be that of an axis.
+
+    Raises:
+        ConfigError: it is the letter of another axis.
+    """
+    letter = re.match(r"([XYZUVWABC])(?![A-Za-z])", name.strip("() ").upper())
+    if letter and letter[1] != axis[:1].upper():
+        raise ConfigError(
+            f"{source}: line {line}: {name[:30]!r} is another axis than {axis}: is it the table of {axis}?"
+        )

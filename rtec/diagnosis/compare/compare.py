@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtec.diagnosis.compare.bins import MOVES, unit_of
 from rtec.diagnosis.compare.locate import locate
 from rtec.diagnosis.compare.result import Compared, Comparison, EffectShare, Outside, Region, Size, Traces
-from rtec.diagnosis.compare.shape import shape_of
+from rtec.diagnosis.compare.shape import drift_goes_with, shape_of
 from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import MeasurementError
@@ -40,6 +40,8 @@ WORSE = 2.0
 SURELY = 1.5
 """So many times the floor are never left by noise alone."""
 NO_ARM, NOTHING = 1e-12, 1e-9
+SLOW = 0.5
+"""A slow drift of more than so many times the floor is worth a word."""
 FEWEST = 4
 """Readings below which nothing can be told from noise."""
 
@@ -72,7 +74,8 @@ def compare(
         tails = tails_of(whitener, less(readings, columns, traces.left))
         worst = locate(readings, traces.left, whitener, tails, seed, stage)
     items = tuple(
-        _compared(model, traces, s, f, w) for s, f, w in zip(readings.series, judged.floors, worst, strict=True)
+        _compared(model, traces, s, f, w, columns[s.part])
+        for s, f, w in zip(readings.series, judged.floors, worst, strict=True)
     )
     doubted = doubts(judged)
     notes = (*(d.words for d in doubted), *_stuck(readings), *notes)
@@ -122,7 +125,9 @@ def _of_chance(readings: Readings, left: Floats, flexible: Whitener, plain: Whit
     return plain.with_noises(noises)
 
 
-def _compared(model: Model, traces: Traces, s: Series, noise: Floor, worst: tuple[Region, ...]) -> Compared:
+def _compared(
+    model: Model, traces: Traces, s: Series, noise: Floor, worst: tuple[Region, ...], smooth: Floats
+) -> Compared:
     readings = traces.readings
     m = readings.measurements[s.source]
     measured, left = size_of(traces.measured[s.part]), size_of(traces.left[s.part])
@@ -132,6 +137,7 @@ def _compared(model: Model, traces: Traces, s: Series, noise: Floor, worst: tupl
         explained(measured.rms, left.rms, noise.value), _sees(readings, s), _parts(model, traces, s),
         _outside(model, readings, s), worst,
         shape_of(readings, s, traces.left[s.part]) if left.rms > SURELY * noise.value else None,
+        drift_goes_with(readings, s, traces.left[s.part], smooth) if noise.drift > SLOW * noise.value else "",
     )  # fmt: skip
 
 

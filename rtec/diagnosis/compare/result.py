@@ -141,6 +141,7 @@ class Compared:
         outside: where the readings leave the model's range.
         worst: regions, best evidence first.
         shape: the plainest shape of the residual; None at the floor, or where it has none.
+        drift_goes_with: what most of the slow drift goes with, a temperature or the place, in words; empty where none.
     """
 
     name: str
@@ -159,6 +160,7 @@ class Compared:
     outside: tuple[Outside, ...]
     worst: tuple[Region, ...]
     shape: ResidualShape | None = None
+    drift_goes_with: str = ""
 
     @property
     def floor(self) -> float:
@@ -185,6 +187,7 @@ class Compared:
             "noise_floor_repeats_um": self.noise.repeats,
             "noise_floor_fitted_um": self.noise.fitted,
             "slow_drift_um": self.noise.drift,
+            "slow_drift_goes_with": self.drift_goes_with or None,
             "explained": self.explained,
             "components": list(self.sees),
             "contributions": [

@@ -1,4 +1,8 @@
-"""The plainest shape of a residual, in words: a line, a bend or a step along one channel."""
+"""The plainest shape of a residual, in words: a line, a bend or a step along one channel.
+
+And which recorded temperature a slow drift goes with after all, delayed or bent: what follows the channels smoothly at
+the same instant is out of it already, where there were readings enough for that.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,7 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.effects.derived import lag_track
 from rtec.estimation.gls import without_runs
+from rtec.estimation.gram.source import TAU_S
 from rtec.estimation.readings import Readings, Series
 
 Floats = NDArray[np.float64]
@@ -16,6 +22,10 @@ MOST_OF_IT = 0.5
 SIMPLER = 0.8
 """A bend is named only where it leaves less than this share of the mean square that the line leaves."""
 REAL_DEGC = 0.5
+SAME_MM = 0.02
+AGAIN = "comes again at the same places"
+READINGS = 4000
+"""A slow drift shows in so many readings."""
 UNITS = {"um": "µm", "urad": "µrad"}
 
 
@@ -84,3 +94,61 @@ def _explained(s: Series, y: Floats, columns: Floats) -> tuple[float, Floats]:
     values = np.linalg.lstsq(flat, y, rcond=None)[0]
     left = y - flat @ values
     return 1.0 - float(left @ left) / float(y @ y), np.asarray(values)
+
+
+def comes_again(readings: Readings, s: Series, left: Floats) -> float:
+    """Share of the mean square of a residual, (n,), that other runs show at the same places, going the same way."""
+    state = readings.states[s.source]
+    keys = [np.round(readings.poses_mm[s.source][s.row] / SAME_MM)]
+    keys += [np.sign(state.value(a.direction_channel)[s.row])[:, None] for a in readings.machine.axes]
+    place = np.unique(np.concatenate(keys, axis=1), axis=0, return_inverse=True)[1].ravel()
+    if len(np.unique(place)) < 2 or s.run[0] == s.run[-1]:
+        return 0.0
+    y = without_runs(s, left)
+    count = np.bincount(place)[place] - 1
+    others = (np.bincount(place, y)[place] - y) / np.maximum(count, 1)
+    again = count > 0
+    if again.sum() < MOST_OF_IT * len(y):
+        return 0.0
+    rest = y[again] - others[again]
+    return 1.0 - float(rest @ rest) / max(float(y[again] @ y[again]), 1e-300)
+
+
+def drift_goes_with(readings: Readings, s: Series, left: Floats, smooth: Floats) -> str:
+    """What most of a slow drift goes with, in words: the place, or a temperature and its delay; empty where nothing.
+
+    Args:
+        readings, s: the series.
+        left: its residual, (n,).
+        smooth: columns that the drift is beside, (n, p).
+    """
+    if comes_again(readings, s, left) > MOST_OF_IT:
+        return AGAIN
+    few = np.arange(0, len(s), -(-len(s) // READINGS))
+    time, state = s.time_s[few], readings.states[s.source]
+    flat = smooth[few] - smooth[few].mean(axis=0)
+
+    def beside(columns: Floats) -> Floats:
+        mine = columns - columns.mean(axis=0)
+        return np.asarray(mine - flat @ np.linalg.lstsq(flat, mine, rcond=None)[0])
+
+    drift = beside(without_runs(s, left)[few])
+    best, words = MOST_OF_IT, ""
+    for sensor in readings.machine.sensor_names:
+        value = state.channels.get(sensor)
+        if value is None or not np.isfinite(value[s.row]).all() or np.ptp(value[s.row]) < REAL_DEGC:
+            continue
+        now = value[s.row][few]
+        taus = [tau for tau in TAU_S if tau <= 0.5 * float(np.ptp(time))]
+        shapes = [(np.column_stack([now, (now - now.mean()) ** 2]), f"goes with {sensor}")]
+        shapes += [
+            (lag_track(now, time, tau)[:, None], f"goes with {sensor}, about {tau / 60:.3g} min behind it")
+            for tau in taus
+        ]
+        for columns, what in shapes:
+            mine = beside(columns)
+            rest = drift - mine @ np.linalg.lstsq(mine, drift, rcond=None)[0]
+            share = 1.0 - float(rest @ rest) / max(float(drift @ drift), 1e-300)
+            if share > best:
+                best, words = share, what
+    return words

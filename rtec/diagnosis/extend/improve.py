@@ -171,7 +171,9 @@ class _Growth:
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
-            others = [] if ask else [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]
+            # What happened at an instant is added where it is named, never in place of something else.
+            others = [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]
+            others = [] if ask else [f for f in others if "t0" not in f.theta]
             added = self._first_gain(model, found, [picked, *others])
             if added is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")

@@ -290,7 +290,8 @@ class _Answer:
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
         if accepted:
-            verdict = "ambiguous" if len(group) > 1 or findings[0].confused_with else "missing_effect"
+            rivals = len(group) > 1 or findings[0].confused_with or any(t.rivals for t in self.s.chain)
+            verdict = "ambiguous" if rivals else "missing_effect"
         elif unknown is not None:
             verdict = "unknown_effect"
         elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in self._doubts(accepted)):
@@ -326,13 +327,17 @@ class _Answer:
             ),
             seed=self.s.seed,
             picture=shown,
-            together=tuple(Member.of(self.s.candidates[t.number].effect, t.drop) for t in self.s.chain),
+            together=tuple(self._member(t) for t in self.s.chain),
             refit=judged.refitted,
             judged=judged,
             doubts=self._doubts(accepted),
             runs=self.s.undecided,
         )
         return words.with_sentence(draft, smallest, [d.words for d in self._doubts(accepted) if d.fatal])
+
+    def _member(self, t: Refitted) -> Member:
+        effects = [self.s.candidates[i].effect for i in (t.number, *t.rivals)]
+        return Member.of(effects[0], t.drop, effects[1:])
 
     @cached_property
     def _typed(self) -> Typed | None:

@@ -63,7 +63,7 @@ def alike(one: Effect, other: Effect, cos: float, log_odds: float) -> Alike:
         log_odds: log evidence of the one over the other.
     """
     why, test = _told(one, other)
-    apart = cos < APART and log_odds > WITHIN
+    apart = cos < APART
     if apart:
         why, test = "", "add rank 1, then diagnose again"
         how = (

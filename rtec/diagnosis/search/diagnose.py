@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, doubts
-from rtec.diagnosis.heat import unrecorded_heat
+from rtec.diagnosis.heat import own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import PERIODS, WITHIN
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
-from rtec.diagnosis.search.screen import Projected, Screen, screen
+from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, without_idle
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
@@ -143,14 +143,7 @@ class _Search:
         """Go through the steps."""
         prepared, readings = self.prepared, self.readings
         projected = self._projected
-        found = screen(
-            readings,
-            self.candidates,
-            projected,
-            lambda d, t: self.stage("weighing candidates", d, t),
-            self.refits.columns_of_few,
-            self.refits.few[0],
-        )
+        found = self.refits.first_look(projected)
         self.stage("what chance can do", 0, 1)
         p, _ = found.family_p(self.draws, self.rng)
         again = self.refits.anew(found, self.refits.second_look())
@@ -176,33 +169,36 @@ class _Search:
             numbers = [t.number for t in pair]
             tried = [*pair, *(t for t in tried if t.number not in numbers)]
             accepted, named, share, unknown = True, True, 1.0, None
+        undecided = self._undecided(tried) if not (accepted and named) and unknown is None else None
+        if undecided is not None:
+            tried = [undecided[1], *(t for t in tried if t is not undecided[1])]
         return answer(
             SearchResult(
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
                 self.refits.without, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
                 unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
                 self.judged, self.doubts, tuple(chain),
-                self._undecided(best, p) if not (accepted and named) and unknown is None else None,
+                undecided[0] if undecided is not None else None,
             )
         )  # fmt: skip
 
-    def _undecided(self, best: Refitted | None, p: float) -> RunsDiffer | None:
-        """What the runs differ by where the best candidate may explain it and too few runs decide."""
-        if self._doubted or best is None or not best.holds or best.drop < MAY or best.log_evidence < SURE:
-            return None
-        if p >= self.alpha and best.log_evidence < self._prior_odds:
+    def _undecided(self, tried: Sequence[Refitted]) -> tuple[RunsDiffer, Refitted] | None:
+        """What the runs differ by and the likeliest that may explain it, though too few runs decide."""
+        may = [t for t in tried if t.holds and t.drop >= MAY and t.log_evidence > 0.0]
+        if self._doubted or not may:
             return None
         found = runs_differ(self.readings, self.refits.without.left, self.judged.scale)
         if found is None:
             return None
-        return RunsDiffer(*found, type(self.candidates[best.number].effect).about.reveal)
+        first = max(may, key=lambda t: t.log_evidence)
+        return RunsDiffer(*found, type(self.candidates[first.number].effect).about.reveal), first
 
     def _next(self, tried: Sequence[Refitted], pair: Sequence[Refitted] | None, named: bool) -> Screen | None:
         """All candidates beside what was named; of very many readings only some are looked at, which tells no sizes."""
         if not self.explain or not named or self.refits.few[1] is not self.readings:
             return None
         fit = (pair[1] if pair is not None else tried[0]).fit
-        return self.refits.look(lambda w: w, fit.whitener, fit.columns)
+        return self.refits.look(fit.whitener, fit.columns)
 
     def _accepts(self, best: Refitted, p: float) -> bool:
         """Chance is unlikely, or the evidence with the noise found anew is overwhelming; and left-out runs agree.
@@ -217,7 +213,18 @@ class _Search:
             best.drop < NOTHING_MUCH or self.refits.beside_slopes(best) - self._prior_odds < SURE
         ):
             return False  # heat that no sensor recorded bends and stretches as much
-        return best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
+        sure = best.holds and beyond > SURE and (p < self.alpha or (beyond > OVERWHELMING and self._many))
+        if sure and self._is_warm_up(best):
+            self.doubts = (*self.doubts, own_warm_up(self.candidates[best.number].effect))
+            return False
+        return sure and not self.refits.jumps_again(best)
+
+    def _is_warm_up(self, best: Refitted) -> bool:
+        """Whether an instrument that warms up by itself explains the readings nearly as well."""
+        width = self.prepared.base.shape[1]
+        part = best.columns @ best.fit.values[width : width + best.columns.shape[1]]
+        curves = warm_up_curves(self.readings, self.candidates[best.number].effect, part)
+        return bool(curves) and best.log_evidence - self.refits.of_curves(curves, 2) < SURE
 
     @property
     def _doubted(self) -> bool:
@@ -288,6 +295,8 @@ class _Search:
         for first, seconds in zip(firsts, each(self.refits.beside, firsts, len(self.readings)), strict=True):
             for second in seconds:
                 sure = second.holds and second.log_evidence - first.log_evidence > bar and second.drop > MOSTLY
+                # What happened at an instant helps by itself, or not at all.
+                sure = sure and not self.refits.at_instant(second.number)
                 if sure and (best is None or second.log_evidence > best[1].log_evidence):
                     both = replace(second, number=first.number, theta=first.theta, columns=first.columns, before=width)
                     best = both, second
@@ -331,6 +340,8 @@ class _Search:
         for first in sorted(simple, key=lambda t: -t.log_evidence)[:BESIDE]:
             for second in self.refits.beside(first):
                 width = second.columns.shape[1]
+                if self.refits.at_instant(second.number):
+                    continue
                 sure = second.holds and second.log_evidence - first.log_evidence > bar
                 if (
                     sure

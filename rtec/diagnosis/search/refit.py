@@ -20,8 +20,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.confounded import WITHIN, cosine, directness, diverse, plausibility
-from rtec.diagnosis.search.screen import UNMOVED, Memory, Projected, Screen, orthonormal, screen
+from rtec.diagnosis.search.confounded import SAME, WITHIN, cosine, directness, diverse, plausibility
+from rtec.diagnosis.search.screen import UNMOVED, Bank, Projected, Screen, orthonormal, screen, screen_all
 from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL, EffectCandidate
@@ -55,11 +55,15 @@ def polished(
         projected: gives the noise, and the current model taken out; asked for only where there is something to find.
     """
     start = dict(tried[best])
-    free = [_between(p, tried, start) for p in effect.nonlinear(readings.machine) if _smooth(p)]
-    if not free:
+    parameters = effect.nonlinear(readings.machine)
+    free = [_between(p, tried, start) for p in parameters if _smooth(p)]
+    instants = {p.name: _nearby(p.name, tried, start, readings) for p in parameters if _instant(p)}
+    if not free and not instants:
         return start
     search = _Search(effect, start, free, readings, projected())
-    return search.best()
+    for name, times in instants.items():
+        search.start = min(({**search.start, name: t} for t in times), key=search.squares, default=start)
+    return search.best() if free else search.start
 
 
 def _smooth(p: Parameter) -> bool:
@@ -108,6 +112,16 @@ def effective(whitener: Whitener, base: Floats, columns: Floats) -> Floats:
     return np.asarray(np.clip(told / np.maximum(each_one, 1e-300), 2.0, float(len(readings))))
 
 
+def _nearby(name: str, tried: Sequence[Theta], start: Theta, readings: Readings) -> list[float]:
+    """Instants between readings from the value below to the value above, that which was tried first."""
+    values = sorted({t[name] for t in tried})
+    at = values.index(start[name])
+    low, high = values[max(at - 1, 0)], values[min(at + 1, len(values) - 1)]
+    times = np.unique(readings.time_s)
+    between = 0.5 * (times[1:] + times[:-1])
+    return [start[name], *between[(between > low) & (between < high)].tolist()]
+
+
 class _Search:
     def __init__(
         self, effect: Effect, start: dict[str, float], free: list[Parameter], readings: Readings, projected: Projected
@@ -131,9 +145,17 @@ class _Search:
         pairs = zip(self.free, self.scales, x, strict=True)
         return self.start | {p.name: s.value(float(v)) for p, s, v in pairs}
 
+    def squares(self, theta: Theta) -> float:
+        """Sum of squares of the residual with the best linear coefficients."""
+        left = self._left_at(theta)
+        return float(left @ left)
+
     def _left(self, x: Floats) -> Floats:
+        return self._left_at(self._at(x))
+
+    def _left_at(self, theta: Theta) -> Floats:
         with np.errstate(all="ignore"):
-            columns = live_columns(self.effect, self._at(x), self.readings)
+            columns = live_columns(self.effect, theta, self.readings)
         if not np.isfinite(columns).all():
             return self.projected.left
         white = self.projected.take_out(self.projected.whitener(columns))
@@ -194,6 +216,8 @@ class Refitted:
     gain: float
     before: int | None = None
     """Columns of the fit before this candidate's; None for those of the current model."""
+    rivals: tuple[int, ...] = ()
+    """Numbers of those that the readings cannot tell from it beside what it was fitted beside."""
 
     @property
     def holds(self) -> bool:
@@ -271,6 +295,8 @@ BESIDE = 3
 """Effects that are tried beside the best, before it is given up for a shape without a name."""
 
 
+AGAIN = 0.5
+"""Where a second jump is larger than this share of the first, neither stands alone."""
 MOST_TOGETHER = 4
 """Effects that are named together at the most."""
 MORE = 0.05
@@ -287,13 +313,13 @@ class Refits:
 
     Attributes:
         alternatives: how many candidates there are of an effect of a component.
-        columns_of_few: whitened columns that were made already.
+        bank: columns of all candidates at the readings that are looked at.
     """
 
     def __init__(self, prepared: Prepared, candidates: Sequence[EffectCandidate], stage: Stage) -> None:
         self.prepared, self.readings, self.candidates, self.stage = prepared, prepared.readings, candidates, stage
         self.alternatives = Counter((c.effect.effect, c.effect.component) for c in candidates)
-        self.columns_of_few: Memory = {}
+        self.bank = Bank(self.readings, candidates, self.few[0])
         self._found_beside: dict[int, list[Refitted]] = {}
 
     @cached_property
@@ -325,15 +351,22 @@ class Refits:
         # What does worse on runs left out is no winner, whatever its evidence.
         return sorted(each(tried, looks, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
 
-    def look(self, change: Callable[[Whitener], Whitener], now: Whitener, base: Floats) -> Screen:
+    def look(self, now: Whitener, base: Floats) -> Screen:
         """Weigh all candidates beside columns, (m, p), under a noise; of very many readings on some."""
+        return screen(self.bank, self._looked(now, base))
+
+    def first_look(self, projected: Projected) -> Screen:
+        """Weigh all candidates by all readings; columns are kept for the looks that follow."""
+        return screen_all(self.bank, projected, lambda d, t: self.stage("weighing candidates", d, t))
+
+    def _looked(self, now: Whitener, base: Floats) -> Projected:
+        """The readings that are looked at, whitened, less columns, (m, p)."""
         keep, few = self.few
-        noise = change(Whitener(few, now.noises, now.wides, now.least))
-        return screen(few, self.candidates, Projected.of(noise, base[keep], few.values), memory=self.columns_of_few)
+        return Projected.of(Whitener(few, now.noises, now.wides, now.least), base[keep], few.values)
 
     def second_look(self) -> Screen:
         """The same weighing as if there were hardly any drift: the noise may have swallowed what is looked for."""
-        return self.look(without_drift, self.prepared.whitener, self.prepared.base)
+        return self.look(without_drift(self.prepared.whitener), self.prepared.base)
 
     def fit(self, columns: Floats) -> Fit:
         """Fit from the noise that was found, and from hardly any drift; the likelier of the two."""
@@ -351,7 +384,7 @@ class Refits:
     def _look_beside(self, first: Refitted) -> list[Refitted]:
         width = self.prepared.base.shape[1]
         base = np.concatenate([self.prepared.base, first.columns], axis=1)
-        found = self.look(lambda w: w, first.fit.whitener, base)
+        found = self.look(first.fit.whitener, base)
 
         def tried(number: int) -> Refitted:
             variant = found.variants[found.best[number]]
@@ -363,7 +396,36 @@ class Refits:
             drop, left_out = self.left_out(fit.whitener, fit.columns[:, width:])
             return Refitted(number, theta, columns, fit, evidence, drop, left_out, base.shape[1])
 
-        return each(tried, self._distinct(found)[:BESIDE], len(self.readings))
+        return self._with_rivals(
+            found, each(tried, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
+        )
+
+    def _with_rivals(
+        self, found: Screen, tried: Sequence[Refitted], there: Sequence[tuple[str, str]]
+    ) -> list[Refitted]:
+        """The same, each with those of another name that are nearly as likely, or the same shape.
+
+        Args:
+            found: all candidates beside what is there.
+            tried: those that were fitted.
+            there: effects and components that are there already.
+        """
+        out = []
+        for t in tried:
+            others = {*there, self._name(t.number)}
+            out.append(replace(t, rivals=tuple(i for i in self._near(found, t, tried) if self._name(i) not in others)))
+        return out
+
+    def _near(self, found: Screen, t: Refitted, tried: Sequence[Refitted]) -> list[int]:
+        near = {o.number for o in tried if o.holds and t.log_evidence - o.log_evidence < WITHIN}
+        shape, width = found.contribution(t.number), found.variants[found.best[t.number]].count
+        least = found.score[t.number] - self._choice_cost(t.number) - WITHIN
+        for number in found.order[:DISTINCT]:
+            likely = found.score[number] - self._choice_cost(number) > least
+            lean = found.variants[found.best[number]].count <= width
+            if likely or (lean and cosine(shape, found.contribution(number)) > SAME):
+                near.add(number)
+        return [i for i in found.order if i in near]
 
     def chain(self, first: Refitted, bar: float, may: Callable[[Effect], bool]) -> list[Refitted]:
         """An effect and those that the readings call for beside it, one after the other; evidence is that of all.
@@ -378,11 +440,13 @@ class Refits:
         width, out = self.prepared.base.shape[1], [first]
         while len(out) < MOST_TOGETHER:
             last = out[-1]
-            found = self.look(without_drift, last.fit.whitener, last.fit.columns)
-            there = [self.candidates[t.number].effect for t in out]
-            order = [i for i in self._distinct(found) if may(e := self.candidates[i].effect) and e not in there]
+            found = self.look(without_drift(last.fit.whitener), last.fit.columns)
+            # One effect of one component twice, by two sensors, is that effect of a body that has none.
+            there = [self._name(t.number) for t in out]
+            order = [i for i in self._distinct(found) if may(self.candidates[i].effect) and self._name(i) not in there]
             more: list[Refitted] = []
-            for number in order[:BESIDE]:
+            kinds = [" ".join(self._name(i)) for i in range(len(self.candidates))]
+            for number in diverse(order, kinds, BESIDE, 1):
                 variant = found.variants[found.best[number]]
                 theta = self._polished(number, variant.theta, found.projected.whitener, last.fit.columns)
                 columns = self._columns(number, theta)
@@ -397,8 +461,13 @@ class Refits:
                     )
             if not more:
                 break
-            out.append(max(more, key=lambda t: t.log_evidence))
+            out.append(max(self._with_rivals(found, more, there), key=lambda t: t.log_evidence))
         return out
+
+    def _name(self, number: int) -> tuple[str, str]:
+        """Effect and component of a candidate."""
+        effect = self.candidates[number].effect
+        return effect.effect, effect.component
 
     def _cost(self, columns: Floats, count: int) -> float:
         """What the numbers of a candidate cost: half the logarithm of the readings that decide each.
@@ -410,11 +479,7 @@ class Refits:
     def _polished(self, number: int, theta: int, now: Whitener, base: Floats) -> Mapping[str, float]:
         """Non-linear parameters of a candidate at their best beside a base, from those that were tried."""
         candidate = self.candidates[number]
-        keep, few = self.few
-        noise = Whitener(few, now.noises, now.wides, now.least)
-        return polished(
-            candidate.effect, candidate.thetas, theta, few, lambda: Projected.of(noise, base[keep], few.values)
-        )
+        return polished(candidate.effect, candidate.thetas, theta, self.few[1], lambda: self._looked(now, base))
 
     def _columns(self, number: int, theta: Mapping[str, float]) -> Floats:
         """Columns of a candidate, (m, k)."""
@@ -458,6 +523,40 @@ class Refits:
         )
         cost = t.fit.log_likelihood - self.without.log_likelihood - t.log_evidence
         return with_it - without - cost
+
+    def at_instant(self, number: int) -> bool:
+        """Whether a candidate is something that happened at one instant."""
+        return any(map(_instant, self.candidates[number].effect.nonlinear(self.readings.machine)))
+
+    def jumps_again(self, t: Refitted) -> bool:
+        """Whether what happened at one instant happened at others too, at least half as large: a set-up that moves."""
+        candidate = self.candidates[t.number]
+        if not self.at_instant(t.number):
+            return False
+        known = self._looked(without_drift(t.fit.whitener), t.fit.columns)
+        columns = [live_columns(candidate.effect, theta, self.few[1])[:, :1] for theta in candidate.thetas]
+        white = known.take_out(known.whitener(np.concatenate(columns, axis=1)))
+        squares, along = np.sum(white**2, axis=0), white.T @ known.left
+        best = int(np.argmax(along**2 / np.maximum(squares, 1e-12)))
+        first = t.fit.values[self.prepared.base.shape[1]]
+        return bool(abs(along[best]) > AGAIN * abs(first) * max(float(squares[best]), 1e-12))
+
+    def of_curves(self, curves: Sequence[Floats], searched: int) -> float:
+        """Log evidence of the best of several curves, (m, k) each, over the model as it is.
+
+        Args:
+            curves: one for each value of what was searched for.
+            searched: parameters that were searched for.
+        """
+        base, best = self.prepared.base, None
+        for noise in (self.prepared.whitener, without_drift(self.prepared.whitener)):
+            known = Projected.of(noise, base, self.readings.values)
+            squares = [float(np.sum((orthonormal(known.take_out(noise(c))).T @ known.left) ** 2)) for c in curves]
+            columns = curves[int(np.argmax(squares))]
+            fit = self.fit(np.concatenate([base, columns], axis=1))
+            gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + searched)
+            best = gain if best is None else max(best, gain)
+        return (best or 0.0) - self.without.log_likelihood
 
     def left_out(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""

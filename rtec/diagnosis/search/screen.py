@@ -5,11 +5,13 @@ the base leaves: `R² = |Dᵀr|² / |r|²`, and with g = n the log evidence over
 `½ (n - k_B - k) ln(1 + n) - ½ (n - k_B) ln(1 + n (1 - R²))`  (Liang et al. 2008); over the values of its non-linear
 parameters that are tried it is the mean, which is what a search costs: much for a period, little for a time constant
 that the readings hardly decide.
+
+Of very many readings all are weighed, and the directions of only some are kept: to draw chance, and to compare shapes.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,24 +21,18 @@ from rtec.errors import ModelError
 from rtec.estimation.candidates import EffectCandidate
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings
-from rtec.parallel import MANY
 
 Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Tell = Callable[[int, int], None]
-Memory = dict[tuple[int, int], Floats | None]
-"""Columns by the number of the candidate and of the values of its parameters; None where there are none."""
-
 ABSORBED = 2e-3
 """A direction of which the base leaves less than this share of its norm is absorbed."""
 UNMOVED = 1e-3
 """Readings that an effect of its usual size moves by less than this, µm or µrad, say nothing of it."""
-SKETCH = 8192
-"""Rows that stand for all where there are many, when chance is drawn."""
-CHUNK = 96
-"""Columns that are whitened together."""
+CHUNK, NUMBERS = 96, 1_000_000
+"""Columns that are whitened together at the most, and how many numbers these may be: more leave the fast memory."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +99,8 @@ class Screen:
         projected: readings, whitened, less the base.
         candidates: as given.
         variants: those that the base does not absorb.
-        directions: orthonormal directions of all, (m, columns).
+        directions: orthonormal directions of all, at the readings that are kept, (kept, columns).
+        along: inner product of each direction with the whitened residual, over all readings, (columns,).
         log_evidence: of each variant, (variants,).
         absorbed: candidates of which the base leaves nothing.
     """
@@ -112,6 +109,7 @@ class Screen:
     candidates: tuple[EffectCandidate, ...]
     variants: tuple[Variant, ...]
     directions: Single
+    along: Floats
     log_evidence: Floats
     absorbed: tuple[int, ...]
 
@@ -153,17 +151,10 @@ class Screen:
         return sorted(self.score, key=lambda c: -self.score[c])
 
     def contribution(self, candidate: int) -> Floats:
-        """Whitened part of what is left that a candidate explains, (m,)."""
+        """The part of the whitened residual that a candidate explains, at the readings that are kept, (kept,)."""
         v = self.variants[self.best[candidate]]
-        d = self.directions[:, v.first : v.first + v.count].astype(np.float64)
-        return np.asarray(d @ (d.T @ self.projected.left))
-
-    def explained(self, candidate: int) -> float:
-        """Sum of squares that a candidate explains beyond chance, in units of the noise variance."""
-        v = self.variants[self.best[candidate]]
-        d = self.directions[:, v.first : v.first + v.count].astype(np.float64)
-        t = d.T @ self.projected.left
-        return float(t @ t) - v.count * self.projected.squares / self.projected.freedom
+        part = slice(v.first, v.first + v.count)
+        return np.asarray(self.directions[:, part].astype(np.float64) @ self.along[part])
 
     def family_p(self, draws: int, rng: np.random.Generator) -> tuple[float, Floats]:
         """Probability that chance alone makes the best of all look as good, and the evidences that chance made.
@@ -173,68 +164,120 @@ class Screen:
         if not self.variants:
             return 1.0, np.zeros(0)
         tops = []
-        directions = sketched(self.directions, rng)
-        rest = max(len(self.projected.left) - len(directions) - self.projected.q.shape[1], 0)
-        whole_base = self.projected.q.astype(np.float32) if directions is self.directions else None
+        # Readings that are not kept are noise beside the directions; those that are kept stand for all.
+        rest = max(len(self.projected.left) - len(self.directions) - self.projected.q.shape[1], 0)
+        directions, base = self.directions, None
+        if rest:
+            directions = directions / np.maximum(np.linalg.norm(directions, axis=0), 1e-12)
+        else:
+            base = self.projected.q.astype(np.float32)
         for start in range(0, draws, 100):
             noise = rng.standard_normal((len(directions), min(100, draws - start)), dtype=np.float32)
             t2 = (directions.T @ noise) ** 2
-            whole = (noise**2).sum(axis=0)
-            if whole_base is not None:
-                whole -= ((whole_base.T @ noise) ** 2).sum(axis=0)
-            elif rest:
-                whole += rng.chisquare(rest, len(whole)).astype(np.float32)
-            r2 = _sums(t2, self.variants) / whole
+            total = (noise**2).sum(axis=0)
+            if base is not None:
+                total -= ((base.T @ noise) ** 2).sum(axis=0)
+            else:
+                total += rng.chisquare(rest, len(total)).astype(np.float32)
+            r2 = _sums(t2, self.variants) / total
             made = evidence(r2, self.counts[:, None], self.projected)
             tops.append(mean_evidence(made, self.starts).max(axis=0))
         chance = np.concatenate(tops).astype(np.float64)
         return float((1 + np.sum(chance >= max(self.score.values()))) / (draws + 1)), chance
 
 
-def screen(
-    readings: Readings,
-    candidates: Sequence[EffectCandidate],
-    projected: Projected,
-    tell: Tell | None = None,
-    memory: Memory | None = None,
-    keep: Bools | None = None,
-) -> Screen:
-    """Weigh every candidate.
+@dataclass(frozen=True)
+class Chunk:
+    """Columns of some variants, side by side.
+
+    Attributes:
+        which: candidate and number of its values, (variants, 2).
+        widths: columns of each, (variants,).
+        columns: (m, columns).
+    """
+
+    which: Ints
+    widths: Ints
+    columns: Floats
+
+
+class Bank:
+    """Columns of all candidates, made once for every look at them.
 
     Args:
-        readings: the readings.
-        candidates: what is weighed.
-        projected: the noise, and the current model to be taken out.
-        tell: told how many are done, and of how many.
-        memory: columns of these readings, kept from one weighing to the next.
-        keep: which readings' columns are kept, (m,), where the next weighing takes only some.
+        readings: all.
+        candidates: what is looked for.
+        keep: at which readings columns are kept, (m,): all where they are not many.
     """
-    made = _Columns(readings, projected, candidates, {} if memory is None else memory, memory is not None, keep)
-    total = sum(len(c.thetas) for c in candidates)
-    done = 0
-    for i, candidate in enumerate(candidates):
-        for j, theta in enumerate(candidate.thetas):
-            made.add(i, j, candidate, theta)
-            done += 1
+
+    def __init__(self, readings: Readings, candidates: Sequence[EffectCandidate], keep: Bools) -> None:
+        self.readings, self.candidates, self.keep = readings, tuple(candidates), keep
+        self.chunks: list[Chunk] = []
+        machine = readings.machine
+        self.usual = [np.array([p.typical for p in c.effect.coefficients(machine)]) for c in candidates]
+
+    def made(self, tell: Tell | None = None) -> Iterator[Chunk]:
+        """Make the columns at all readings, and keep what is kept."""
+        whole = bool(self.keep.all())
+        self.chunks = []
+        for chunk in self._all(tell):
+            self.chunks.append(chunk if whole else replace(chunk, columns=chunk.columns[self.keep]))
+            yield chunk
+
+    def _all(self, tell: Tell | None) -> Iterator[Chunk]:
+        total = sum(len(c.thetas) for c in self.candidates)
+        most = min(CHUNK, NUMBERS // max(len(self.readings), 1) + 1)
+        which: list[tuple[int, int]] = []
+        columns: list[Floats] = []
+        width = 0
+        for done, (i, j) in enumerate((i, j) for i, c in enumerate(self.candidates) for j in range(len(c.thetas))):
             if tell and done % 50 == 0:
                 tell(done, total)
-    made.finish()
-    if tell:
-        tell(total, total)
-    directions = made.directions[:, : made.width]
-    variants = tuple(made.variants)
-    t = np.concatenate(
-        [
-            np.zeros(0),
-            *(directions[:, i : i + CHUNK].T.astype(np.float64) @ projected.left for i in range(0, made.width, CHUNK)),
-        ]
-    )
-    out = Screen(projected, tuple(candidates), variants, directions, np.zeros(len(variants)), ())
-    r2 = _sums((t**2)[:, None], variants)[:, 0] / max(projected.squares, 1e-300)
-    found = evidence(r2, out.counts, projected)
-    there = {v.candidate for v in variants}
-    absorbed = tuple(i for i in range(len(candidates)) if i not in there)
-    return Screen(projected, tuple(candidates), variants, directions, found, absorbed)
+            one = self._columns(i, j)
+            if one is not None:
+                which.append((i, j))
+                columns.append(one)
+                width += one.shape[1]
+            if width >= most:
+                yield _chunk(which, columns)
+                which, columns, width = [], [], 0
+        if which:
+            yield _chunk(which, columns)
+        if tell:
+            tell(total, total)
+
+    def _columns(self, number: int, theta: int) -> Floats | None:
+        candidate = self.candidates[number]
+        try:
+            columns = self.readings.columns(candidate.effect, candidate.thetas[theta])
+        except ModelError:
+            return None  # a measurement that sees the component lacks a channel: told by `library`
+        return columns if np.isfinite(columns).all() else None
+
+
+def _chunk(which: Sequence[tuple[int, int]], columns: Sequence[Floats]) -> Chunk:
+    return Chunk(np.array(which), np.array([c.shape[1] for c in columns]), np.concatenate(columns, axis=1))
+
+
+def screen(bank: Bank, projected: Projected) -> Screen:
+    """Weigh every candidate by the readings whose columns were kept.
+
+    Args:
+        bank: what is weighed; made already.
+        projected: the noise of these readings, and the current model to be taken out.
+    """
+    return _Weighed(bank, bank.chunks, projected, None).screen()
+
+
+def screen_all(bank: Bank, projected: Projected, tell: Tell | None = None) -> Screen:
+    """Weigh every candidate by all readings.
+
+    Args:
+        bank: what is weighed; is made.
+        projected: the noise of all readings, and the current model to be taken out.
+        tell: told how many are done, and of how many.
+    """
+    return _Weighed(bank, bank.made(tell), projected, None if bank.keep.all() else bank.keep).screen()
 
 
 def mean_evidence(values: Floats, starts: Ints) -> Floats:
@@ -266,127 +309,73 @@ def orthonormal(columns: Floats) -> Floats:
     return np.asarray(np.linalg.qr(q)[0], dtype=np.float64)
 
 
-def sketched(directions: Single, rng: np.random.Generator) -> Single:
-    """Fewer rows with the same inner products, near enough: rows drawn together with random signs, (SKETCH, columns).
+class _Weighed:
+    """Directions of all variants, worked out chunk by chunk, those of one width together."""
 
-    What chance does to many directions at once depends on nothing but their inner products.
-    """
-    n = len(directions)
-    if n <= 2 * SKETCH:
-        return directions
-    out = np.zeros((SKETCH, directions.shape[1]), dtype=np.float32)
-    for start in range(0, n, SKETCH):
-        part = directions[start : start + SKETCH]
-        sign = (1 - 2 * rng.integers(0, 2, len(part))).astype(np.float32)
-        out[rng.permutation(SKETCH)[: len(part)]] += part * sign[:, None]
-    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=0), 1e-12), dtype=np.float32)
-
-
-class _Columns:
-    """Makes, whitens and projects columns chunk by chunk; equal basis functions are worked out once."""
-
-    def __init__(
-        self,
-        readings: Readings,
-        projected: Projected,
-        candidates: Sequence[EffectCandidate],
-        memory: Memory,
-        remember: bool,
-        keep: Bools | None,
-    ) -> None:
-        self.readings, self.projected, self.candidates = readings, projected, candidates
+    def __init__(self, bank: Bank, chunks: Iterable[Chunk], projected: Projected, keep: Bools | None) -> None:
+        self.bank, self.projected, self.keep = bank, projected, keep
         self.variants: list[Variant] = []
-        machine = readings.machine
-        most = sum(len(c.thetas) * len(c.effect.coefficients(machine)) for c in candidates)
+        most = sum(len(c.thetas) * len(u) for c, u in zip(bank.candidates, bank.usual, strict=True))
+        rows = len(projected.left) if keep is None else int(keep.sum())
+        # What is kept stands for all.
+        self.more = math.sqrt(len(projected.left) / rows)
         # Column by column in memory, filled as they come: two copies of these would be most of what a search takes.
-        self.directions: Single = np.empty((len(readings), most), dtype=np.float32, order="F")
+        self.directions: Single = np.empty((rows, most), dtype=np.float32, order="F")
+        self.along: Floats = np.empty(most)
         self.width = 0
-        self._memory, self._remember = memory, remember
-        self._keep = keep if keep is not None and not keep.all() else None
-        self._waiting: list[tuple[int, int, Floats]] = []
-        # Of many readings, columns are made while those before them are whitened.
-        self._worker = ThreadPoolExecutor(1) if len(readings) > MANY else None
-        self._working: Future[None] | None = None
+        for chunk in chunks:
+            self._take(chunk)
 
-    def add(self, number: int, theta_number: int, candidate: EffectCandidate, theta: Mapping[str, float]) -> None:
-        """Take one variant."""
-        key = number, theta_number
-        known = key in self._memory and self._keep is None
-        columns = self._memory[key] if known else self._made(candidate, theta)
-        if self._remember:
-            self._memory[key] = columns if columns is None or self._keep is None else columns[self._keep]
-        if columns is None:
-            return
-        self._waiting.append((number, theta_number, columns))
-        if sum(c.shape[1] for _, _, c in self._waiting) >= CHUNK:
-            self._flush()
+    def screen(self) -> Screen:
+        """What comes of it."""
+        projected, variants, along = self.projected, tuple(self.variants), self.along[: self.width]
+        r2 = _sums((along**2)[:, None], variants)[:, 0] / max(projected.squares, 1e-300)
+        counts = np.array([v.count for v in variants], dtype=np.int64)
+        there = {v.candidate for v in variants}
+        absorbed = tuple(i for i in range(len(self.bank.candidates)) if i not in there)
+        found = evidence(r2, counts, projected)
+        return Screen(
+            projected, self.bank.candidates, variants, self.directions[:, : self.width], along, found, absorbed
+        )
 
-    def finish(self) -> None:
-        """Whiten and project what waits still."""
-        self._flush()
-        if self._worker is not None:
-            self._wait()
-            self._worker.shutdown()
-
-    def _made(self, candidate: EffectCandidate, theta: Mapping[str, float]) -> Floats | None:
-        try:
-            columns = self.readings.columns(candidate.effect, theta)
-        except ModelError:
-            return None  # a measurement that sees the component lacks a channel: told by `library`
-        return columns if np.isfinite(columns).all() else None
-
-    def _flush(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        if not waiting:
-            return
-        if self._worker is None:
-            self._take(waiting)
-        else:
-            self._wait()
-            self._working = self._worker.submit(self._take, waiting)
-
-    def _wait(self) -> None:
-        if self._working is not None:
-            self._working.result()
-
-    def _take(self, waiting: Sequence[tuple[int, int, Floats]]) -> None:
-        columns = np.concatenate([c for _, _, c in waiting], axis=1)
-        moves = _norms(columns) / np.sqrt(len(columns))
-        white = self.projected.whitener(columns)
+    def _take(self, chunk: Chunk) -> None:
+        first = np.cumsum(chunk.widths) - chunk.widths
+        usual = np.concatenate([self.bank.usual[int(i)] for i in chunk.which[:, 0]])
+        moves = _norms(chunk.columns) / math.sqrt(len(chunk.columns))
+        moved = np.maximum.reduceat(moves * usual, first) > UNMOVED
+        white = self.projected.whitener(chunk.columns)
         before = _norms(white)
         left = self.projected.take_out(white)
-        after = _norms(left)
-        at = 0
-        for number, theta, one in waiting:
-            part = slice(at, at + one.shape[1])
-            if self._moved(number, moves[part]):
-                self._add(number, theta, left[:, part], before[part], after[part])
-            at += one.shape[1]
+        size = np.stack([before, _norms(left)], axis=1)
+        left /= np.where(before > 0, before, 1.0)
+        gram, along = left.T @ left, left.T @ self.projected.left
+        found: dict[int, tuple[Floats, Floats]] = {}
+        for width in np.unique(chunk.widths[moved]).tolist():
+            mine = np.flatnonzero(moved & (chunk.widths == width))
+            at = first[mine][:, None] + np.arange(width)
+            for v, turn in zip(mine.tolist(), _turns(gram, at), strict=True):
+                if turn.shape[1]:
+                    found[v] = turn, along[first[v] : first[v] + width] @ turn
+        kept = left if self.keep is None else left[self.keep] * self.more
+        for v, (turn, products) in sorted(found.items(), key=lambda f: f[0]):
+            part, here = slice(first[v], first[v] + len(turn)), slice(self.width, self.width + len(products))
+            self.variants.append(
+                Variant(int(chunk.which[v, 0]), int(chunk.which[v, 1]), self.width, len(products), size[part])
+            )
+            self.directions[:, here] = kept[:, part] @ turn
+            self.along[here] = products
+            self.width += len(products)
 
-    def _moved(self, number: int, moves: Floats) -> bool:
-        """Whether a usual size of the effect would move the readings at all."""
-        usual = [p.typical for p in self.candidates[number].effect.coefficients(self.readings.machine)]
-        return bool((moves * usual).max() > UNMOVED)
 
-    def _add(self, number: int, theta: int, left: Floats, before: Floats, after: Floats) -> None:
-        seen = before > 0
-        if not (after[seen] > 0).any():
-            return
-        if left.shape[1] == 1:
-            if after[0] <= ABSORBED * before[0]:
-                return
-            found = left / after
-        else:
-            scaled = left[:, seen] / before[seen]
-            value, vector = np.linalg.eigh(scaled.T @ scaled)
-            good = value > ABSORBED**2
-            if not good.any():
-                return
-            found = scaled @ (vector[:, good] / np.sqrt(value[good]))
-        count = found.shape[1]
-        self.variants.append(Variant(number, theta, self.width, count, np.stack([before, after], axis=1)))
-        self.directions[:, self.width : self.width + count] = found
-        self.width += count
+def _turns(gram: Floats, at: Ints) -> list[Floats]:
+    """How columns turn into orthonormal directions, (k, count) each.
+
+    Args:
+        gram: inner products of columns less the base, over their norm before, (columns, columns).
+        at: which columns are those of each variant, (variants, k).
+    """
+    value, vector = np.linalg.eigh(gram[at[:, :, None], at[:, None, :]])
+    return [b[:, a > ABSORBED**2] / np.sqrt(a[a > ABSORBED**2]) for a, b in zip(value, vector, strict=True)]
 
 
 def _norms(columns: Floats) -> Floats:

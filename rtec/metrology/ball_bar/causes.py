@@ -134,8 +134,7 @@ def if_it_turns(circle: CircleTest, place: int) -> float:
     sign = hand if place == 1 else -hand
     turn: Shape = lambda at: sign * (at.p, at.q)[place]  # noqa: E731 - a shape like the others
     turning = replace(cause, also=((f"E{'ABC'['XYZ'.index(n)]}{axis_of(circle, place).name}", turn),))
-    bar = circle.instrument.bar_mm(circle.machine, circle.pose_mm)
-    shifts, turns = ((tip_um(c, circle, circle) * bar).sum(axis=1) for c in (cause, turning))
+    shifts, turns = ((tip_um(c, circle, circle) * circle.bar_mm).sum(axis=1) for c in (cause, turning))
     return float(shifts @ shifts / (turns @ shifts))
 
 
@@ -182,8 +181,9 @@ def tip_um(cause: Cause, circle: CircleTest, origin: CircleTest, *, square: bool
         out[:, setup.rows[cause.centre]] = -1.0
     fed = [] if shape is None else [(cause.component, shape)]
     first, second = setup.rows[:2]
-    p = setup.centre_mm[first] - origin.setup.centre_mm[first] + setup.radius_mm * np.cos(circle.angle_rad)
-    q = setup.centre_mm[second] - origin.setup.centre_mm[second] + setup.radius_mm * np.sin(circle.angle_rad)
+    p, q = circle.on_circle_mm
+    p = setup.centre_mm[first] - origin.setup.centre_mm[first] + p
+    q = setup.centre_mm[second] - origin.setup.centre_mm[second] + q
     for component, of in fed if square else [*fed, *cause.also]:
         out += _arms(component, circle, origin) * of(At(circle, p, q))[:, None]
     return out

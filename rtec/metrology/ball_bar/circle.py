@@ -11,6 +11,7 @@ from rtec.effects import State
 from rtec.effects.derived import FAR_MM
 from rtec.errors import MeasurementError
 from rtec.machine import Machine
+from rtec.metrology.files.columns import on_circle
 from rtec.metrology.instruments.ball_bar import (
     JUST_BEFORE_RAD,
     BallBar,
@@ -101,6 +102,21 @@ class CircleTest:
         return np.stack([channels.get(a.channel, zero) for a in self.machine.axes], axis=1)
 
     @cached_property
+    def bar_mm(self) -> Floats:
+        """From the ball on the table to the ball at the tool, nominally, (n, 3)."""
+        return self.instrument.bar_mm(self.machine, self.pose_mm)
+
+    @cached_property
+    def along(self) -> Floats:
+        """Direction of the bar, (n, 3)."""
+        return np.asarray(self.bar_mm / np.linalg.norm(self.bar_mm, axis=1, keepdims=True))
+
+    @cached_property
+    def on_circle_mm(self) -> tuple[Floats, Floats]:
+        """Place from the centre along the plane's first and second letter, (n,) each."""
+        return self.setup.radius_mm * np.cos(self.angle_rad), self.setup.radius_mm * np.sin(self.angle_rad)
+
+    @cached_property
     def state(self) -> State:
         """What effects see: positions, directions, velocities, accelerations, and way since the last reversal."""
         channels = circle_channels(self.machine, self.setup, self.angle_rad)
@@ -165,12 +181,15 @@ def circle_of(measurement: Measurement) -> CircleTest:
     """The measured arc of a measurement.
 
     Raises:
-        MeasurementError: another instrument, or too few readings on the arc.
+        MeasurementError: another instrument, neither angles nor positions, or too few readings on the arc.
     """
     name, instrument = measurement.name, measurement.instrument
     if not isinstance(instrument, BallBar):
         raise MeasurementError(f"{name}: instrument is {instrument.name}; this needs ball_bar")
-    angle_deg, reading = measurement.channels["angle_deg"], measurement.readings["reading_um"]
+    channels, reading = dict(measurement.channels), measurement.readings["reading_um"]
+    if "angle_deg" not in channels:
+        channels = on_circle(instrument, measurement.machine, channels, measurement.run, name)
+    angle_deg = channels["angle_deg"]
     setup = instrument.setup
     travel = travelled_deg(setup, angle_deg, measurement.run)
     keep = np.isfinite(reading) & (travel >= -END_DEG) & (travel <= setup.arc_deg + END_DEG)

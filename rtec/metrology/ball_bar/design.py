@@ -18,6 +18,7 @@ from rtec.metrology.ball_bar.causes import Cause, causes, tip_um
 from rtec.metrology.ball_bar.circle import CircleTest
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 UNSEEN = 1e-9
 """A column smaller than this share of the largest is not there."""
 ALIKE = 1e-6
@@ -190,38 +191,51 @@ class BarDesign:
         """What the readings alone separate, with nothing known before."""
         return rank_of(self.columns, self.names)
 
+    @cached_property
+    def _by_parameter(self) -> Floats:
+        """The tips, (k, 3 n): what they come to is then one product."""
+        return self.tips.transpose(1, 0, 2).reshape(len(self.labels), -1)
+
+    @cached_property
+    def _curved(self) -> Ints:
+        """Places of the parameters that have a square."""
+        return np.flatnonzero(self.squares.any(axis=(0, 2)))
+
     def second_order_um(self, kept: Sequence[int], values: Floats) -> Floats:
         """What the exact length adds to the first order, µm, (n,), for some of the parameters."""
         before = np.linalg.norm(self.bar_mm, axis=1)
-        moved = self._moved_mm(kept, values)
+        first, moved = self._moved_mm(kept, values)
         after = np.linalg.norm(self.bar_mm + moved, axis=1)
-        exact = (2.0 * self.bar_mm * moved + moved**2).sum(axis=1) / (after + before) * 1e3
-        along = self.bar_mm / before[:, None]
-        first = np.einsum("nd,nkd,k->n", along, self.tips[:, kept], values)
-        return np.asarray(exact - first, dtype=np.float64)
+        exact = np.einsum("nd,nd->n", 2.0 * self.bar_mm + moved, moved) / (after + before)
+        return np.asarray((exact - np.einsum("nd,nd->n", self.bar_mm, first) / before) * 1e3)
 
     def slopes(self, kept: Sequence[int], values: Floats) -> Floats:
         """Reading, µm, per unit of some of the parameters, (n, kept), at these values: the bar has turned."""
         before = self.bar_mm / np.linalg.norm(self.bar_mm, axis=1, keepdims=True)
-        after = self.bar_mm + self._moved_mm(kept, values)
+        after = self.bar_mm + self._moved_mm(kept, values)[1]
         after = after / np.linalg.norm(after, axis=1, keepdims=True)
-        turned = np.einsum("nd,nkd->nk", after - before, self.tips[:, kept])
-        squares = np.einsum("nd,nkd->nk", after, self.squares[:, kept]) * (2.0 * values)
-        return np.asarray(self.columns[:, kept] + turned + squares, dtype=np.float64)
+        out = np.asarray(self.columns + np.einsum("nd,nkd->nk", after - before, self.tips))
+        whole = self._whole(kept, values)
+        for i in self._curved:
+            out[:, i] += np.einsum("nd,nd->n", after, self.squares[:, i]) * (2.0 * whole[i])
+        return np.asarray(out[:, kept], dtype=np.float64)
 
-    def _moved_mm(self, kept: Sequence[int], values: Floats) -> Floats:
-        """How far one ball has moved against the other, (n, 3)."""
-        first = np.einsum("nkd,k->nd", self.tips[:, kept], values)
-        return np.asarray((first + np.einsum("nkd,k->nd", self.squares[:, kept], values**2)) * 1e-3)
+    def _whole(self, kept: Sequence[int], values: Floats) -> Floats:
+        """Values of all parameters, (k,); zero where they are not among those kept."""
+        out = np.zeros(len(self.labels))
+        out[list(kept)] = values
+        return out
+
+    def _moved_mm(self, kept: Sequence[int], values: Floats) -> tuple[Floats, Floats]:
+        """How far one ball has moved against the other, to first order and with the squares, (n, 3) each."""
+        whole = self._whole(kept, values)
+        first = 1e-3 * (whole @ self._by_parameter).reshape(-1, 3)
+        return first, first + 1e-3 * sum(self.squares[:, i] * whole[i] ** 2 for i in self._curved)
 
 
 def stacked_design(of: Sequence[Cause], circles: Sequence[CircleTest]) -> Floats:
     """Columns of causes in all tests, one test under the other, (readings, causes), µm per unit."""
-    along = [_bar(c) for c in circles]
-    parts = [
-        np.stack([(tip_um(cause, c, circles[0]) * u).sum(axis=1) for cause in of], axis=1)
-        for c, u in zip(circles, [b / np.linalg.norm(b, axis=1, keepdims=True) for b in along], strict=True)
-    ]
+    parts = [np.stack([np.einsum("nd,nd->n", tip_um(x, c, circles[0]), c.along) for x in of], axis=1) for c in circles]
     return np.concatenate(parts)
 
 
@@ -251,7 +265,7 @@ def design_of(
         labels.append(label)
         tips.append(tip)
         squares.append(np.zeros_like(tip))
-    bar = np.concatenate([_bar(c) for c in circles])
+    bar = np.concatenate([c.bar_mm for c in circles])
     whole = np.stack(tips, axis=1)
     columns = np.einsum("nd,nkd->nk", bar / np.linalg.norm(bar, axis=1, keepdims=True), whole)
     zeros = list(_zeros(circles, rows))
@@ -263,10 +277,6 @@ def design_of(
         tuple(labels), columns, np.concatenate([whole, still], axis=1),
         np.concatenate([np.stack(squares, axis=1), still], axis=1), bar,
     )  # fmt: skip
-
-
-def _bar(circle: CircleTest) -> Floats:
-    return circle.instrument.bar_mm(circle.machine, circle.pose_mm)
 
 
 def _split(
@@ -367,6 +377,7 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
     rank = design.by_readings
     known = design.columns[:, list(rank.kept)]
     names = [design.names[i] for i in rank.kept]
+    basis = np.linalg.qr(known / _sizes(known))[0]
     tried, columns, left_out = [], [], []
     for candidate in candidates(circles):
         if candidate.missing:
@@ -377,7 +388,9 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
         seen = own[len(own) // 2]
         if np.abs(seen).max() < UNSEEN_UM:
             left_out.append(NotLookedFor(candidate, _unseen(candidate, circles)))
-        elif share_left(known, seen) < APART:
+            continue
+        share, left = _beside(basis, seen)
+        if share < APART:
             parts = np.linalg.lstsq(known / _sizes(known), seen / _sizes(seen), rcond=None)[0]
             twins = _twins(np.abs(parts).max(axis=1), names, rank)
             same = dict(zip(names, (parts[:, 0] / _sizes(known)).tolist(), strict=True))
@@ -386,17 +399,23 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
             tried.append(candidate)
             columns.append(own)
             known = np.concatenate([known, seen], axis=1)
+            basis = np.concatenate([basis, np.linalg.qr(left)[0]], axis=1)
             names += [candidate.name] * seen.shape[1]
     return CandidateTable(tuple(circles), design, tuple(tried), tuple(columns), tuple(left_out))
 
 
 def share_left(known: Floats, own: Floats) -> float:
     """Smallest share of a combination of columns, (n, k), that columns that are known do not make."""
-    basis = np.linalg.qr(known / _sizes(known))[0]
+    return _beside(np.linalg.qr(known / _sizes(known))[0], own)[0]
+
+
+def _beside(basis: Floats, own: Floats) -> tuple[float, Floats]:
+    """Smallest share of a combination of columns, (n, k), that orthonormal ones do not make; and what they leave."""
     scaled = own / _sizes(own)
     left = scaled - basis @ (basis.T @ scaled)
-    whole = np.linalg.svd(scaled, compute_uv=False)
-    return float(np.linalg.svd(left, compute_uv=False)[-1] / whole[0])
+    left = left - basis @ (basis.T @ left)
+    whole, rest = (np.linalg.eigvalsh(x.T @ x) for x in (scaled, left))
+    return float(np.sqrt(max(rest[0], 0.0) / whole[-1])), left
 
 
 def with_setup(circle: CircleTest, **changes: float | str) -> CircleTest:

@@ -452,6 +452,8 @@ def _diagnose(
             )
         angle, time = (fitted, other) if phase.taken == "angle" else (other, fitted)
         changed, fitted = shifts(angle, time), either(fitted, other)
+    for instead in found.instead:
+        fitted = either(fitted, chosen(circles, fitted.model, window_deg, centre, instead)[0])
     fitted = _with_twins(fitted, found)
     bb = chosen(circles, model, window_deg, centre, Beyond())[0] if found.beyond.picks else fitted
     near = sum(int(c.near_quadrant(window_deg).sum()) for c in circles) / sum(len(c) for c in circles)

@@ -6,6 +6,7 @@ The fit gives each parameter with its standard error and interval, and what it c
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -353,8 +354,8 @@ class Beyond:
         clearance_um: of both axes; readings where an axis still crosses it are not used.
         late_s: it may do so by so much later.
         beside: causes that are not separated from a pick: nothing of the pick is determined without them.
-        dropped: causes that were looked for and are not beyond chance, each by itself, and the same effect of both axes
-            together: a pair can hide where neither of them does.
+        dropped: causes that were looked for and are not beyond chance, each by itself, and every two that hide each
+            other: both may be there where neither shows.
     """
 
     picks: tuple[Pick, ...] = ()
@@ -384,7 +385,7 @@ class Fitted:
         beyond: what is fitted beyond [BB]'s parameters.
     """
 
-    model: str
+    model: Literal["linear", "non-linear"]
     values: tuple[FittedValue, ...]
     combinations: tuple[FittedValue, ...]
     heights: tuple[OfHeight, ...]

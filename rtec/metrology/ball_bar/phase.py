@@ -176,8 +176,9 @@ def _gains(
 
 def either(one: Fitted, other: Fitted) -> Fitted:
     """The fit of the answer that was taken; intervals and standard errors hold the other one, too."""
-    values = tuple(_either(a, b) for a, b in zip(one.values, other.values, strict=True))
-    combinations = tuple(_either(a, b) for a, b in zip(one.combinations, other.combinations, strict=False))
+    known = {v.name: v for v in (*other.values, *other.combinations)}
+    values = tuple(_either(v, known.get(v.name, v)) for v in one.values)
+    combinations = tuple(_either(v, known.get(v.name, v)) for v in one.combinations)
     return replace(one, values=values, combinations=combinations)
 
 

@@ -11,6 +11,7 @@ residual there must not pull at the rest.
 """
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -160,10 +161,14 @@ SURE_SE = 4.0
 """A size of so many standard errors is beyond doubt."""
 SURE_ODDS = 6.0
 """Twice the logarithm of the odds from which on readings decide between two causes: 20 to 1."""
+HIDDEN = 1.25
+"""Two causes hide each other where the one widens the standard error of the other so much."""
+RIVALS = 4
+"""So many of the choices that do nearly as well are fitted."""
+SEEN = 0.99
+"""How often a cause as large as its stated limit is found."""
 SWAPS, SMALLEST_SWAP = 3, 0.1
 """Causes are changed for others that explain more, so many times at most and for so many variances at least."""
-FOUND_SE = 5.5
-"""A cause of so many standard errors would have been found: `FAMILY` asks for four and a half, noise may take one."""
 NOISE_ROUNDS = 2
 FINER = 12
 """Steps of the golden section for the way to a spike's top."""
@@ -194,11 +199,13 @@ class CausesFound:
         beyond: what to fit.
         not_found: looked for, not significant.
         left_out: not looked for, and why.
+        instead: what may be there as well as `beyond`: the readings do not decide.
     """
 
     beyond: Beyond = field(default_factory=Beyond)
     not_found: tuple[NotFound, ...] = ()
     left_out: tuple[NotLookedFor, ...] = ()
+    instead: tuple[Beyond, ...] = ()
 
 
 def search(
@@ -234,16 +241,22 @@ def search(
             break
         kept = [i for i in stays if i not in better.unit]
         stays, chance = _eliminate(work, rows, sorted([*kept, *better.other]))
-    rivals = tuple(_rivals(work, stays, rows))
+    swaps = sorted((s for s in _instead(work, stays, rows) if s.lost < s.sure), key=lambda s: s.lost)
+    rivals = tuple(_rivals(work, stays, swaps))
     picks = tuple(_pick(work, stays, i, p) for i, p in zip(stays, chance, strict=True))
     # The ways are finer now than those on the list.
     best = replace(table, columns=tuple(_at_best(work, picks)))
     noise = judged(work_of(best, reading, work.noise, (0,) * len(work.way)), window_deg)[0]
-    beside = tuple(_beside(picks, table.left_out))
-    beyond = Beyond(picks, noise, clearance, late_s, beside, tuple(_dropped(work, stays)))
+
+    def beyond_of(stays: Sequence[int], picks: tuple[Pick, ...]) -> Beyond:
+        beside, dropped = _beside(picks, table.left_out), _dropped(work, stays)
+        return Beyond(picks, noise, clearance, late_s, tuple(beside), tuple(dropped))
+
+    others = [sorted([*(i for i in stays if i not in swap.unit), *swap.other]) for swap in swaps[:RIVALS]]
+    instead = tuple(beyond_of(other, tuple(_pick(work, other, i, 1.0) for i in other)) for other in others)
     open_ = {r.candidate.name for r in rivals}
     not_found = tuple(n for n in _limits(work, stays, rows) if n.candidate.name not in open_)
-    return CausesFound(beyond, not_found, (*table.left_out, *rivals))
+    return CausesFound(beyond_of(stays, picks), not_found, (*table.left_out, *rivals), instead)
 
 
 def _beside(picks: Sequence[Pick], left_out: Sequence[NotLookedFor]) -> Iterator[Cause]:
@@ -255,12 +268,26 @@ def _beside(picks: Sequence[Pick], left_out: Sequence[NotLookedFor]) -> Iterator
 
 
 def _dropped(work: SearchState, stays: Sequence[int]) -> Iterator[tuple[Cause, ...]]:
-    """What was dropped, each by itself, and the same effect of both axes together."""
-    dropped = [i for i in work.everything if i not in stays]
-    tried = {i: work.table.tried[i] for i in dropped}
+    """What was dropped, each by itself, and every two that hide each other."""
+    alone = _alone(work, stays)
+    tried = {i: work.table.tried[i] for i in alone}
     causes = {i: c.make((c.ways_mm or (0.0,))[work.way[i]]) for i, c in tried.items()}
-    yield from (causes[i] for i in dropped if tried[i].kind != "plain")
-    yield from (tuple(c for i in unit for c in causes[i]) for unit in _units(work, dropped))
+    yield from causes.values()
+    for i, j in itertools.combinations(alone, 2):
+        if tried[i].kind == tried[j].kind == "plain" and _hidden(alone[i], alone[j]) > HIDDEN:
+            yield (*causes[i], *causes[j])
+
+
+def _alone(work: SearchState, stays: Sequence[int]) -> dict[int, Floats]:
+    """White columns of those that were dropped, by their places, less what those that stay make of them."""
+    basis = work.beside(stays)[0]
+    dropped = (i for i in work.everything if i not in stays)
+    return {i: own - basis @ (basis.T @ own) for i in dropped for own in (work.own[i][work.way[i]],)}
+
+
+def _hidden(own: Floats, other: Floats) -> float:
+    """By how much another cause widens the standard error of one."""
+    return _spread(own, other) / _spread(own)
 
 
 def _too_few(table: CandidateTable, count: int) -> Iterator[NotLookedFor]:
@@ -298,24 +325,29 @@ class Swap:
 
     Attributes:
         unit, other: places of those that stay and of the others.
-        lost: by so many variances of the noise the others explain less.
+        lost: by so many variances of the noise the others explain less; more parameters count against them.
+        sure: from so many on it is beyond doubt which of them it is.
     """
 
     unit: tuple[int, ...]
     other: tuple[int, ...]
     lost: float
+    sure: float
 
 
 def _instead(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[Swap]:
-    """What could be there instead, one cause for one, or two of the same effect for two."""
+    """What could be there instead of one cause or of two of the same effect: one other, or two of the same effect."""
     others = tuple(_units(work, [i for i in work.everything if i not in stays]))
     power = least(work, stays).sigma ** 2 * rows
+    # Schwarz' price of one parameter more; and the best of many does better by chance than one would.
+    price = math.log(len(work.white) / rows)
+    sure = SURE_ODDS + 2.0 * math.log(max(len(others), 1))
     for unit in _units(work, stays):
         basis, left = work.beside([i for i in stays if i not in unit])
         most = gain(basis, left, work.white_of(unit))
         for other in others:
-            if len(other) == len(unit):
-                yield Swap(unit, other, (most - gain(basis, left, work.white_of(other))) / power)
+            lost = (most - gain(basis, left, work.white_of(other))) / power
+            yield Swap(unit, other, lost + price * (len(other) - len(unit)), sure)
 
 
 def _units(work: SearchState, places: Sequence[int]) -> Iterator[tuple[int, ...]]:
@@ -328,13 +360,12 @@ def _units(work: SearchState, places: Sequence[int]) -> Iterator[tuple[int, ...]
             yield i, j
 
 
-def _rivals(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[NotLookedFor]:
+def _rivals(work: SearchState, stays: Sequence[int], swaps: Sequence[Swap]) -> Iterator[NotLookedFor]:
     """Causes that do nearly as well as some that stay: of which of them it is, nothing is said."""
     twins: dict[int, list[str]] = {}
-    for swap in _instead(work, stays, rows):
-        if swap.lost < SURE_ODDS:
-            for i in swap.other:
-                twins.setdefault(i, []).extend(work.table.tried[k].name for k in swap.unit)
+    for swap in swaps:
+        for i in swap.other:
+            twins.setdefault(i, []).extend(work.table.tried[k].name for k in swap.unit)
     for i, names in twins.items():
         titles = " and ".join(work.table.tried[k].title for k in stays if work.table.tried[k].name in names)
         why = f"it does as well as {titles}"
@@ -421,13 +452,30 @@ def _golden(gain: Callable[[float], float], low: float, high: float) -> float:
 
 
 def _limits(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[NotFound]:
-    """Of each that was dropped: what would have been found beside those that stay."""
-    for i in work.everything:
-        if i in stays:
-            continue
-        fitted = least(work, [*stays, i])
-        columns = work.own[i][work.way[i]].shape[1]
-        se = fitted.sigma * np.sqrt(rows * np.diag(fitted.inverse)[-columns:].max())
-        candidate = work.table.tried[i]
+    """Of each that was dropped: what would have been found beside those that stay and any other that was dropped."""
+    alone = _alone(work, stays)
+    for i, own in alone.items():
+        candidate, sigma = work.table.tried[i], least(work, [*stays, i]).sigma
+        hidden = max((_spread(own, other) for j, other in alone.items() if j != i), default=_spread(own))
+        seen = SMALLEST_UM / float(np.ptp(work.table.columns[i][work.way[i]], axis=0).max())
+        limit = max(_needed(work, i, rows) * sigma * np.sqrt(rows) * hidden, seen)
         with_ = tuple(x.candidate for x in work.table.left_out if candidate.name in x.twins)
-        yield NotFound(candidate, float(FOUND_SE * se), candidate.make(1.0)[0].unit, with_)
+        yield NotFound(candidate, float(limit), candidate.make(1.0)[0].unit, with_)
+
+
+def _needed(work: SearchState, place: int, rows: float) -> float:
+    """Standard errors of a cause that is found with the probability `SEEN`."""
+    from scipy.special import fdtri, ndtri
+
+    count, tries = work.own[place][0].shape[1], len(work.own[place])
+    free = max(len(work.white) / rows - work.columns(work.everything).shape[1], 1.0)
+    chance = FAMILY / (len(work.everything) * tries)
+    return float(np.sqrt(count * fdtri(count, free, 1.0 - chance)) + ndtri(SEEN))
+
+
+def _spread(own: Floats, *others: Floats) -> float:
+    """Largest standard error of the sizes of some columns beside others, in those of a reading."""
+    both = np.concatenate([own, *others], axis=1)
+    size = np.linalg.norm(both, axis=0)
+    inverse = np.linalg.pinv((both / size).T @ (both / size))
+    return float((np.sqrt(np.diag(inverse)) / size)[: own.shape[1]].max())

@@ -21,12 +21,12 @@ from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.importing.apply import chosen
 from rtec.metrology.importing.map import ImportMap
-from rtec.metrology.importing.roles import ColumnRoles
+from rtec.metrology.importing.roles import LEAVE, ColumnRoles
 from rtec.metrology.importing.rows import from_events
 from rtec.metrology.importing.words import has
 from rtec.metrology.instruments.registry import INSTRUMENTS
 from rtec.metrology.readers import detect, read_tables
-from rtec.metrology.readers.base import ForeignTable, SourceOptions
+from rtec.metrology.readers.base import ForeignTable, SourceOptions, number_or_none
 from rtec.metrology.readers.delimited import bracketed, table_of
 from rtec.metrology.readers.layout import Guess, layout
 from rtec.metrology.readers.registry import READERS
@@ -36,6 +36,9 @@ from rtec.wholefile import write_text
 
 FIRST = 4
 """Values shown of each column."""
+ODD = 0.1
+"""Up to this share of cells that are no numbers, a column is one of numbers."""
+NO_VALUE = "no value"
 NUMBERS: Final = re.compile(r"\[\n((?: +[-+.0-9e]+,\n)+)\]")
 NEEDED = {
     "straightness": ("direction",),
@@ -288,7 +291,34 @@ def _read(path: Path, told: dict[str, Any], asked: "_Answers") -> _Read:
         names = asked.ask("names", "What are the columns called?", (), usual, hint) or usual
         more["names"] = [n.strip() for n in names.split(",")]
     source = validated(SourceOptions, _plain(found.source) | more, f"{path}: [source]", MeasurementError)
-    return _Read("delimited", [table_of(path, found.text, source)], not found.cut, _plain(source), found.guesses)
+    table = table_of(path, found.text, source)
+    if words := () if _log_columns(table) else _odd_cells(table, asked):
+        source = source.model_copy(update={"missing": (*source.missing, *words)})
+        table = table_of(path, found.text, source)
+    return _Read("delimited", [table], not found.cut, _plain(source), found.guesses)
+
+
+def _odd_cells(table: ForeignTable, asked: "_Answers") -> list[str]:
+    """Cells that are no number in columns of numbers; each such column is asked for, and is numbers unless left out."""
+    words: list[str] = []
+    for name, values in table.columns.items():
+        odd, right = _odd_of(table, name)
+        if not odd:
+            continue
+        more = f", nor are {len(odd) - 1} more" if len(odd) > 1 else ""
+        text = f"Line {table.lines[odd[0]]}, column {name!r}: {clean(str(values[odd[0]]))!r} is no number{more}; "
+        text += f"{right} cells are. Correct the file, or is it no value?"
+        if asked.ask(f"odd cell of {name}", text, (NO_VALUE, LEAVE)) != LEAVE:
+            words += [str(values[i]) for i in odd]
+    return list(dict.fromkeys(words))
+
+
+def _odd_of(table: ForeignTable, name: str) -> tuple[list[int], int]:
+    """Rows of the cells that are no number in a column of numbers, none in one of words; and how many cells are."""
+    values = table.columns[name]
+    filled = np.flatnonzero(values != "").tolist() if values.dtype == np.object_ else []
+    odd = [i for i in filled if number_or_none(str(values[i]), table.decimal) is None]
+    return (odd if len(odd) <= ODD * len(filled) else []), len(filled) - len(odd)
 
 
 def _plain(source: SourceOptions) -> dict[str, Any]:
@@ -313,7 +343,11 @@ def _log_columns(table: ForeignTable) -> dict[str, Any]:
     if not 3 <= len(table.columns) <= 4 or len(table) < 4:
         return {}
     texts = {n: v.astype(str) for n, v in table.columns.items() if v.dtype == np.object_}
-    often = [n for n, v in texts.items() if 2 <= len(set(v)) <= len(v) / 2 and not has(n, "direction")]
+    often = [
+        n
+        for n, v in texts.items()
+        if 2 <= len(set(v)) <= len(v) / 2 and not has(n, "direction") and not _odd_of(table, n)[0]
+    ]
     unit = next((n for n in often if has(n, "unit")), None)
     channels = [n for n in often if n != unit and not _moments(table.columns[n])]
     named = [n for n in channels if has(n, "channel")] or channels

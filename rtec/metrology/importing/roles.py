@@ -18,6 +18,7 @@ from rtec.metrology.importing.words import (
     bare_unit,
     has,
     is_nominal,
+    is_place,
     sensor_called,
     sensor_name,
     sensors_like,
@@ -255,6 +256,7 @@ class ColumnRoles:
         """Is a column without a unit a temperature? Its name says so, it is no setting, and its values can be."""
         values = self._finite(name)
         named = has(name, "temperature") or re.fullmatch(r"(?i)t(_.*|\d+)|.*_t\d*|.*temp", name.strip()) is not None
+        named = named or any(map(is_place, words_of(name)))
         known = self.machine is not None and sensor_called(name, self.machine.sensor_names) != ""
         if not (named or known) or has(name, "setting") or not len(values):
             return False
@@ -510,7 +512,7 @@ class ColumnRoles:
         turns = int((np.diff(track[track != 0]) != 0).sum())
         if not 0 < turns <= len(values) // 3:
             return {}
-        self.guesses.append(Guess("run", target, f"{target} turns round {turns} times: each way is a run"))
+        self.guesses.append(Guess("run", target, f"{target} goes to and fro: each way is a run"))
         return {"direction_of": target}
 
     def _rows(self, clock: str | None) -> dict[str, Any]:

@@ -101,6 +101,7 @@ PLACES: Final = {
     "spindelstock": "headstock", "öl": "oil", "gestell": "frame", "ständer": "column", "säule": "column",
     "lager": "bearing", "tisch": "table", "werkstück": "workpiece", "maßstab": "scale", "kühlmittel": "coolant",
 }  # fmt: skip
+PLACE_WORDS: Final = PLACES.keys() | set(PLACES.values())
 # Letters that mean much else: no units without brackets.
 NOT_BARE: Final = frozenset({"f", "d", "t", "g", "1", "'", '"', "in", "h"})
 
@@ -141,10 +142,15 @@ def bare_unit(name: str) -> str:
     return unit if unit in UNITS else ""
 
 
+def is_place(word: str) -> bool:
+    """Is it a T and where it was measured, in one word: `tnut`?"""
+    return word.startswith("t") and word[1:] in PLACE_WORDS
+
+
 def sensor_name(name: str) -> str:
     """A name of a sensor made from that of a column: `Mutter [°C]` gives T_nut."""
     words = [w for w in words_of(name) if w not in WORDS["temperature"] and w not in ("t", "deg", "c", "f", "k")]
-    words = [w[1:] if re.fullmatch(r"t\d+", w) else w for w in words]
+    words = [w[1:] if re.fullmatch(r"t\d+", w) or is_place(w) else w for w in words]
     plain = "_".join(PLACES.get(w, w) for w in words)
     plain = re.sub(r"\W|[^\x00-\x7f]", "_", plain).strip("_")
     return f"T_{plain}" if plain else "T_1"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rtec.errors import MeasurementError
 from rtec.metrology.measurement import Measurement
 from rtec.result import Result
+from rtec.wording import percent
 
 Floats = NDArray[np.float64]
 SURE = 0.01
@@ -131,16 +132,16 @@ def _told(
     if moves:
         left = repeat[2] if p_stretch < SURE else repeat[1]
         words = (
-            f"The cycles move as a whole: {' and '.join(moves)}. That is {100 * share:.0f} % of the squared scatter at "
-            f"the targets; unidirectional repeatability is {repeat[0]:.2f} µm as the standard counts it and "
+            f"The cycles move as a whole: {' and '.join(moves)}. That is {percent(share)} of the squared scatter at "
+            f"the targets. Unidirectional repeatability is {repeat[0]:.2f} µm as the standard counts it, and "
             f"{left:.2f} µm with the drift taken out."
         )
         if not any("every" in m for m in moves):
             words += " Warming goes one way; this does not: look for a loose mount or a reference that is lost."
     else:
         words = (
-            f"No drift between the cycles beyond scatter (cycle means within {spread:.2f} µm, p = {p:.2f}): "
-            "the repeatability is repeatability."
+            f"The cycles do not drift beyond their scatter (cycle means within {spread:.2f} µm, p = {p:.2f}), so the "
+            "repeatability contains no drift."
         )
     return CycleDrift(means, slopes, spread, stretch, p, p_stretch, *repeat, share, words)
 

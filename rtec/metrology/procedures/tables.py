@@ -240,17 +240,24 @@ def _profile(table: Table, position: Floats, angle: Floats, places: Floats) -> F
     return out
 
 
-def drift_of(measurement: Measurement, distance_mm: float | None = None) -> Drift:
+def drift_of(
+    measurement: Measurement, distance_mm: float | None = None, columns: Mapping[str, str] | None = None
+) -> Drift:
     """Drift from a measurement of instrument spindle_drift; positive as the tool moves in the probe's direction.
 
     Args:
         measurement: with `spindle_rpm`; probes "radial1" and "radial2" give the tilt.
         distance_mm: between the radial probes, instead of that of the set-up.
+        columns: of a table without a TOML; a measurement names its probes itself.
 
     Raises:
-        MeasurementError: another instrument, or no speeds.
+        MeasurementError: another instrument, no speeds, or columns that are named once more.
     """
     name, setup = measurement.name, measurement.instrument.setup
+    if columns:
+        raise MeasurementError(
+            f"{name}: [setup.probe] of its TOML names the probes; leave {' and '.join(f'--{n}' for n in columns)} out"
+        )
     if not isinstance(setup, SpindleDriftSetup):
         raise MeasurementError(f"{name}: instrument is {measurement.instrument.name}; drift needs spindle_drift")
     if "spindle_rpm" not in measurement.channels:
@@ -262,15 +269,24 @@ def drift_of(measurement: Measurement, distance_mm: float | None = None) -> Drif
     return replace(result, notes={name: measurement.notes})
 
 
-def straightness_of(measurement: Measurement) -> StraightnessResult:
+def straightness_of(measurement: Measurement, method: str | None = None) -> StraightnessResult:
     """Straightness by reversal from a measurement of instrument straightness with reversed runs.
 
     The probe's sign is the same in all runs, so readings are s + a, and s - a with the artefact turned over.
 
+    Args:
+        measurement: of an axis.
+        method: "artefact" or None: what a measurement holds is no other.
+
     Raises:
-        MeasurementError: another instrument, no reversed runs, or runs that do not read the same places.
+        MeasurementError: another instrument or method, no reversed runs, or runs that do not read the same places.
     """
     name, setup, axis = measurement.name, measurement.instrument.setup, measurement.instrument.axis
+    if method not in (None, "artefact"):
+        raise MeasurementError(
+            f"{name}: method {method!r} needs a table with spindle_deg, probe1_um, probe2_um and no TOML beside it; "
+            "a measurement is that of an artefact which is turned over (reversed_runs)"
+        )
     if not isinstance(setup, StraightnessSetup) or axis is None:
         raise MeasurementError(
             f"{name}: instrument is {measurement.instrument.name}; this needs straightness of an axis"

@@ -7,7 +7,6 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
 from nicegui import events, ui
 
 from rtec.errors import RtecError
@@ -206,10 +205,9 @@ def _preview(view: ImportView) -> None:
 
 
 def _figure(view: ImportView) -> dict[str, Any]:
-    rows = np.arange(len(view.place))[:: max(1, len(view.place) // 6000)]
     traces = [
-        {"type": "scattergl", "mode": "markers", "name": figures.text(name), "x": figures.numbers(view.place[rows]),
-         "y": figures.numbers(values[rows]), "marker": {"size": 6, "color": figures.PALETTE[(2 + k) % 8]}}
+        {"type": "scattergl", "mode": "markers", "name": figures.text(name), "x": figures.numbers(view.place),
+         "y": figures.numbers(values), "marker": {"size": 6, "color": figures.PALETTE[(2 + k) % 8]}}
         for k, (name, values) in enumerate(view.readings.items())
     ]  # fmt: skip
     up = "reading, µrad" if all(n.endswith("urad") for n in view.readings) else "reading, µm"

@@ -140,15 +140,17 @@ class _LivePage:
 
     def _spark(self, title: str, kept: Sequence[Moment], *, temperatures: bool) -> Chart:
         names = self._names(temperatures)
+        unit_s, unit = (60.0, "minutes") if kept is self._link.minutes else (3600.0, "hours")
         data = [
-            {"type": "scatter", "mode": "lines", "name": figures.text(n), "x": [m.time_s / 60.0 for m in kept],
+            {"type": "scatter", "mode": "lines", "name": figures.text(n), "x": [m.time_s / unit_s for m in kept],
              "y": [_of(m, n, temperatures) for m in kept], "line": {"color": figures.PALETTE[(2 + k) % 8], "width": 2}}
             for k, n in enumerate(names)
         ]  # fmt: skip
         up = figures.axis("°C" if temperatures else "µm")
         layout = figures.layout(
-            xaxis=figures.axis("minutes since the daemon began", nticks=6), yaxis=up, dragmode="zoom", showlegend=True
-        )
+            xaxis=figures.axis(f"{unit} since the daemon began", nticks=6), yaxis=up, dragmode="zoom", showlegend=True,
+            legend={"x": 1.01, "y": 1.0, "yanchor": "top", "font": {"size": 13}},
+        )  # fmt: skip
         with ui.element("div").classes("card"):
             Words("h2", title)
             return Chart({"data": data, "layout": layout}, title).classes("low")

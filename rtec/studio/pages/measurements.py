@@ -219,8 +219,10 @@ class _ModelCard:
     def __init__(self, session: TabSession) -> None:
         self._session = session
         there = session.listing.models
-        if there:
+        if there or session.model:
             names = {n: clean(n) for n in there}
+            if session.model and session.model not in there:
+                names[session.model] = f"{clean(session.model)}, deleted meanwhile; what was added to it is kept here"
             ui.select(names, value=session.model or None, label="Model file", on_change=self._choose).props("outlined")
         else:
             Words("p", "No model in the folder yet. Fit a first one:", "small")
@@ -241,7 +243,8 @@ class _ModelCard:
     def refresh(self) -> None:
         """Other measurements were chosen."""
         self._command.redo()
-        self._next.redo()
+        if self._lacked != self._session.lacks:
+            self._next.redo()  # else a click that is under way would find its button gone
 
     def _choose(self, event: events.ValueChangeEventArguments[str | None]) -> None:
         self._session.model = event.value or ""
@@ -258,6 +261,7 @@ class _ModelCard:
         command(" ".join(quote(w) for w in given), "The same on the command line:")
 
     def _show_next(self) -> None:
+        self._lacked = self._session.lacks
         if not self._session.lacks:
             go = partial(self._session.go, "compare")
             button("Compare the model with the measurements", go, main=True)

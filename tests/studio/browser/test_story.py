@@ -19,7 +19,6 @@ from tests.studio.studio_rig import (
     MACHINE,
     RunningStudio,
     Watched,
-    chromium,
     foreign,
     needs_browser,
     running_studio,
@@ -32,12 +31,6 @@ if TYPE_CHECKING:
 pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
 
 BESIDE = "beam_offset_mm=[0,0,150]"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator["Browser"]:
-    with chromium() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from rtec.control.client import Client, DaemonPlace
 from rtec.control.places import of_config
-from tests.studio.studio_rig import Watched, chromium, live_config, needs_browser, running_daemon, running_studio, tab
+from tests.studio.studio_rig import Watched, live_config, needs_browser, running_daemon, running_studio, tab
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -26,12 +26,6 @@ def _mode(config: Path) -> str:
     (path,) = [p for p in of_config(config) if p.exists()]
     with Client(DaemonPlace(path)) as client:
         return str(client.status()["status"]["mode"])
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator["Browser"]:
-    with chromium() as made:
-        yield made
 
 
 @pytest.fixture(scope="module")

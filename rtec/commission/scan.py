@@ -1,0 +1,175 @@
+"""Which number on a port or bus is which axis or sensor: what a driver finds, and what changes when it is asked for."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Final, Protocol
+
+from rtec.commission.answers import template_tables, with_answers
+from rtec.commission.listen import LiveSource
+from rtec.errors import ConfigError
+from rtec.loop.clock import Clock
+from rtec.loop.devices import driver_class
+from rtec.loop.ports import Scanner
+from rtec.wording import counted, significant
+
+Tables = dict[str, Any]
+Watched = Callable[[LiveSource], Mapping[str, float]]
+"""Shows live values for a while; gives the change of each."""
+UNITS_DEGC: Final = (1.0, 0.1, 0.01)
+ROOM_DEGC: Final = (10.0, 45.0)
+CLEARLY: Final = 3.0
+"""What moves changes so many times more than at rest."""
+SMALL_SHARE: Final = {"axis": 0.01, "sensor": 0.005}
+"""What counts as no change: a share of the largest change of any number, or of a temperature's own number."""
+ACTION: Final = {
+    "axis": "Move axis {} by hand in its positive direction",
+    "sensor": "Warm {} with your hand",
+}
+
+
+class Talk(Protocol):
+    """Whom it asks."""
+
+    def ask(self, question: str, default: str) -> str:
+        """Give the answer; the default where that is empty."""
+        ...
+
+    def say(self, text: str) -> None:
+        """Tell something."""
+        ...
+
+    def progress(self, title: str) -> AbstractContextManager[Callable[[int, int], None]]:
+        """Show a bar; gives a function that takes how much is done, of how much."""
+        ...
+
+
+def scanner_of(driver: str, table: Mapping[str, Any], clock: Clock, where: str) -> Scanner | None:
+    """What looks on a device's port or bus; None where its driver cannot.
+
+    Raises:
+        RtecError: no such driver, or a table that it refuses.
+    """
+    kind = driver_class(driver, where)
+    scanner: Scanner | None = kind.scanner(table, clock) if hasattr(kind, "scanner") else None
+    return scanner
+
+
+def search(scanner: Scanner, talk: Talk, title: str) -> list[str]:
+    """Look with a progress bar; what was found, in words. Ctrl-C ends the search, and keeps what it found.
+
+    Raises:
+        DriverUnavailable: the port or bus is gone.
+    """
+    found: list[str] = []
+    try:
+        with talk.progress(title) as show:
+            for share, words in scanner.search():
+                show(round(1000 * share), 1000)
+                found += [words] if words else []
+    except KeyboardInterrupt:
+        talk.say("The search was ended early; what it found is kept, and so are your answers.")
+    for words in found:
+        talk.say(f"  {words}")
+    return found
+
+
+def by_changes(scanner: Scanner, names: Sequence[str], kind: str, talk: Talk, watched: Watched) -> dict[str, str]:
+    """Have each axis moved, or each sensor warmed; the place of each that answered.
+
+    Args:
+        scanner: which has searched.
+        names: axes or sensors.
+        kind: "axis" or "sensor".
+        talk: whom it asks.
+        watched: shows live values.
+    """
+    talk.say("Leave everything at rest for a moment: what changes all the same is no " + kind + ".")
+    rest = watched(scanner)
+    out: dict[str, str] = {}
+    for name in names:
+        if talk.ask(f"{ACTION[kind].format(name)} while the values are shown; ready (y), skip (n)", "y") != "y":
+            continue
+        change = {place: x for place, x in watched(scanner).items() if place not in out.values()}
+        place = loudest(change, rest, scanner.read(), kind)
+        if place is None:
+            talk.say(f"nothing changed more than at rest; {name} has no number yet")
+            continue
+        talk.say(f"{place} changed by {significant(change[place], sign=True)}: that is {name}")
+        if kind == "axis" and change[place] < 0:
+            talk.say(counts_down(name))
+        out[name] = place
+    return out
+
+
+def counts_down(axis: str) -> str:
+    """What to do about an axis that counts the wrong way."""
+    return f"{axis} counts down where the axis goes up: exchange A and B of its encoder, or its sign there"
+
+
+def loudest(change: Mapping[str, float], rest: Mapping[str, float], now: Mapping[str, float], kind: str) -> str | None:
+    """The place that changed most, measured by what it does at rest; None where none did so clearly."""
+    largest = max((abs(x) for x in change.values()), default=0.0)
+    small = {p: SMALL_SHARE[kind] * (largest if kind == "axis" else abs(now.get(p, 0.0)) or 1.0) for p in change}
+    score = {p: abs(x) / (abs(rest.get(p, 0.0)) + small[p]) for p, x in change.items() if small[p] > 0.0}
+    best = max(score, key=lambda p: score[p], default=None)
+    return best if best is not None and score[best] > CLEARLY else None
+
+
+def unit_of(numbers: Sequence[float]) -> float:
+    """°C that a bare number's 1 is worth: the unit in which all of them are a room's temperature; 1 where none is."""
+    low, high = ROOM_DEGC
+    return next((u for u in UNITS_DEGC if numbers and all(low <= n * u <= high for n in numbers)), 1.0)
+
+
+def fill_in(tables: Tables, talk: Talk, clock: Clock, source: str) -> Tables:
+    """Of devices that say `scan = true`: look, and put what is found in the place of that key.
+
+    Args:
+        tables: of an answers file.
+        talk: called with each line that says what the search found.
+        clock: for deadlines.
+        source: the file, for messages.
+
+    Raises:
+        ConfigError: what is found does not say which number is which; the message lists it.
+        DriverUnavailable: a port that cannot be opened.
+    """
+    out = dict(tables)
+    for device, table in (tables.get("device") or {}).items():
+        if isinstance(table, Mapping) and table.get("scan") is not None:
+            given = {key: value for key, value in table.items() if key != "scan"}
+            found = _found(tables, device, given, talk, clock, source) if table["scan"] else {}
+            out["device"] = {**out["device"], device: with_answers(found, given)}
+    return out
+
+
+def _found(tables: Tables, device: str, given: Tables, talk: Talk, clock: Clock, source: str) -> Tables:
+    where = f"{source}: [device.{device}]"
+    scanner = scanner_of(str(given.get("driver")), given, clock, where)
+    if scanner is None:
+        raise ConfigError(f"{where} scan: driver {given.get('driver')!r} cannot look for numbers; take the key out")
+    axes, sensors = _names(tables, device)
+    with scanner:
+        talk.say(f"{device}: looking; this only reads, and takes {scanner.duration}")
+        found = search(scanner, talk, f"looking for {device}")
+        now, places = scanner.read(), scanner.proposed([*axes, *sensors])
+        if not places:
+            there = "\n  ".join([*found, *(f"{place}: {number:g}" for place, number in now.items())])
+            raise ConfigError(
+                f"{where} scan: what is there does not say which number is {', '.join([*axes, *sensors])}; "
+                f"write it down yourself, or run rtec init without --answers, which asks:\n  {there}"
+            )
+        unit = unit_of([now[places[name]] for name in sensors])
+    for name, place in places.items():
+        number = now[place] * (unit if name in sensors else 1.0)
+        talk.say(f"  {name}: {place}, now {significant(number, 4)}{' °C' if name in sensors else ''}")
+    talk.say(f"  {counted(len(places), 'name')} in the order in which they are there: check them with rtec doctor.")
+    return scanner.table(places, unit)
+
+
+def _names(tables: Tables, device: str) -> tuple[list[str], list[str]]:
+    """Axes and sensors that a device reads, by its roles."""
+    whole = with_answers(template_tables(str(tables.get("template"))), tables)
+    role = whole.get("role") or {}
+    axes = list(whole["axis"]) if role.get("counts") == device else []
+    return axes, list(whole.get("sensors") or ()) if device in (role.get("temperatures") or ()) else []

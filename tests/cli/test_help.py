@@ -1,0 +1,54 @@
+"""Help pages: of all commands at once. Oracle: a terminal of 80 columns, a shell, the declarations of the commands."""
+
+import re
+import shlex
+
+import pytest
+from typer.main import get_command
+
+from rtec.cli.help import continued, paragraphs
+from rtec.cli.main import app, status
+from tests.cli.test_examples import leaves
+
+COMMANDS = dict(leaves(get_command(app)))
+CODE_WORDS = re.compile(r"<\w|list\[|\brange\]|\b(bool|str|int|float)\b|x[<>]=|\w…")
+"""What only a programmer would understand, and cells that were cut off."""
+
+
+@pytest.fixture(params=list(COMMANDS), ids=" ".join)
+def page(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> str:
+    """The help page of each command on 80 columns."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert status([*request.param, "--help"]) == 0
+    return capsys.readouterr().out
+
+
+def test_a_page_fits_80_columns_and_has_no_words_of_the_code(page: str) -> None:
+    assert max(map(len, page.splitlines())) <= 80
+    options = page.split("\nOptions\n")[1]
+    assert not CODE_WORDS.findall(options)
+
+
+def test_every_word_of_an_option_is_on_the_page_whole(page: str) -> None:
+    """Oracle: the texts as declared; a column that is too narrow would break or cut them."""
+    path = tuple(re.match(r"Usage: rtec ((?:[a-z0-9]+ )+)", page)[1].split())  # type: ignore[index]
+    shown = " ".join(page.split())
+    for param in COMMANDS[path].params:
+        if not param.hidden:
+            assert " ".join((param.help or "").replace("`", "").split()) in shown
+
+
+def test_an_example_is_copied_as_it_is(page: str) -> None:
+    """Oracle: the shell's rules: a line that ends with a backslash goes on, quotes keep words together."""
+    path = tuple(re.match(r"Usage: rtec ((?:[a-z0-9]+ )+)", page)[1].split())  # type: ignore[index]
+    block = re.search(r"\nExamples?\n(.*?)\n\n", page, re.DOTALL)[1]  # type: ignore[index]
+    copied = [shlex.split(line, comments=True) for line in block.replace("\\\n", "").splitlines()]
+    declared = [shlex.split(command) for _, command in paragraphs(COMMANDS[path].help)[1]]
+    assert declared
+    assert [words for words in copied if words] == declared
+
+
+def test_a_long_command_is_continued_between_its_words() -> None:
+    """Oracle: by hand."""
+    lines = continued('rtec add model.toml --expr "A*sin(2*pi*x/p + phi)" --json -o b.toml', 24)
+    assert lines == ["rtec add model.toml \\", '  --expr "A*sin(2*pi*x/p + phi)" \\', "  --json -o b.toml"]

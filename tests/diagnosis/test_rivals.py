@@ -1,0 +1,108 @@
+"""What is not asserted: rivals of each of several effects, runs that differ, an instrument that warms up."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rtec.bench.rig import campaign
+from rtec.bench.rig.heat import day
+from rtec.bench.sets import measurements_of, model_of
+from rtec.bench.trials import Trial, build
+from rtec.diagnosis import words
+from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
+from rtec.diagnosis.result import Diagnosis, Member
+from rtec.diagnosis.search.confounded import alike
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.effects import effect_class
+from rtec.estimation.candidates import library
+from rtec.estimation.readings import read
+
+
+def _effect(name: str, **arguments: object):  # type: ignore[no-untyped-def]
+    return effect_class(name, "test").model_validate({"effect": name, **arguments})
+
+
+def _short_line(seed: int, loss_um: float = 0.0, load_um: float = 0.0, zero_um: float = 0.0) -> Trial:
+    """Eight short runs of which each has a zero of its own; counts are lost between the fourth and the fifth."""
+    rng = np.random.default_rng(seed)
+    plan = campaign.line(rng, runs=8, per_way=12, hours=4.0)
+    error = zero_um * rng.standard_normal(8)[plan.run - 1] + load_um * plan.load_kg / 300.0 + loss_um * (plan.run > 4)
+    channels = campaign.recorded(plan, day(rng, 5.0), rng)
+    return Trial("test", "runs", seed, "natural", (campaign.read(plan, {"EXX": error}, rng, "white", channels),))
+
+
+def test_every_pause_is_an_instant_that_is_tried() -> None:
+    """Oracle: the times of the runs. Something is lost between two runs rather than within one."""
+    trial = _short_line(1)
+    readings = read(measurements_of(trial))
+    (lost,) = [c for c in library(readings, ["missed_counts"])[0] if c.effect.component == "EXX"]
+    tried = np.array([t["t0"] for t in lost.thetas])
+    s = readings.series[0]
+    for k in range(7):
+        ends, begins = s.time_s[s.run == k][-1], s.time_s[s.run == k + 1][0]
+        assert ((tried > ends) & (tried < begins)).any()
+
+
+def test_counts_that_were_lost_between_two_runs_are_named() -> None:
+    """Oracle: the record was made so; an offset that each run has anew does not take a loss up that stays."""
+    trial = _short_line(3, loss_um=4.0)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert d.verdict in ("missing_effect", "ambiguous")
+    first = d.findings[0]
+    assert first.effect.effect == "missed_counts"
+    time, run = trial.records[0].plan.time_s, trial.records[0].plan.run
+    assert time[run == 4].max() < first.theta["t0"] < time[run == 5].min()
+
+
+def test_runs_that_differ_are_never_nothing_where_something_may_explain_them() -> None:
+    """Zeros of the runs by chance, and a load: too few runs decide, but the load predicts held-out runs by a third."""
+    trial = _short_line(11, load_um=1.0, zero_um=0.8)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert d.verdict == "undecided"
+    assert "the runs differ by" in d.sentence
+    assert "load_deformation" in d.sentence
+
+
+def test_an_instrument_that_warms_up_by_itself_is_no_effect() -> None:
+    """Nothing is hidden; each probe drifts as 1 - exp(-t/τ) from its first reading on, and back once it is off."""
+    trial = build("quiet", "warm_up_drift", 301)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert d.verdict == "undecided"
+    assert "instrument_warm_up" in {x.kind for x in d.doubts}
+    assert "warms up by itself" in d.sentence
+
+
+def test_what_depends_on_a_position_or_is_large_is_no_instrument() -> None:
+    """Oracle: an instrument that warms up does not know where the axis is, and drifts by a few µm."""
+    readings = read(measurements_of(_short_line(2)))
+    part = np.linspace(0.0, 0.9 * INSTRUMENT, len(readings))
+    sensor = "T_nut"
+    grows, along = (
+        _effect("mount_expansion", component="EXX", sensor=sensor),
+        _effect("axis_expansion", component="EXX", axis="X", sensor=sensor),
+    )
+    assert warm_up_curves(readings, grows, part)
+    assert not warm_up_curves(readings, grows, 3.0 * part)
+    assert not warm_up_curves(readings, along, part)
+
+
+def test_effects_that_explain_other_parts_are_no_rivals() -> None:
+    """Oracle: the definition. Two of nearly the same evidence whose shapes have nothing in common are both missing."""
+    one = _effect("axis_expansion", component="EXX", axis="X", sensor="T_nut")
+    other = _effect("cyclic_screw", component="EXX", axis="X")
+    assert alike(one, other, 0.05, 1.0).apart
+    assert not alike(one, other, 0.6, 1.0).apart
+
+
+def test_each_of_several_effects_is_told_with_its_rivals() -> None:
+    """Oracle: the names that were given."""
+    bow, warm = (
+        _effect("polynomial_position", component="EXX", axis="X", degrees=[2]),
+        _effect("axis_expansion_nonuniform", component="EXX", axis="X", sensor="T_nut"),
+    )
+    first = Member.of(_effect("angular_motion", component="EBX", axis="X"), 0.4)
+    trial = _short_line(5)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    told: Diagnosis = words.with_sentence(replace(d, together=(first, Member.of(bow, 0.5, [warm, warm]))), 0.1)
+    assert "or axis_expansion_nonuniform(EXX, X, T_nut) in its place" in told.sentence
+    assert told.sentence.count("T_nut") == 1

@@ -1,0 +1,166 @@
+"""Every page: contrast, widths, keyboard, no jump while it loads, nothing from elsewhere, a policy on each.
+
+Oracles: WCAG 2.1's formulas, the boxes that the browser lays out, its own layout-shift entries, its log of requests.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from tests.studio.browser.checks import CONTRAST, CONTROLS, FOCUS, NUMBERED, OVERLAPS
+from tests.studio.studio_rig import RunningStudio, Watched, needs_browser, tab
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
+
+PAGES = ("Measurements", "Import", "Compare", "Diagnose", "Add and watch", "Explore", "Live", "Report")
+WIDTHS = ((820, 1180), (1180, 820), (1280, 960), (1920, 1080), (2560, 1440))
+"""A tablet upright and lying, and screens."""
+SETTLED_MS = 20_000
+SHIFT = 0.02
+"""Google's limit for a good page is 0.1."""
+DRAWN = "[...document.querySelectorAll('.chart')].every((c) => c.dataset.drawn === 'yes')"
+MUTED = """() => {
+  window.acts = 0;
+  window.socket.emit = () => { window.acts += 1; };
+  window.addEventListener("click", () => { window.acts += 1; }, true);
+}"""
+"""What a control would tell the server is counted and not sent."""
+TOLD = """() => {
+  const e = document.activeElement;
+  return [window.acts, e.getAttribute("aria-expanded"), e.value].join();
+}"""
+
+
+def show(page: "Page", name: str) -> None:
+    """Show a page with everything unfolded, and wait until it is drawn."""
+    page.get_by_role("link", name="Report" if name != "Report" else "Live", exact=True).click()
+    page.locator("h1", has_text="Report" if name != "Report" else "Live").wait_for()
+    page.get_by_role("link", name="Measurements" if name == "Import" else name, exact=True).click()
+    if name == "Import":
+        page.get_by_role("button", name="Import messung.csv").click()
+        page.get_by_text("What it becomes").wait_for()
+    page.locator("h1", has_text=name).wait_for()
+    page.get_by_text("Ready.").wait_for()
+    page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    page.wait_for_function(DRAWN)
+
+
+def faults(page: "Page", script: str, given: Any = None) -> list[str]:
+    """What a check finds once the page has settled."""
+    from playwright.sync_api import TimeoutError as NotInTime
+
+    try:
+        page.wait_for_function(f"(given) => !({script})(given).length", arg=given, polling=200, timeout=SETTLED_MS)
+    except NotInTime:
+        return list(page.evaluate(script, given)) or ["settled too late"]
+    return []
+
+
+@pytest.fixture(params=PAGES)
+def shown(request: pytest.FixtureRequest, whole: Watched) -> Iterator["Page"]:
+    """The page, in light and at 1280 px; whatever a test does to the tab, the next begins like that."""
+    page = whole.page
+    show(page, request.param)
+    yield page
+    page.emulate_media(color_scheme="light", reduced_motion="reduce")
+    page.set_viewport_size({"width": 1280, "height": 960})
+    page.reload()
+    page.wait_for_selector("h1")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_text_has_contrast(shown: "Page", theme: Any) -> None:
+    """Oracle: WCAG 1.4.3 and 1.4.11, from the colours of the page's own elements, plots included."""
+    shown.emulate_media(color_scheme=theme)
+    shown.wait_for_function("dark => document.body.classList.contains('body--dark') === dark", arg=theme == "dark")
+    assert faults(shown, CONTRAST) == []
+
+
+def test_it_fits_a_tablet_and_screens(shown: "Page") -> None:
+    """Oracle: the boxes of all controls: none beyond the window, over another, cut off, or too small for a finger."""
+    beyond = "() => document.documentElement.scrollWidth > innerWidth ? ['reaches beyond the right edge'] : []"
+    for width, height in WIDTHS:
+        shown.set_viewport_size({"width": width, "height": height})
+        assert (width, faults(shown, beyond)) == (width, [])
+        assert (width, faults(shown, OVERLAPS, CONTROLS)) == (width, [])
+
+
+def test_tab_reaches_every_control_and_keys_operate_it(shown: "Page") -> None:
+    """Oracle: the list of the page's controls; a ring on each that has the focus; what it does or tells the server."""
+    shown.evaluate(MUTED)
+    names: list[str] = shown.evaluate(NUMBERED, CONTROLS)
+    reached: dict[int, str] = {}
+    idle = []
+    for _ in range(2 * len(names) + 10):
+        if len(reached) == len(names):
+            break
+        shown.keyboard.press("Tab")
+        focus = shown.evaluate(FOCUS)
+        if focus is None or focus["n"] in reached:
+            continue  # once around
+        assert (focus["name"], focus["ring"], focus["inside"]) == (focus["name"], True, True)
+        if focus["n"] < 0:
+            continue  # a table that is too wide and can be moved by the arrow keys, no control
+        reached[focus["n"]] = focus["name"]
+        if focus["key"] and not _does(shown, focus["key"]):
+            idle.append(focus["name"])
+    assert [name for n, name in enumerate(names) if n not in reached] == []
+    assert idle == []
+
+
+def _does(page: "Page", key: str) -> bool:
+    """Whether a key does something; what opened is closed again."""
+    from playwright.sync_api import TimeoutError as NotInTime
+
+    before = page.evaluate(TOLD)
+    page.keyboard.press(key)
+    try:
+        page.wait_for_function(f"(before) => ({TOLD})() !== before", arg=before, timeout=SETTLED_MS)
+    except NotInTime:
+        return False
+    if page.evaluate("document.activeElement?.getAttribute('aria-expanded')") == "true":
+        page.keyboard.press("Escape")
+        page.locator(".q-menu").wait_for(state="detached")
+        page.wait_for_function("document.activeElement?.getAttribute('aria-expanded') === 'false'")
+    elif page.evaluate("document.activeElement?.tagName") == "SUMMARY":
+        page.keyboard.press(key)  # folded up, it would hide what is in it
+    return True
+
+
+def test_nothing_jumps_while_a_page_loads_its_data(whole: Watched) -> None:
+    """Oracle: the layout-shift entries of the browser that no click caused, of each load from its first moment on."""
+    page = whole.page
+    jumps = {}
+    for name in ("Measurements", "Compare", "Diagnose", "Add and watch", "Explore", "Live", "Report"):
+        page.get_by_role("link", name=name, exact=True).click()
+        page.locator("h1", has_text=name).wait_for()
+        page.reload()
+        page.locator("h1", has_text=name).wait_for()
+        page.get_by_text("Ready.").wait_for()
+        page.wait_for_function(DRAWN)
+        jumps[name] = page.evaluate("window.shifted")
+    assert {name: jump for name, jump in jumps.items() if jump > SHIFT} == {}
+    assert whole.jumped <= SHIFT, "while it compared, diagnosed and added"
+
+
+def test_nothing_comes_from_elsewhere_and_each_page_has_a_policy(
+    whole: Watched, browser: "Browser", workshop: RunningStudio
+) -> None:
+    """Oracle: the browser's log of requests and its console, where a breach of the policy would be said."""
+    watched = tab(browser, workshop.address)
+    for name in ("measurements", "import", "compare", "diagnose", "add", "explore", "live", "report"):
+        answer = watched.page.goto(f"{workshop.origin}/{name}")
+        assert answer is not None
+        policy = answer.headers["content-security-policy"]
+        assert "default-src 'self'" in policy
+        assert "://" not in policy
+        watched.page.wait_for_selector("h1")
+    watched.page.context.close()
+    requests = [urlsplit(url) for url in (*whole.requests, *watched.requests)]
+    assert {r.hostname for r in requests if r.scheme not in ("data", "blob")} == {"127.0.0.1"}
+    assert whole.complaints + watched.complaints == []

@@ -1,0 +1,158 @@
+"""How fluid the pages are: `python -m tests.studio.fluid` times the start, 100 000 readings, a diagnosis.
+
+They mean something on a quiet computer only.
+"""
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rtec.cli.main import status
+from rtec.loop.clock import RealClock
+from tests.studio.studio_rig import MACHINE, ROOT, RunningStudio, chromium, running_studio, simulated, tab
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+MILL = ROOT / "configs" / "machines" / "vertical-mill.toml"
+CIRCLE = ("plane=XY", "centre_mm=[250,200,300]", "radius_mm=100", "direction=ccw", "feed_mm_min=1000")
+CYCLES = 70
+"""Of 1441 readings each."""
+MOVES = 120
+FRAMES = """() => {
+  window.frames_ms = []; let last = performance.now();
+  const next = (now) => { window.frames_ms.push(now - last); last = now; requestAnimationFrame(next); };
+  requestAnimationFrame(next);
+}"""
+BEATS = """() => {
+  window.beats_ms = []; window.beating = true;
+  const beat = async () => { while (window.beating) { const began = performance.now();
+    await (await fetch("/favicon.ico", { cache: "no-store" })).arrayBuffer();
+    window.beats_ms.push(performance.now() - began);
+    await new Promise((done) => setTimeout(done, 20)); } };
+  beat();
+}"""
+"""The server's event loop is asked again and again."""
+POINTS = (
+    "[...document.querySelectorAll('.chart')].map((c) => c.data.reduce((n, t) => n + (t.x ?? t.r ?? []).length, 0))"
+)
+
+
+def say(words: str) -> None:
+    """One line, at once."""
+    sys.stdout.write(f"{words}\n")
+    sys.stdout.flush()
+
+
+def spread(values: list[float]) -> str:
+    """Median, 95 %, largest."""
+    median, most, largest = (float(np.quantile(values, q)) for q in (0.5, 0.95, 1.0))
+    return f"median {median:.0f} ms, 95 % {most:.0f} ms, largest {largest:.0f} ms"
+
+
+def memory_mb(pid: int) -> float:
+    """Memory of a process that no other shares."""
+    text = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii")
+    return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith("Private")) / 1024
+
+
+def start(browser: "Browser", folder: Path) -> None:
+    """From the command to a control that reacts."""
+    clock = RealClock()
+    began = clock.now_ns()
+
+    def since() -> float:
+        return 1e-9 * (clock.now_ns() - began)
+
+    with running_studio(folder) as studio:
+        address = since()
+        page = browser.new_context(viewport={"width": 1440, "height": 1000}).new_page()
+        page.goto(studio.address, wait_until="commit")
+        answer = since()
+        page.get_by_role("link", name="Live").click()
+        page.locator("h1", has_text="Live").wait_for()
+        say(f"start: address after {address:.2f} s, first answer {answer:.2f} s, a control reacts {since():.2f} s")
+        page.context.close()
+
+
+def many(folder: Path) -> None:
+    """A hundred thousand readings of a ball bar, and a model."""
+    (folder / MILL.name).write_bytes(MILL.read_bytes())
+    given = [word for key in CIRCLE for word in ("--set", key)]
+    made = ["simulate", str(MILL), "-i", "ball_bar", *given, "--effect", "backlash,component=EXX,axis=X,B=4"]
+    assert status([*made, "--cycles", str(CYCLES), "--seed", "1", "-o", str(folder / "bar")]) == 0
+    short = folder / "short"
+    assert status([*made, "--cycles", "1", "--seed", "1", "-o", str(short)]) == 0
+    fitted = ["fit", str(folder / MILL.name), str(short.with_suffix(".csv")), "--effects", "scale"]
+    assert status([*fitted, "-o", str(folder / "m.toml")]) == 0
+
+
+def opened(browser: "Browser", studio: RunningStudio) -> "Page":
+    """Compare with all readings; says how long the first plot took."""
+    clock = RealClock()
+    page = tab(browser, studio.address).page
+    page.get_by_label("use bar.csv").click()
+    began = clock.now_ns()
+    page.get_by_role("button", name="Compare the model with the measurements").click()
+    page.wait_for_selector(".chart[data-drawn=yes]")
+    say(f"first plot of {1441 * CYCLES} readings after {1e-9 * (clock.now_ns() - began):.1f} s")
+    page.wait_for_function("[...document.querySelectorAll('.chart')].every((c) => c.dataset.drawn === 'yes')")
+    heap = page.evaluate("performance.memory.usedJSHeapSize / 1048576")
+    say(f"points in the plots: {page.evaluate(POINTS)}; the page holds {heap:.0f} MB, "
+        f"the server {memory_mb(studio.process.pid):.0f} MB")  # fmt: skip
+    return page
+
+
+def moved(page: "Page") -> None:
+    """Frames while the pointer hovers and pans."""
+    box: Any = page.locator(".nsewdrag").first.bounding_box()
+    x, y, w, h = (box[k] for k in ("x", "y", "width", "height"))
+    for name in ("hover", "pan"):
+        if name == "pan":
+            page.locator(".modebar-btn[data-val=pan]").first.click()
+        page.mouse.move(x + 0.2 * w, y + 0.5 * h)
+        page.evaluate(FRAMES)
+        if name == "pan":
+            page.mouse.down()
+        for k in range(MOVES):
+            page.mouse.move(x + (0.2 + 0.6 * k / MOVES) * w, y + (0.5 + 0.2 * np.sin(0.2 * k)) * h)
+        page.mouse.up()
+        say(f"{name}: frames {spread(page.evaluate('window.frames_ms'))}")
+
+
+def diagnosed(browser: "Browser", studio: RunningStudio) -> None:
+    """The heartbeat of the server's event loop while a diagnosis runs."""
+    page = tab(browser, studio.address).page
+    page.get_by_label("use laser.csv").click()
+    page.get_by_role("link", name="Diagnose").click()
+    page.get_by_role("button", name="Find the missing effect").click()
+    page.get_by_role("button", name="Cancel").wait_for()
+    page.evaluate(BEATS)
+    page.get_by_role("button", name="Test again").wait_for()
+    beats = page.evaluate("(window.beating = false, window.beats_ms)")
+    say(f"while diagnosing: {len(beats)} requests, {spread(beats)}")
+
+
+def main() -> None:
+    """All of it."""
+    with TemporaryDirectory() as made, chromium() as browser:
+        empty, large, small = (Path(made) / name for name in ("empty", "large", "small"))
+        for folder in (empty, large, small):
+            folder.mkdir()
+        for _ in range(3):
+            start(browser, empty)
+        many(large)
+        with running_studio(large) as studio:
+            moved(opened(browser, studio))
+        (small / MACHINE.name).write_bytes(MACHINE.read_bytes())
+        table = simulated(small, "laser", 1)
+        assert status(["fit", str(MACHINE), str(table), "--effects", "scale", "-o", str(small / "m.toml")]) == 0
+        with running_studio(small) as studio:
+            diagnosed(browser, studio)
+
+
+if __name__ == "__main__":
+    main()

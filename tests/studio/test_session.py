@@ -1,0 +1,60 @@
+"""What a tab keeps when files go away under it. Oracle: the steps that were made before."""
+
+from pathlib import Path
+
+import pytest
+
+import rtec
+from rtec.model import Model, save_model
+from rtec.studio import tasks
+from rtec.studio.folder import Folder
+from rtec.studio.session import ModelStep, TabSession
+from tests.studio.studio_rig import MACHINE
+from tests.studio.test_tasks import Silent
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> TabSession:
+    """A machine, a model that was read, and one step added to it."""
+    (tmp_path / "machine.toml").write_bytes(MACHINE.read_bytes())
+    model = Model(rtec.load_machine(tmp_path / "machine.toml"), ())
+    save_model(model, tmp_path / "model.toml")
+    made = TabSession(Folder(tmp_path))
+    made.look()
+    made.steps = (ModelStep(model, "as it is"),)
+    return made
+
+
+def test_a_model_that_is_deleted_takes_no_unsaved_addition_with_it(session: TabSession) -> None:
+    """Another model in the folder does not take its place either."""
+    session.push(ModelStep(session.steps[0].model, "backlash", ("add",)))
+    path = session.folder.root / "model.toml"
+    path.rename(path.with_name("other.toml"))
+    session.look()
+    assert (session.model, len(session.steps), session.at) == ("model.toml", 2, 1)
+
+
+def test_a_model_that_is_deleted_before_anything_was_added_is_no_longer_chosen(session: TabSession) -> None:
+    """The only other one is."""
+    path = session.folder.root / "model.toml"
+    path.rename(path.with_name("other.toml"))
+    session.look()
+    assert (session.model, session.steps) == ("other.toml", ())
+
+
+def test_of_a_long_table_some_readings_are_previewed(tmp_path: Path) -> None:
+    """Oracle: the rows of the table, which all count; what the page draws of them is little."""
+    lines = [f"{k};{20 * (k % 8)};{1 - 2 * (k // 8 % 2)};{k % 3},5;20,0" for k in range(30_000)]
+    head = "Zeit [s];X Soll [mm];Richtung;Abweichung [um];T_x_nut [degC]"
+    (tmp_path / "long.csv").write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+    view = tasks.look_at_foreign(Silent(), tmp_path / "long.csv", MACHINE, {}, None)
+    assert (view.trouble, view.rows) == ("", 30_000)
+    assert tasks.PREVIEWED <= len(view.place) < 2 * tasks.PREVIEWED
+
+
+@pytest.mark.parametrize(("content", "said"), [(b"", "no lines"), (b"\n\n", "no lines"), (b"\xff\xfe\x00", "table")])
+def test_an_empty_file_says_so(content: bytes, said: str, tmp_path: Path) -> None:
+    """In a sentence that names the file."""
+    (tmp_path / "e.csv").write_bytes(content)
+    with pytest.raises(rtec.RtecError, match=f"e.csv: .*{said}"):
+        tasks.look_at_foreign(Silent(), tmp_path / "e.csv", MACHINE, {}, None)
