@@ -137,8 +137,12 @@ def test_nothing_jumps_while_a_page_loads_its_data(whole: Watched) -> None:
     page = whole.page
     jumps = {}
     for name in ("Measurements", "Compare", "Diagnose", "Add and watch", "Explore", "Live", "Report"):
-        page.get_by_role("link", name=name, exact=True).click()
+        link = page.get_by_role("link", name=name, exact=True)
+        link.click()
         page.locator("h1", has_text=name).wait_for()
+        page.wait_for_url(
+            f"**{link.get_attribute('href')}"
+        )  # it comes after the heading: a reload before it is of the last page
         page.reload()
         page.locator("h1", has_text=name).wait_for()
         page.get_by_text("Ready.").wait_for()
