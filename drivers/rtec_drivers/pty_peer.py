@@ -11,7 +11,6 @@ import tty
 from collections import deque
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol, Self
 
 from rtec.loop.clock import Clock
@@ -115,9 +114,7 @@ class PtyPeer:
         self.plug()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Pull it out."""
         self.pull()
 

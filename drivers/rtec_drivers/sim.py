@@ -5,7 +5,6 @@ runs in real time or on a virtual clock alike.
 """
 
 from pathlib import Path
-from types import TracebackType
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -104,9 +103,7 @@ G1 X40
         self._start_ns = self._clock.now_ns()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Hold and stop the machine's time."""
         if self._start_ns >= 0:
             self._follow()

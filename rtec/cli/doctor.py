@@ -1,7 +1,6 @@
 """`rtec doctor`: the state of devices and computer, with a live table on standard error if that is a terminal."""
 
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
@@ -27,9 +26,7 @@ class DoctorScreen:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         if self._on:
             self._live.stop()
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
@@ -43,10 +42,8 @@ class RunScreen:
             self._live.update(Text(f"{self._setup.machine.name}: starting (compiling the model, opening devices)…"))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._aloud.__exit__(kind, error, trace)
+    def __exit__(self, *error: object) -> None:
+        self._aloud.__exit__(*error)
         if self._on:
             self._live.stop()
 

@@ -17,7 +17,6 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from types import TracebackType
 from typing import Any, Final, Self
 
 from rtec.control.desk import Daemon, Desk, Peer
@@ -183,9 +182,7 @@ class Control:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._thread.stop.set()
         if (end := self._end) is not None:
             with suppress(RuntimeError):  # it has ended by itself

@@ -8,7 +8,6 @@ import queue
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Final, Self
 
 from rtec.daemon.run_log import Keeper
@@ -73,9 +72,7 @@ class DiskThread:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._jobs.put(None)
         if not self._thread.end(END_S):
             self.recording.warnings.append("the disk did not answer at the end: the last rows may not be in the log")

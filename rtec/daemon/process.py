@@ -21,7 +21,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing import parent_process, resource_tracker
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Final, Self
 
 from rtec.correction.guard import Flag
@@ -232,9 +232,7 @@ class LinePrinter:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._put(None)
         self._thread.join(END_S)
 

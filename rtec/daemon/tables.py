@@ -8,7 +8,6 @@ that is old or outside the model's range, the files stay as they are, and the ev
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
@@ -221,9 +220,7 @@ class TableThread:
             self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._thread.end(END_S)
 
     def _work(self) -> None:

@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -165,9 +164,7 @@ class WorkerPort:
             raise DriverUnavailable(why[0] if why else "its worker does not say whether it is open")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Let go; the supervisor ends the worker."""
 
     @property
@@ -342,9 +339,7 @@ class Workers:
             kept.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         for kept in self._kept:
             kept.ask_to_end()
         for kept, memory in zip(self._kept, self.memories.values(), strict=True):

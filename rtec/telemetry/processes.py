@@ -16,7 +16,6 @@ from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 from rtec.daemon.process import SIGNALS, signals, signals_wait, starter
@@ -191,9 +190,7 @@ class Processes:
             kept.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         for kept in self.kept:
             if kept.process is not None:
                 kept.process.terminate()

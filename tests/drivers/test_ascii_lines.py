@@ -5,7 +5,6 @@ import threading
 import tty
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -77,9 +76,7 @@ class Wire:
         self.driver.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.driver.__exit__(None, None, None)
         for fd in (self.master, self.slave):
             os.close(fd)

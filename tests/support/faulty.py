@@ -78,7 +78,7 @@ class FaultyDriver(SimDriver):
 
     def __exit__(self, *rest: object) -> None:
         self._note("closed")
-        super().__exit__(*rest)  # type: ignore[arg-type]
+        super().__exit__(*rest)
 
     def _note(self, text: str) -> None:
         if self.faults.told is not None:

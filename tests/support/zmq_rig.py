@@ -3,7 +3,6 @@
 import json
 import threading
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import zmq
@@ -50,9 +49,7 @@ class Cell:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Vanish."""
         self._stop.set()
         assert self._thread is not None

@@ -4,7 +4,6 @@ import math
 import re
 import threading
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -215,9 +214,7 @@ line_end = "crlf"
         self._worker.start(line)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Send what is still to be sent, then close the line."""
         worker, self._worker = self._worker, None
         if worker is not None:

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from types import TracebackType
 from typing import Any, Final, Self
 
 from rtec.loop.clock import Clock
@@ -52,9 +51,7 @@ class AsciiScanner:
         self._open(BAUDS[0])
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the port."""
         if self._port is not None:
             self._port.close()

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Final, Self
 
 from rtec.errors import DriverTimeout
@@ -45,9 +44,7 @@ class BoxScanner:
         self._session = BoxSession(SerialLine(self._options, PortFinder(self._options).find()), self._clock)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the port."""
         if self._session is not None:
             self._session.line.close()

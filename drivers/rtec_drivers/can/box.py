@@ -1,7 +1,6 @@
 """Encoder box on a CAN bus: reads latched counts, inserts counts; one frame an axis (`docs/can.md`)."""
 
 from pathlib import Path
-from types import TracebackType
 from typing import Annotated, Self
 
 import numpy as np
@@ -120,9 +119,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
                 raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Hold, then close."""
         self.hold()
         self._port.close()

@@ -1,7 +1,6 @@
 """Which slaves answer on a Modbus line, and which registers they have: functions 3 and 4 only, which read."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import TracebackType
 from typing import Any, Final, Self
 
 from rtec.loop.clock import Clock
@@ -66,9 +65,7 @@ class ModbusScanner:
         self._line = self._connect()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the line."""
         if self._line is not None:
             self._line.close()
