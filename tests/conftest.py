@@ -1,12 +1,17 @@
 """What all tests share: hypothesis without a clock and with a fixed seed; a short folder for sockets; who runs what."""
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+# What is compiled once serves each worker and each of the hundreds of rtec processes that tests start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 settings.register_profile("rtec", deadline=None, derandomize=True)
 settings.load_profile("rtec")

@@ -132,6 +132,8 @@ def _main(
 
 def main() -> None:
     """Run the command line and leave with its status."""
+    program = sys.modules["__main__"]  # without a name, a process that is started does not import this one once more
+    program.__spec__ = program.__file__ = None
     sys.unraisablehook = unraisable
     warnings.showwarning = _warned
     sys.exit(status(sys.argv[1:]))

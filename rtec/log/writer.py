@@ -11,6 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
@@ -167,7 +168,9 @@ class LogWriter:
 
 
 def _column(array: NDArray[Any], kind: pa.DataType) -> "pa.Array[Any]":
-    flat: pa.Array[Any] = pa.array(array.reshape(-1))
+    flat: pa.Array[Any] = pa.Array.from_buffers(  # pa.array would import pandas, where it is, before the first row
+        pa.from_numpy_dtype(array.dtype), array.size, [None, pa.py_buffer(np.ascontiguousarray(array))]
+    )
     return flat if array.ndim == 1 else pa.Array.from_buffers(kind, len(array), [None], children=[flat])
 
 

@@ -13,11 +13,6 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-MODULES = {
-    ".".join(path.relative_to(ROOT / top).with_suffix("").parts): ast.parse(path.read_text(encoding="utf-8"))
-    for top in (".", "drivers")
-    for path in sorted((ROOT / top).glob("rtec*/**/*.py"))
-}
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 WALKS = re.findall(r"^\| `([\w.]+)` \|", PAGE, flags=re.MULTILINE)
 
@@ -47,21 +42,30 @@ def test_each_module_is_visited_once_but_the_driver() -> None:
     assert twice == {"rtec_drivers.box.driver"}
 
 
-def imports(tree: ast.Module) -> set[str]:
-    """Modules of this project that a module imports, anywhere in it, for types too."""
+@pytest.fixture(scope="module")
+def modules() -> dict[str, ast.Module]:
+    """The source of every module by its name."""
+    return {
+        ".".join(path.relative_to(ROOT / top).with_suffix("").parts): ast.parse(path.read_text(encoding="utf-8"))
+        for top in (".", "drivers")
+        for path in sorted((ROOT / top).glob("rtec*/**/*.py"))
+    }
+
+
+def imported(tree: ast.Module) -> set[str]:
+    """What a module imports, anywhere in it, for types too."""
     froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
-    names = {name for node in froms for a in node.names for name in (f"{node.module}.{a.name}", str(node.module))}
-    return names & MODULES.keys()
+    return {name for node in froms for a in node.names for name in (f"{node.module}.{a.name}", str(node.module))}
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
+def test_no_modules_import_each_other_in_a_circle(modules: dict[str, ast.Module]) -> None:
     """Imports for types count. Oracle: a topological order, which no circle has."""
-    order = list(TopologicalSorter({name: imports(tree) - {name} for name, tree in MODULES.items()}).static_order())
-    assert len(order) == len(MODULES) > 200
+    imports = {name: imported(tree) & modules.keys() - {name} for name, tree in modules.items()}
+    assert len(list(TopologicalSorter(imports).static_order())) == len(modules) > 200
 
 
-def test_each_public_class_name_is_used_once() -> None:
+def test_each_public_class_name_is_used_once(modules: dict[str, ast.Module]) -> None:
     """A name that two classes have says of neither what it is."""
-    names = [n.name for tree in MODULES.values() for n in tree.body if isinstance(n, ast.ClassDef)]
+    names = [n.name for tree in modules.values() for n in tree.body if isinstance(n, ast.ClassDef)]
     assert len(names) > 400
     assert [name for name, times in Counter(names).items() if times > 1 and not name.startswith("_")] == []
