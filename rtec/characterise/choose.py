@@ -98,33 +98,35 @@ class HeldOutTable:
         self.most_features = max(1, min(MOST_FEATURES, len(normal.fold_numbers) // BLOCKS_EACH))
         self.freedom = float(np.sum([c.freedom for c in normal.cells]))
         self.usable = _usable(normal, self.columns)
-        self._known: dict[tuple[int, ...], tuple[Floats, Floats]] = {}
+        self._known: dict[tuple[int, ...], Floats] = {}
 
-    def errors(self, chosen: Sequence[int]) -> tuple[Floats, Floats]:
-        """Mean squares of each fold, left out and inside, (folds,); as shares of all readings, so they add up."""
+    def errors(self, chosen: Sequence[int]) -> Floats:
+        """Mean squares of each fold, left out, (folds,); as shares of all readings, so they add up."""
         key = tuple(sorted(chosen))
         if key not in self._known:
-            self._known[key] = self._folds(self._index(chosen))
+            self._known[key] = self._folds(self._index(chosen), inside=False)
         return self._known[key]
 
-    def _folds(self, columns: Ints) -> tuple[Floats, Floats]:
+    def _folds(self, columns: Ints, *, inside: bool) -> Floats:
+        """Mean squares of each fold, by the fit to all or by that without it, (folds,)."""
         if self.normal.alone.any():
-            return self._cell_by_cell(self.normal.pick(columns))
+            part = self.normal.pick(columns)
+            squares = part.held_out()[int(inside)]
+            return np.asarray(np.bincount([c.fold for c in part.cells], squares / self.freedom))
         index = np.concatenate([columns, np.arange(self.normal.width, self.normal.gram.shape[1])])
         parts = self.normal.by_fold[:, index[:, None], index[None, :]]
         total, floor = parts.sum(axis=0), NOTHING * self.normal.raw[index[:-1]]
-        out = squares_left(parts, solve(total[None] - parts, floor, refine=False))
-        full = np.broadcast_to(solve(total[None], floor, refine=False), (len(parts), len(index) - 1))
-        return np.maximum(out, 0.0) / self.freedom, np.maximum(squares_left(parts, full), 0.0) / self.freedom
+        values = solve(total[None] if inside else total[None] - parts, floor, refine=False)
+        values = np.broadcast_to(values, (len(parts), len(index) - 1))
+        return np.maximum(squares_left(parts, values), 0.0) / self.freedom
 
-    def _cell_by_cell(self, part: Normal) -> tuple[Floats, Floats]:
-        folds = [c.fold for c in part.cells]
-        out, inside = (np.bincount(folds, v / self.freedom) for v in part.held_out())
-        return np.asarray(out), np.asarray(inside)
+    def inside(self, chosen: Sequence[int]) -> float:
+        """Mean square in sample."""
+        return float(self._folds(self._index(chosen), inside=True).sum())
 
     def held_out(self, chosen: Sequence[int]) -> float:
         """Mean square on left-out blocks."""
-        return float(self.errors(chosen)[0].sum())
+        return float(self.errors(chosen).sum())
 
     def shortlist(self, chosen: Sequence[int], most: int = SHORTLIST) -> list[int]:
         """Candidates that would explain most of what a choice leaves in sample."""
@@ -282,12 +284,12 @@ def choose(
     forced = independent(normal, [table.columns[i] for i in forced], forced)
     path, steps = _forward(table, forced, progress)
     chosen = _smallest_good(table, path)
-    chosen = _drop(table, chosen, forced, table.errors(_best(table, path))[0])
+    chosen = _drop(table, chosen, forced, table.errors(_best(table, path)))
     for _ in range(SWAPS):
         better = _swapped(table, chosen, forced)
         if better is None:
             break
-        best = min((table.errors(c)[0] for c in (better, _best(table, path))), key=np.sum)
+        best = min((table.errors(c) for c in (better, _best(table, path))), key=np.sum)
         chosen = _joined(table, _drop(table, better, forced, best), forced)
     held_out = float(np.sqrt(table.held_out(chosen)))
     rivals, same = find_rivals(table, chosen), table.confounded(chosen)
@@ -353,8 +355,7 @@ def _complexity(table: HeldOutTable, i: int) -> tuple[bool, int, int, int]:
 
 
 def _step(table: HeldOutTable, chosen: Sequence[int], label: str) -> ChoiceStep:
-    out, inside = table.errors(chosen)
-    return ChoiceStep(label, float(np.sqrt(inside.sum())), float(np.sqrt(out.sum())))
+    return ChoiceStep(label, float(np.sqrt(table.inside(chosen))), float(np.sqrt(table.held_out(chosen))))
 
 
 def _best(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:
@@ -363,15 +364,15 @@ def _best(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:
 
 def _smallest_good(table: HeldOutTable, path: Sequence[list[int]]) -> list[int]:
     """The first choice of the path that is within one standard error of the path's best."""
-    best = table.errors(_best(table, path))[0]
-    return next(c for c in path if one_standard_error(table.errors(c)[0], best))
+    best = table.errors(_best(table, path))
+    return next(c for c in path if one_standard_error(table.errors(c), best))
 
 
 def _drop(table: HeldOutTable, chosen: list[int], forced: list[int], best: Floats) -> list[int]:
     """Drop terms, the least missed first, while what is left stays within one standard error of the best."""
     while len(chosen) > len(forced):
         fewer = min(([j for j in chosen if j != i] for i in chosen if i not in forced), key=table.held_out)
-        if not one_standard_error(table.errors(fewer)[0], best):
+        if not one_standard_error(table.errors(fewer), best):
             break
         chosen = fewer
     return chosen
@@ -408,6 +409,6 @@ def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[i
         tried = [[*rest, i] for i in table.shortlist(rest)]
         if tried:
             fewer = min(tried, key=table.held_out)
-            if one_standard_error(table.errors(fewer)[0], table.errors(chosen)[0]):
+            if one_standard_error(table.errors(fewer), table.errors(chosen)):
                 chosen = fewer
     return chosen

@@ -44,7 +44,10 @@ class Machine:
 
     def axis(self, name: str) -> Axis:
         """Give the axis of that name; KeyError where there is none."""
-        return {a.name: a for a in self.axes}[name]
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
 
     @property
     def axis_names(self) -> tuple[str, ...]:

@@ -16,16 +16,16 @@ EFFECTS = (
 )  # fmt: skip
 
 
-@pytest.fixture
-def machine(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A gantry: X rides on Y."""
     axes = {k: {"direction": k, "travel_mm": [-400.0, 400.0], "counts_per_mm": 1000} for k in "XYZ"}
-    path = tmp_path / "gantry.toml"
+    path = tmp_path_factory.mktemp("gantry") / "gantry.toml"
     path.write_text(tomli_w.dumps({"machine": {"name": "gantry", "tool_chain": ["Y", "X", "Z"]}, "axis": axes}))
     return path
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def circles(machine: Path) -> list[str]:
     """Three tests as files; the servo makes X lag, so the phase depends on feed over radius."""
     # The same angular speed in all three: then a lag in time is one angle, as [BB] has it.

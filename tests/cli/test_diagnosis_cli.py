@@ -35,6 +35,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`improve` looks for `NAMES` only, for tests of what goes on around the diagnosis."""
+    real: Any = vars(improving)["diagnose"]
+    monkeypatch.setattr(improving, "diagnose", lambda *given, **more: real(*given, **more, only=NAMES.split(",")))
+
+
 def ran(words: list[str], capsys: pytest.CaptureFixture[str], expected: int = 0) -> dict[str, Any]:
     """Run a command with --json; give what it printed."""
     capsys.readouterr()
@@ -168,6 +175,7 @@ def test_improve_goes_on_to_the_floor(folder: Path, tmp_path: Path, capsys: pyte
     assert (tmp_path / "history" / "history.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("few")
 def test_improve_asks(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: what a person types on a terminal, here one end of a pseudo-terminal."""
     for typed, written in (("what?\nn\n", False), ("y\nn\n", True)):
@@ -189,6 +197,7 @@ def test_improve_needs_somebody_to_ask(folder: Path, capsys: pytest.CaptureFixtu
     assert not (folder / "model-improved.toml").exists()
 
 
+@pytest.mark.usefixtures("few")
 def test_improve_loses_nothing(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the file after Ctrl-C in the second diagnosis: the first step is in it."""
     real: Any = vars(improving)["diagnose"]

@@ -2,10 +2,11 @@
 
 import json
 import re
+import shutil
 from dataclasses import fields, replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,16 +16,17 @@ from rtec.cli import main
 from rtec.demo import figures, page, story, training
 from rtec.demo.day import CYLINDER, FACE, SHOULDER, Plan, Track
 from rtec.demo.live import RATE_HZ, corrected, uncorrected
-from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, Story, config_folder, tell_story
+from rtec.demo.story import TRUTH_FILE, Story, config_folder, tell_story
 from rtec.errors import ConfigError, RtecError
 from rtec.loop.records import MODE_OFF
-from rtec.machine import load_machine
 from rtec.model import Model, load_model
 from rtec.report import page as report_page
+from rtec.report.page import Page
 from rtec.sim.truth import Truth, load_truth
 
 Floats = NDArray[np.float64]
-SEED = 5
+SEED = 1
+"""That of the shipped model, whose measuring day is then the story's."""
 SHORT = Plan(warm_h=1.0, night_h=2.0)
 SHORTER = Plan(warm_h=0.5, night_h=0.0)
 CONFIGS = config_folder()
@@ -41,9 +43,45 @@ def truth() -> Truth:
 
 
 @pytest.fixture(scope="module")
-def written(told: Story, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def day(told: Story, truth: Truth) -> training.MeasuringDay:
+    """The measuring day once more, outside of the story."""
+    return training.measure(told.model.machine, truth, SEED + 1)
+
+
+@pytest.fixture(scope="module")
+def bare(told: Story, truth: Truth) -> Track:
+    """Half an hour without any loop around the machine."""
+    return uncorrected(told.model.machine, truth, SEED, SHORTER)
+
+
+class Made(NamedTuple):
+    """The page, drawn once, and what was handed to the figures that show both days."""
+
+    page: Page
+    drawn: list[tuple[object, ...]]
+
+
+@pytest.fixture(scope="module")
+def made(told: Story) -> Made:
+    drawn: list[tuple[object, ...]] = []
+    with pytest.MonkeyPatch.context() as m:
+        for name in ("over_time", "straightness_bars", "profiles"):
+            draw = getattr(figures, name)
+
+            def spied(*given: Any, draw: Any = draw) -> bytes:
+                drawn.extend(next(g for g in given if isinstance(g, list)))
+                return bytes(draw(*given))
+
+            m.setattr(figures, name, spied)
+        return Made(page.page_of(told), drawn)
+
+
+@pytest.fixture(scope="module")
+def written(told: Story, made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demo")
-    assert page.write_report(told, folder) == folder / "report.html"
+    with pytest.MonkeyPatch.context() as m:
+        m.setattr(page, "page_of", lambda story: made.page if story is told else pytest.fail("another story"))
+        assert page.write_report(told, folder) == folder / "report.html"
     return folder
 
 
@@ -121,9 +159,8 @@ def test_the_days_are_the_same_day(told: Story) -> None:
     np.testing.assert_allclose(told.off.body_degc, told.on.body_degc, atol=0.01)
 
 
-def test_loop_with_correction_off_is_the_uncorrected_day(told: Story, truth: Truth) -> None:
+def test_loop_with_correction_off_is_the_uncorrected_day(told: Story, bare: Track) -> None:
     """Oracle: the machine without any loop around it."""
-    bare = uncorrected(told.model.machine, truth, SEED, SHORTER)
     looped, side = corrected(told.model, CONFIGS / TRUTH_FILE, SEED, SHORTER, MODE_OFF)
     assert not side.commands.output.any()
     for name in (f.name for f in fields(Track)):
@@ -158,9 +195,8 @@ def test_drift_of_the_leftover(told: Story, truth: Truth) -> None:
     assert np.hypot(found[0], found[1]) == pytest.approx(truth.drift_um[0].amplitude, rel=0.02)
 
 
-def test_model_is_of_the_measuring_day_only(told: Story, truth: Truth) -> None:
+def test_model_is_of_the_measuring_day_only(told: Story, day: training.MeasuringDay) -> None:
     """Oracle: the fit made here from the measuring day alone is the same model."""
-    day = training.measure(told.model.machine, truth, SEED + 1)
     assert training.fit_day(day).hash == told.model.hash
     assert told.measuring_seed != told.seed
     assert day.readings == told.readings
@@ -177,17 +213,15 @@ def test_model_finds_the_truth(told: Story, truth: Truth) -> None:
     assert np.hypot(once["s1"], once["c1"]) == pytest.approx(truth.axis["Z"].screw.cyclic_um, rel=0.25)
 
 
-def test_shipped_model_is_what_the_command_makes(truth: Truth) -> None:
+def test_shipped_model_is_what_the_command_makes(told: Story, day: training.MeasuringDay) -> None:
     """Oracle: the documented command's own fit; bits may differ with the linear algebra library, predictions not."""
-    machine = load_machine(CONFIGS / MACHINE_FILE)
-    shipped = load_model(CONFIGS / "models" / "turning-centre.toml", machine)
-    day = training.measure(machine, truth, 1 + 1)
+    shipped = load_model(CONFIGS / "models" / "turning-centre.toml", told.model.machine)
     rows = np.flatnonzero(day.session >= 0)[::50]
-    difference = shipped.predict(day.state)[rows] - training.fit_day(day).predict(day.state)[rows]
+    difference = shipped.predict(day.state)[rows] - told.model.predict(day.state)[rows]
     assert np.abs(difference).max() < 0.02
 
 
-def test_same_seed_same_day(told: Story, truth: Truth) -> None:
+def test_same_seed_same_day(told: Story, truth: Truth, bare: Track) -> None:
     """Oracle: the run before; another seed is the check that the seed matters."""
     model: Model = told.model
     once, again = (corrected(model, CONFIGS / TRUTH_FILE, SEED, SHORTER) for _ in range(2))
@@ -195,7 +229,6 @@ def test_same_seed_same_day(told: Story, truth: Truth) -> None:
         np.testing.assert_array_equal(getattr(once[0], name), getattr(again[0], name))
     np.testing.assert_array_equal(once[1].commands.requested_um, again[1].commands.requested_um)
     other = uncorrected(model.machine, truth, SEED + 7, SHORTER)
-    bare = uncorrected(model.machine, truth, SEED, SHORTER)
     assert np.abs(np.nan_to_num(other.tip_um[-100:] - bare.tip_um[-100:])).max() > 0.1
 
 
@@ -241,20 +274,10 @@ def test_figures_are_pictures(written: Path) -> None:
         assert np.ptp(pixels[..., :3]) > 0.5
 
 
-def test_figures_draw_the_uncorrected_day_as_uncorrected(told: Story, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_draw_the_uncorrected_day_as_uncorrected(made: Made) -> None:
     """Oracle: the day without correction is the one with the larger errors, in every panel that has both."""
-    drawn: list[tuple[object, ...]] = []
-    for name in ("over_time", "straightness_bars", "profiles"):
-        draw = getattr(figures, name)
-
-        def spied(*given: Any, draw: Any = draw) -> bytes:
-            drawn.extend(next(g for g in given if isinstance(g, list)))
-            return bytes(draw(*given))
-
-        monkeypatch.setattr(figures, name, spied)
-    page.page_of(told)
-    assert len(drawn) == 8
-    for *_, off, on in drawn:
+    assert len(made.drawn) == 8
+    for *_, off, on in made.drawn:
         assert np.abs(np.asarray(off)).max() > np.abs(np.asarray(on)).max()
 
 
@@ -269,10 +292,13 @@ def test_result_file_says_what_the_page_says(told: Story, written: Path) -> None
         assert row["part"] in text
 
 
-def test_nothing_half_written(told: Story, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_half_written(
+    told: Story, made: Made, written: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oracle: the folder's listing after Ctrl-C while the page is made, and after a disk error."""
-    page.write_report(told, tmp_path)
+    shutil.copytree(written, tmp_path, dirs_exist_ok=True)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    monkeypatch.setattr(page, "page_of", lambda _: replace(made.page, title="Another"))
 
     def interrupted(_: Any) -> str:
         raise KeyboardInterrupt
@@ -290,9 +316,9 @@ def test_nothing_half_written(told: Story, tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_command(
-    told: Story, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    told: Story, made: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: exit status and output of the command line, with the story already told."""
+    """Oracle: exit status and output of the command line, with the story already told and drawn."""
     asked: list[int] = []
 
     def tell(seed: int, configs: Path, stage: Any, plan: Plan, hidden_seed: int | None, hidden: str | None) -> Story:
@@ -304,17 +330,18 @@ def test_command(
         return told
 
     monkeypatch.setattr(story, "tell_story", tell)
+    monkeypatch.setattr(page, "page_of", lambda _: made.page)
     model_file = tmp_path / "model.toml"
-    words = ["demo", "--seed", "5", "--out", str(tmp_path / "out"), "--model-out", str(model_file), "--no-hidden"]
+    words = ["demo", "--seed", str(SEED), "--out", str(tmp_path / "out"), "--model-out", str(model_file), "--no-hidden"]
     words += ["--hours", "1.5"]
     assert main.status([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["seed"] == SEED
     assert load_model(model_file, told.model.machine).hash == told.model.hash
     assert main.status(words) == 0
     out = capsys.readouterr().out
-    assert "Seed 5" in out
+    assert f"Seed {SEED}" in out
     assert "What stays uncorrected" in out
-    assert asked == [5, 5]
+    assert asked == [SEED, SEED]
 
 
 def test_configs_that_are_not_there(tmp_path: Path) -> None:

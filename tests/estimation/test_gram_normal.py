@@ -131,15 +131,25 @@ def test_any_runs_any_chunk(lengths: list[int], chunk: int, slope: str) -> None:
 
 
 def test_lags_are_those_of_the_whole_state_bit_for_bit() -> None:
-    """Oracle: `State.lagged` over everything at once."""
+    """Oracle: `State.lagged` over everything at once; for a channel that several ask for, at two time constants, and
+    for what is worked out of channels anew in each window."""
     m = measurement(runs([70, 80, 50]))
     state: State = m.state()
-    whole = state.lagged(state.rise("T_spindle"), 700.0)
+    rise = state.rise("T_spindle")
+    whole = [
+        state.lagged(rise, 700.0),
+        state.lagged(rise, 700.0),
+        state.lagged(rise, 90.0),
+        state.lagged(2 * rise, 90.0),
+    ]
     walk, parts = Walk(state), []
     for start, stop in ((0, 13), (13, 14), (14, 150), (150, 200)):
         walk.move(start, stop)
-        parts.append(walk.begin(3).lagged(walk.rise("T_spindle"), 700.0))
-    assert np.array_equal(np.concatenate(parts), whole)
+        first = walk.begin(3).lagged(walk.rise("T_spindle"), 700.0)
+        walk.begin(4)
+        more = [walk.lagged(walk.rise("T_spindle"), tau_s) for tau_s in (700.0, 90.0)]
+        parts.append([first, *more, walk.lagged(2 * walk.rise("T_spindle"), 90.0)])
+    assert np.array_equal(np.concatenate(parts, axis=1), np.stack(whole))
 
 
 def test_held_out_error_is_that_of_refits() -> None:

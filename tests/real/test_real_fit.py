@@ -8,7 +8,7 @@ division of the record, before the rules were settled; of these the tests below 
 does as well as the simple model that a person would have taken from the same hours.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +55,7 @@ def table_of_the_record() -> dict[str, Floats]:
     return {name: np.asarray(table[name], dtype=np.float64) for name in table.dtype.names or ()}
 
 
+@cache
 def recorded(channel: str, until_h: float = np.inf) -> Measurement:
     """All of it, or the first hours."""
     table = table_of_the_record()
@@ -81,6 +82,7 @@ def unseen_rms_um(result: Characterisation, whole: Measurement, split_h: float =
     return float(np.sqrt(np.mean(left[~first] ** 2)))
 
 
+@lru_cache(maxsize=8)
 def fitted(channel: str, effects: str | None = None, split_h: float = SPLIT_H) -> Characterisation:
     m = recorded(channel, split_h)
     return characterise([m], wanted=read_wanted(effects, m.machine) if effects else None)

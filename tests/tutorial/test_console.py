@@ -5,17 +5,13 @@ has filled; `sh` is run by the page's own test; `text` is output, or commands fo
 Oracle: exit status 0, and for a block of `text` right below a block of commands the output itself.
 """
 
-import contextlib
-import io
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from rtec.cli.main import status
+from tests.tutorial.tutorial import run
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
@@ -29,8 +25,6 @@ OWN = {
 """Pages whose `sh` blocks another test runs."""
 ELSEWHERE = {"rtec demo": "tests/demo/test_demo.py"}
 """Commands that take long, and the test that runs them."""
-ALONE = ("rtec run",)
-"""Commands that start processes of their own: run in one."""
 pytestmark = pytest.mark.xdist_group("real-clock")
 
 
@@ -43,25 +37,6 @@ def commands(text: str) -> list[str]:
     """The commands of a block, continued lines joined."""
     lines = text.replace("\\\n", " ").splitlines()
     return [shlex.join(shlex.split(line, comments=True)) for line in lines]
-
-
-def run(command: str, folder: Path) -> str:
-    """Run a command of rtec in a folder; its output.
-
-    Raises:
-        AssertionError: it is none of rtec's, or did not end with 0.
-    """
-    words = shlex.split(command)
-    assert words[0] == "rtec", command
-    if command.startswith(ALONE):
-        rtec = Path(sys.executable).with_name("rtec")
-        done = subprocess.run([rtec, *words[1:]], cwd=folder, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
-        return done.stdout
-    out = io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out):
-        assert status(words[1:]) == 0, command
-    return out.getvalue()
 
 
 def plain(text: str) -> str:
@@ -87,6 +62,8 @@ def test_every_command_runs(page: Path, tmp_path: Path, monkeypatch: pytest.Monk
     printed, blocks = "", fences(page)
     for k, (kind, text) in enumerate(blocks):
         if kind == "bash":
-            printed = "".join(run(c, tmp_path) for c in commands(text) if c not in ELSEWHERE)
+            wanted = [c for c in commands(text) if c not in ELSEWHERE]
+            assert all(c.startswith("rtec ") for c in wanted), text
+            printed = "".join(run(c, tmp_path) for c in wanted)
         elif kind == "text" and k and blocks[k - 1][0] == "bash" and f"```\n\n```text\n{text}" in page.read_text():
             assert plain(text) in plain(printed), text

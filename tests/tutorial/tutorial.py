@@ -3,14 +3,19 @@
 `make figures` runs this file: `python -m tests.tutorial.tutorial docs/figures`.
 """
 
+import contextlib
+import io
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+
+from rtec.cli.main import status
 
 ROOT = Path(__file__).parents[2]
 TUTORIAL = ROOT / "docs" / "tutorial.md"
@@ -20,6 +25,8 @@ FIGURES: Mapping[str, str] = {
     "tutorial-history.png": "history/history.png",
 }
 """Figure in `docs/figures`, and which one of `out/tutorial` it is."""
+ALONE = ("rtec run",)
+"""Commands that start processes of their own: run in one."""
 
 
 def commands(text: str) -> list[str]:
@@ -33,25 +40,31 @@ def run_all(folder: Path) -> list[tuple[str, str]]:
     """Run every command in a folder that holds a copy of `configs`; give each with what it printed.
 
     Raises:
-        RuntimeError: a command ended with another status than 0; with its messages.
+        RuntimeError: a command ended with another status than 0.
     """
     shutil.copytree(ROOT / "configs", folder / "configs")
     (folder / "out" / "tutorial").mkdir(parents=True)
-    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
-    out = []
-    for command in commands(TUTORIAL.read_text(encoding="utf-8")):
-        done = subprocess.run(
-            ["bash", "-c", command],
-            cwd=folder,
-            env={**os.environ, "PATH": path},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode:
-            raise RuntimeError(f"{command}\nended with {done.returncode}:\n{done.stdout}{done.stderr}")
-        out.append((command, done.stdout))
-    return out
+    return [(command, run(command, folder)) for command in commands(TUTORIAL.read_text(encoding="utf-8"))]
+
+
+def run(command: str, folder: Path) -> str:
+    """Run a command line in a folder, one of rtec's in this process; give what it printed.
+
+    Raises:
+        RuntimeError: it ended with another status than 0; with its messages.
+    """
+    if command.startswith("rtec ") and not command.startswith(ALONE):
+        out = io.StringIO()
+        with contextlib.chdir(folder), contextlib.redirect_stdout(out):
+            ended, printed, messages = status(shlex.split(command)[1:]), out.getvalue(), ""
+    else:
+        path = os.pathsep.join((str(Path(sys.executable).parent), os.environ.get("PATH", "")))
+        line, env = ["bash", "-c", command], {**os.environ, "PATH": path}
+        done = subprocess.run(line, cwd=folder, env=env, capture_output=True, text=True, check=False)
+        ended, printed, messages = done.returncode, done.stdout, done.stderr
+    if ended:
+        raise RuntimeError(f"{command}\nended with {ended}:\n{printed}{messages}")
+    return printed
 
 
 def take_figures(folder: Path, to: Path) -> None:

@@ -52,18 +52,24 @@ class Walk:
 
     def __init__(self, state: State) -> None:
         self._state = state
-        self._memory: dict[tuple[int, int], Floats] = {}
+        self._memory: dict[tuple[Any, ...], Floats] = {}
         self._seen: dict[tuple[str, bool], Floats] = {}
+        self._name_of: dict[int, tuple[str, bool]] = {}
+        self._lagged: dict[tuple[Any, ...], Floats] = {}
         self._window = slice(0, 0)
         self._slot, self._call = 0, 0
 
     def move(self, start: int, stop: int) -> None:
         """Look at instants start … stop - 1; windows follow each other without gaps."""
         self._window = slice(start, stop)
-        self._seen.clear()
+        for cache in (self._seen, self._name_of, self._lagged):
+            cache.clear()
 
     def begin(self, slot: int) -> "Walk":
-        """Say whose basis functions are asked for next: lags are remembered by slot and order of asking."""
+        """Say whose basis functions are asked for next.
+
+        The lag of a channel is worked out once for all who ask; others are remembered by slot and order of asking.
+        """
         self._slot, self._call = slot, 0
         return self
 
@@ -77,11 +83,18 @@ class Walk:
 
     def lagged(self, value: Value, tau_s: Value) -> Floats:
         """First-order lag of a value in the window."""
-        time_s = self._state.time_s[self._window]
-        whole: Any = np.broadcast_to(np.asarray(value, dtype=np.float64), time_s.shape)
-        memory = self._memory.setdefault((self._slot, self._call), np.zeros(4))
+        channel, tau = self._name_of.get(id(value)), float(tau_s)
+        key: tuple[Any, ...] = (self._slot, self._call) if channel is None else (*channel, tau)
         self._call += 1
-        return _lag_on(np.ascontiguousarray(whole), np.ascontiguousarray(time_s), float(tau_s), memory)
+        if key in self._lagged:
+            return self._lagged[key]
+        time_s = self._state.time_s[self._window]
+        whole = np.broadcast_to(np.asarray(value, dtype=np.float64), time_s.shape)
+        memory = self._memory.setdefault(key, np.zeros(4))
+        out = _lag_on(np.ascontiguousarray(whole), np.ascontiguousarray(time_s), tau, memory)
+        if channel is not None:
+            self._lagged[key] = out
+        return out
 
     def _channel(self, name: str) -> Floats:
         """Give a whole channel; an axis that was not recorded stands at zero, as in `State.positions_mm`.
@@ -104,6 +117,7 @@ class Walk:
         if key not in self._seen:
             value = self._channel(name)[self._window]
             self._seen[key] = value - self._state.reference_degc if rise else value
+            self._name_of[id(self._seen[key])] = key
         return self._seen[key]
 
 
@@ -286,13 +300,16 @@ class _Gatherer:
         self.sources, self.terms, self.progress = sources, terms, progress
         machine = sources[0].measurement.machine
         self.machine = machine
-        self.owner = [i for i, t in enumerate(terms) for _ in t.names(machine)]
+        self.widths = [len(t.names(machine)) for t in terms]
+        self.owner = [i for i, width in enumerate(self.widths) for _ in range(width)]
         self.extra: list[tuple[int, Explicit]] = [(s, e) for s, src in enumerate(sources) for e in src.explicit]
         self.width = len(self.owner) + len(self.extra) + 1
         # A term of a component that a measurement does not read is nothing there, whatever channels it lacks.
         fed = {t.effect.component for t in terms}
         self.blind = {(s, name) for s, src in enumerate(sources) for name in fed if not reads(src, name)}
-        self.components = sorted({machine.components.index(t.effect.component) for t in terms})
+        places = [machine.components.index(t.effect.component) for t in terms]
+        self.components = sorted(set(places))
+        self.arm_of = [self.components.index(place) for place in places]
         self.total = sum(len(s.weight) for s in sources)
         self.raw = np.zeros(self.width)
         self.done = 0
@@ -377,9 +394,9 @@ class _Gatherer:
         k = 0
         for slot, term in enumerate(self.terms):
             if (s, term.effect.component) in self.blind:
-                k += len(term.names(self.machine))
+                k += self.widths[slot]
                 continue
-            arm = arms[self.components.index(self.machine.components.index(term.effect.component))].reshape(-1, r)
+            arm = arms[self.arm_of[slot]].reshape(-1, r)
             for value in term.values(self.machine, walk.begin(slot)):
                 column = np.asarray(value, dtype=np.float64)
                 np.multiply(arm, column[:, None] if column.ndim else column, out=out[k].reshape(-1, r))
