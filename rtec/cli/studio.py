@@ -1,8 +1,5 @@
 """`rtec studio`: the pages in the browser."""
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -73,28 +70,9 @@ def studio(
 
         # It starts while the server does, and waits at the open port.
         webbrowser.open(opened.url)
-    live = None
-    if attach is not None:
-        from rtec.studio.live import LiveLink
+    from rtec.studio.front import serve
 
-        live = LiveLink(attach, role)
-    with _without("aiohttp", "tornado", "tornado.web"):
-        from rtec.studio.app import serve
-
-    serve(folder, opened, live)
-
-
-@contextmanager
-def _without(*names: str) -> Iterator[None]:
-    """Import as if packages were not installed: the socket library would load a client and another server first."""
-    # None means to an import that there is no such package.
-    absent = [n for n in names if n not in sys.modules]
-    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]
-    try:
-        yield
-    finally:
-        for name in absent:
-            del sys.modules[name]
+    serve(folder, opened, attach, role)
 
 
 def _check_installed() -> None:

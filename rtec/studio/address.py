@@ -8,8 +8,22 @@ import socket
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from rtec.errors import RtecError
+
+PAGES: Final = {
+    "measurements": "Measurements",
+    "compare": "Compare",
+    "diagnose": "Diagnose",
+    "add": "Add and watch",
+    "explore": "Explore",
+    "live": "Live",
+    "report": "Report",
+}
+"""Title of each page, by its name in the address."""
+BESIDE: Final = ("import",)
+"""Pages that another page leads to."""
 
 
 @dataclass(frozen=True)

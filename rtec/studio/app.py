@@ -1,39 +1,29 @@
-"""The server of the pages: one process for all tabs, one session for each, one page at a time in it."""
+"""The application that makes the pages: one process for all tabs, one session for each, one page at a time in it."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from importlib import import_module, resources
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
-import uvicorn
 from fastapi import FastAPI
 from nicegui import app as pages_app
 from nicegui import events, ui
 
 from rtec.studio import jobs
-from rtec.studio.address import OpenPort
+from rtec.studio.address import BESIDE, PAGES
 from rtec.studio.folder import Folder
-from rtec.studio.guard import Guard
 from rtec.studio.parts import Words, button, trouble
 from rtec.studio.session import TabSession
 from rtec.text import clean
 from rtec.wording import counted
 
 if TYPE_CHECKING:
+    from rtec.control.messages import Role
     from rtec.studio.live import LiveLink
 
-PAGES: Final = {
-    "measurements": "Measurements",
-    "compare": "Compare",
-    "diagnose": "Diagnose",
-    "add": "Add and watch",
-    "explore": "Explore",
-    "live": "Live",
-    "report": "Report",
-}
-BESIDE: Final = ("import",)
-"""Pages that another page leads to."""
 MOST_TABS: Final = 32
 WARM_UP_S: Final = 0.5
 """After a page is sent the browser has the processor for so long."""
@@ -53,16 +43,6 @@ class Studio:
         self._folder, self._live = folder, live
         self._sessions: dict[str, TabSession] = {}
 
-    def session(self, tab: str) -> TabSession:
-        """The session of a tab; its own again after a reload."""
-        if tab not in self._sessions:
-            while len(self._sessions) >= MOST_TABS:
-                oldest = self._sessions.pop(next(iter(self._sessions)))
-                if oldest.job is not None:
-                    oldest.job.cancel()
-            self._sessions[tab] = TabSession(self._folder, live=self._live)
-        return self._sessions[tab]
-
     async def page(self, name: str = "") -> None:
         """One page of one tab."""
         if name not in (*PAGES, *BESIDE):
@@ -71,15 +51,32 @@ class Studio:
         ui.colors(primary="#005a94")
         dark = ui.dark_mode(None)
         shell = ui.element("div").classes("shell")
-        # While the browser loads what every page needs, the server loads what this one does.
+        client = ui.context.client
         loading = asyncio.create_task(asyncio.to_thread(_module, name))
-        await ui.context.client.connected()
+        # The first page of a start is shown with the answer. Later ones wait until the tab says which it is, as it may
+        # have a session; the server loads meanwhile what the page needs.
+        new = None if self._sessions else TabSession(self._folder, live=self._live)
+        if new is None:
+            await client.connected()
         await loading
-        session = self.session(str(ui.context.client.tab_id))
+        session = new or self._session(str(client.tab_id))
         session.look()
         with shell:
             _Frame(session, name, dark)
-            ui.timer(WARM_UP_S, jobs.warm_up, once=True)
+            ui.timer(WARM_UP_S, _warm_up, once=True)
+        if new is not None:
+            await client.connected()
+            self._sessions.setdefault(str(client.tab_id), new)
+
+    def _session(self, tab: str) -> TabSession:
+        """The session of a tab; its own again after a reload."""
+        if tab not in self._sessions:
+            while len(self._sessions) >= MOST_TABS:
+                oldest = self._sessions.pop(next(iter(self._sessions)))
+                if oldest.job is not None:
+                    oldest.job.cancel()
+            self._sessions[tab] = TabSession(self._folder, live=self._live)
+        return self._sessions[tab]
 
 
 class _Frame:
@@ -166,17 +163,29 @@ class _Frame:
                 button("Cancel", job.cancel, bad=True)
 
 
-def serve(folder: Path, opened: OpenPort, live: "LiveLink | None" = None) -> None:
-    """Serve the pages until the process is interrupted.
+def made(folder: Path, attach: Path | None, role: "Role") -> FastAPI:
+    """The application that makes the pages.
 
     Args:
         folder: that is opened.
-        opened: where.
-        live: the daemon that is attached; None: none.
+        attach: run file of the daemon that is attached; None: none.
+        role: what the pages may do with it.
     """
-    address = opened.address
-    studio = Studio(Folder(folder), live)
-    outer = FastAPI(openapi_url=None)
+    link = None
+    if attach is not None:
+        from rtec.studio.live import LiveLink
+
+        link = LiveLink(attach, role)
+
+    @asynccontextmanager
+    async def follow(_: FastAPI) -> AsyncIterator[None]:
+        following = asyncio.create_task(link.follow()) if link is not None else None
+        yield
+        if following is not None:
+            following.cancel()
+
+    studio = Studio(Folder(folder), link)
+    outer = FastAPI(openapi_url=None, lifespan=follow)
     ui.page("/", title="rtec studio")(studio.page)
     ui.page("/{name}", title="rtec studio")(studio.page)
     pages_app.config.quasar_config["animations"] = []
@@ -191,29 +200,20 @@ def serve(folder: Path, opened: OpenPort, live: "LiveLink | None" = None) -> Non
         binding_refresh_interval=None,
         favicon=FAVICON,
     )
-    config = uvicorn.Config(
-        Guard(outer, address.token, opened.port),
-        log_level="warning",
-        lifespan="on",
-        access_log=False,
-        ssl_certfile=address.certificate,
-        ssl_keyfile=address.key,
-    )
-    server = uvicorn.Server(config)
-
-    async def both() -> None:
-        following = asyncio.create_task(live.follow()) if live is not None else None
-        await server.serve(sockets=[opened.socket])
-        if following is not None:
-            following.cancel()
-
-    asyncio.run(both())
+    return outer
 
 
 FAVICON: Final = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="6" fill="#0072b2"/>'
     '<path d="M5 8h8v7h7v6h7" fill="none" stroke="#fff" stroke-width="4"/></svg>'
 )
+
+
+async def _warm_up() -> None:
+    """Load what work and the other pages need, so that nobody waits for it later."""
+    jobs.warm_up()
+    for name in PAGES:
+        await asyncio.to_thread(_module, name)
 
 
 def _module(name: str) -> ModuleType:

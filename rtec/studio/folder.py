@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
@@ -50,6 +51,34 @@ class Listing:
     measurements: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
     more: int = 0
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A measurement in a list.
+
+    Attributes:
+        file: name of its table.
+        instrument, axis: what read it; `reads` are its reading columns.
+        rows, runs: how many.
+        hours: from first to last reading.
+        sensors: temperatures that were recorded, each with its lowest and highest value, °C.
+        span: by axis that moved, lowest and highest position, mm.
+        notes: what its reader says, in words.
+        trouble: why it cannot be used, in words; empty where it can.
+    """
+
+    file: str
+    instrument: str = ""
+    axis: str = ""
+    reads: tuple[str, ...] = ()
+    rows: int = 0
+    runs: int = 0
+    hours: float = 0.0
+    sensors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    span: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    trouble: str = ""
 
 
 @dataclass(frozen=True)

@@ -95,33 +95,28 @@ async def _refuse(scope: Scope, receive: Receive, send: Send) -> None:
 
 
 class _WithPolicy:
-    """Sends an answer with its policy; a page is kept until it is whole, so that its scripts get the nonce."""
+    """Sends an answer with its policy; the scripts of a page get the nonce."""
 
     def __init__(self, send: Send) -> None:
         self._send, self._nonce = send, secrets.token_urlsafe(16)
-        self._start: Message | None = None
-        self._page = b""
+        self._is_page = False
+        self._kept = b""
 
     async def __call__(self, message: Message) -> None:
         if message["type"] == "http.response.start":
             policy = (b"content-security-policy", POLICY.format(nonce=self._nonce).encode())
-            message["headers"] = [*message["headers"], policy, *HEADERS]
-            if _header(message, b"content-type").startswith(b"text/html"):
-                self._start = message
-                return
-        elif message["type"] == "http.response.body" and self._start is not None:
-            self._page += message.get("body", b"")
-            if not message.get("more_body"):
-                await self._whole(self._start)
-            return
+            self._is_page = _header(message, b"content-type").startswith(b"text/html")
+            # A page is longer by the nonces than it says.
+            kept = [(k, v) for k, v in message["headers"] if not self._is_page or k.lower() != b"content-length"]
+            message["headers"] = [*kept, policy, *HEADERS]
+        elif message["type"] == "http.response.body" and self._is_page:
+            # A tag may be cut in two: its first half waits for the second.
+            text = self._kept + message.get("body", b"")
+            cut = text.rfind(b"<") if message.get("more_body") else len(text)
+            self._kept = text[cut:] if cut >= 0 else b""
+            text = text[:cut] if cut >= 0 else text
+            message["body"] = _SCRIPT.sub(b'<script nonce="' + self._nonce.encode() + b'"', text)
         await self._send(message)
-
-    async def _whole(self, start: Message) -> None:
-        body = _SCRIPT.sub(b'<script nonce="' + self._nonce.encode() + b'"', self._page)
-        kept = [(k, v) for k, v in start["headers"] if k.lower() != b"content-length"]
-        start["headers"] = [*kept, (b"content-length", str(len(body)).encode())]
-        await self._send(start)
-        await self._send({"type": "http.response.body", "body": body})
 
 
 def _header(message: Message, name: bytes) -> bytes:

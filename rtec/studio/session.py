@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, TypeVarTuple
 
 from rtec.errors import RtecError
-from rtec.studio.folder import Folder, Listing
+from rtec.studio.folder import Folder, Listing, Summary
 from rtec.studio.jobs import Cancelled, Job, Reporter
 
 if TYPE_CHECKING:
     from rtec.model import Model
     from rtec.studio.live import LiveLink
-    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, ImportView, ReportFiles, Summary
+    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, ImportView, ReportFiles
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")

@@ -27,6 +27,16 @@ FRAMES = """() => {
   const next = (now) => { window.frames_ms.push(now - last); last = now; requestAnimationFrame(next); };
   requestAnimationFrame(next);
 }"""
+CLICK = """(() => {
+  const look = () => {
+    const link = document.querySelector('.side a[href="/live"]');
+    if (link && !window.clicked) { window.clicked = true; link.click(); }
+    if (document.querySelector("h1")?.textContent !== "Live") requestAnimationFrame(look);
+    else requestAnimationFrame(() => requestAnimationFrame(() => { window.reacted = true; }));
+  };
+  look();
+})()"""
+"""Clicks the link to a page as soon as it is there, and waits until that page's heading is drawn."""
 BEATS = """() => {
   window.beats_ms = []; window.beating = true;
   const beat = async () => { while (window.beating) { const began = performance.now();
@@ -60,8 +70,14 @@ def memory_mb(pid: int) -> float:
 
 
 def start(browser: "Browser", folder: Path) -> None:
-    """From the command to a control that reacts."""
+    """From starting the process until a control that is clicked reacts and that is drawn.
+
+    The browser is open already, as a user's is, with an empty tab that has loaded nothing before. The page itself
+    clicks, in the first frame that has the control: Playwright would look for it every half second only.
+    """
     clock = RealClock()
+    page = browser.new_context(viewport={"width": 1440, "height": 1000}).new_page()
+    page.add_init_script(CLICK)
     began = clock.now_ns()
 
     def since() -> float:
@@ -69,12 +85,13 @@ def start(browser: "Browser", folder: Path) -> None:
 
     with running_studio(folder) as studio:
         address = since()
-        page = browser.new_context(viewport={"width": 1440, "height": 1000}).new_page()
         page.goto(studio.address, wait_until="commit")
         answer = since()
-        page.get_by_role("link", name="Live").click()
-        page.locator("h1", has_text="Live").wait_for()
-        say(f"start: address after {address:.2f} s, first answer {answer:.2f} s, a control reacts {since():.2f} s")
+        page.wait_for_function("window.clicked")
+        shown = since()
+        page.wait_for_function("window.reacted")
+        say(f"start: address after {address:.2f} s, answer begun {answer:.2f} s, page shown {shown:.2f} s, "
+            f"a control reacts {since():.2f} s")  # fmt: skip
         page.context.close()
 
 

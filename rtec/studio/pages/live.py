@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from nicegui import ui
 
 from rtec.control.facts import axis_rows, footer, held, input_rows, troubles, um_text
 from rtec.errors import RtecError
-from rtec.report.page import Table
-from rtec.studio import figures
-from rtec.studio.chart import Chart
-from rtec.studio.live import MINUTES, LiveLink, Moment
 from rtec.studio.parts import Area, Words, button, heading, table
 from rtec.studio.session import TabSession
+
+if TYPE_CHECKING:
+    from rtec.studio.chart import Chart
+    from rtec.studio.live import LiveLink, Moment
 
 ORDERS: Final = {
     "enable": ("Enable", "Let the correction follow the model, from its present value, within its limits?"),
@@ -47,7 +47,7 @@ def state_of(found: dict[str, Any] | None, trouble: str) -> tuple[str, str]:
 
 
 class _LivePage:
-    def __init__(self, session: TabSession, link: LiveLink) -> None:
+    def __init__(self, session: TabSession, link: "LiveLink") -> None:
         self._session, self._link = session, link
         self._count, self._newest = 0, link.minutes[-1].time_s if link.minutes else 0.0
         self._tracks: dict[tuple[str, str], tuple[ui.element, Words]] = {}
@@ -138,7 +138,10 @@ class _LivePage:
                 unit = "" if value is None else " µm"
                 words.set_text(f"{um_text(value)}{unit}" if name != "residual" or value is None else f"{value:.2f} µm")
 
-    def _spark(self, title: str, kept: Sequence[Moment], *, temperatures: bool) -> Chart:
+    def _spark(self, title: str, kept: "Sequence[Moment]", *, temperatures: bool) -> "Chart":
+        from rtec.studio import figures
+        from rtec.studio.chart import Chart
+
         names = self._names(temperatures)
         unit_s, unit = (60.0, "minutes") if kept is self._link.minutes else (3600.0, "hours")
         data = [
@@ -169,9 +172,12 @@ class _LivePage:
         self._newest = now.time_s
         for chart, temperatures in ((self._minutes, False), (self._warm, True)):
             values = [_of(now, n, temperatures) for n in self._names(temperatures)]
-            chart.append([[now.time_s / 60.0]] * len(values), [[v] for v in values], MINUTES)
+            most = self._link.minutes.maxlen or 0
+            chart.append([[now.time_s / 60.0]] * len(values), [[v] for v in values], most)
 
     def _make_tables(self) -> None:
+        from rtec.report.page import Table
+
         found = self._link.status
         if found is None:
             return
@@ -230,6 +236,6 @@ class _LivePage:
             self._said.set_text(str(e))
 
 
-def _of(moment: Moment, name: str, temperatures: bool) -> float | None:
+def _of(moment: "Moment", name: str, temperatures: bool) -> float | None:
     value = (moment.degc if temperatures else moment.applied_um).get(name)
     return None if value is None else round(value, 3)

@@ -9,11 +9,10 @@ from nicegui import events, ui
 
 from rtec.commission.example import SHIPPED
 from rtec.errors import RtecError
-from rtec.studio import tasks
+from rtec.studio.folder import Summary
 from rtec.studio.jobs import Job
 from rtec.studio.parts import Area, Words, button, command, draft, heading, label, trouble
 from rtec.studio.session import ForeignFile, TabSession
-from rtec.studio.tasks import Summary
 from rtec.text import clean
 from rtec.wording import counted
 
@@ -53,7 +52,7 @@ def _empty(session: TabSession) -> None:
 
 
 async def _try_it(session: TabSession) -> None:
-    from rtec.studio import example
+    from rtec.studio import example, tasks
 
     await session.work("Making the example", tasks.try_it, session.folder.root, beside="try")
     if not session.trouble:
@@ -104,6 +103,8 @@ async def _look(session: TabSession, listed: Area) -> None:
     todo = [n for n in session.listing.measurements if n not in known]
     if not session.machine or not todo:
         return
+    from rtec.studio import tasks
+
     machine = session.machine
     try:
         # Beside other work: whoever does not look at the list does not wait for it.
@@ -267,6 +268,8 @@ class _ModelCard:
             button("Compare the model with the measurements", go, main=True)
 
     async def _fit(self) -> None:
+        from rtec.studio import tasks
+
         s = self._session
         try:
             out = _checked(s, self._name.value or "")

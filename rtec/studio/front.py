@@ -1,0 +1,193 @@
+"""The server of the pages: it answers from the first moment, and loads what makes the pages while the browser loads.
+
+The answer to the first page begins at once, with the names of the files that every page needs. So the browser has them
+when the page itself follows.
+"""
+
+import asyncio
+import gc
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import uvicorn
+from starlette.types import Message, Receive, Scope, Send
+
+from rtec.studio.address import BESIDE, PAGES, OpenPort
+from rtec.studio.guard import Guard
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+
+    from rtec.control.messages import Role
+
+MODULE: Final = "script; crossorigin"
+"""How modules are asked for; a file that was asked for in another way would be loaded again."""
+FILES: Final = {
+    "vue.esm-browser.prod.js": MODULE,
+    "quasar.umd.prod.js": "script",
+    "nicegui.js": "script",
+    "socket.io.min.js": "script",
+    "lang/en-US.umd.prod.js": "script",
+    "dompurify.mjs": MODULE,
+    "fonts.css": "style",
+    "quasar.unimportant.prod.css": "style",
+    "quasar.important.prod.css": "style",
+    "nicegui.css": "style",
+}
+"""What NiceGUI puts on every page, by name in its folder of static files. One that is not there is not named."""
+TYPES: Final = {".js": b"text/javascript; charset=utf-8", ".mjs": b"text/javascript; charset=utf-8",
+                ".css": b"text/css; charset=utf-8"}  # fmt: skip
+SWITCH_S: Final = 0.0005
+"""While modules are loaded, an answer waits so long for the interpreter."""
+
+
+class Front:
+    """Sends the files of every page; begins a page while the application that makes it is being loaded.
+
+    Attributes:
+        app: the application; None until it is loaded.
+        failure: why it could not be loaded; None: it could.
+
+    Args:
+        load: gives the application; it is called in a thread when the server starts.
+        failed: called where it could not be loaded.
+    """
+
+    def __init__(self, load: "Callable[[], Starlette]", failed: Callable[[], None]) -> None:
+        self.app: Starlette | None = None
+        self.failure: Exception | None = None
+        self._load, self._failed = load, failed
+        self._loaded = asyncio.Event()
+        self._files = _files()
+        links = ", ".join(f"<{path}>; rel=preload; as={FILES[name]}" for path, (name, _) in self._files.items())
+        self._begun = [
+            (b"content-type", b"text/html; charset=utf-8"), (b"cache-control", b"no-store"), (b"link", links.encode())
+        ]  # fmt: skip
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request, or the life of the server."""
+        kind = scope["type"]
+        if kind == "lifespan":
+            await self._live(receive, send)
+            return
+        if kind == "http" and scope["path"] in self._files:
+            await self._send_file(scope["path"], send)
+            return
+        asks = kind == "http" and scope["method"] == "GET" and scope["path"].strip("/") in ("", *PAGES, *BESIDE)
+        if asks and not self._loaded.is_set():
+            await send({"type": "http.response.start", "status": 200, "headers": self._begun})
+            send = _without_start(send)
+        await self._loaded.wait()
+        if self.app is None or self.failure is not None:
+            raise RuntimeError("the pages could not be loaded")
+        await self.app(scope, receive, send)
+
+    async def _live(self, receive: Receive, send: Send) -> None:
+        await receive()
+        await send({"type": "lifespan.startup.complete"})
+        try:
+            with _loading():
+                self.app = await asyncio.to_thread(self._load)
+            async with self.app.router.lifespan_context(self.app):
+                self._loaded.set()
+                await receive()
+        except Exception as e:  # noqa: BLE001 - `serve` raises it
+            self.failure = e
+            self._failed()
+        self._loaded.set()
+        await send({"type": "lifespan.shutdown.complete"})
+
+    async def _send_file(self, path: str, send: Send) -> None:
+        _, file = self._files[path]
+        head = [(b"content-type", TYPES[file.suffix]), (b"content-length", str(file.stat().st_size).encode()),
+                (b"cache-control", b"public, max-age=31536000, immutable")]  # fmt: skip
+        await send({"type": "http.response.start", "status": 200, "headers": head})
+        await send({"type": "http.response.body", "body": file.read_bytes()})
+
+
+def serve(folder: Path, opened: OpenPort, attach: Path | None = None, role: "Role" = "read") -> None:
+    """Serve the pages until the process is interrupted.
+
+    Args:
+        folder: that is opened.
+        opened: where.
+        attach: run file of the daemon that is attached; None: none.
+        role: what the pages may do with it.
+    """
+
+    def load() -> "Starlette":
+        with _without("aiohttp", "tornado", "tornado.web", "pydantic.v1"):
+            from rtec.studio.app import made
+
+            return made(folder, attach, role)
+
+    def failed() -> None:
+        server.should_exit = True
+
+    front = Front(load, failed)
+    address = opened.address
+    config = uvicorn.Config(
+        Guard(front, address.token, opened.port),
+        log_level="warning",
+        lifespan="on",
+        access_log=False,
+        ssl_certfile=address.certificate,
+        ssl_keyfile=address.key,
+    )
+    server = uvicorn.Server(config)
+    asyncio.run(server.serve(sockets=[opened.socket]))
+    if front.failure is not None:
+        raise front.failure
+
+
+def _files() -> dict[str, tuple[str, Path]]:
+    """Name and place of each of `FILES`, by the path at which pages ask for it."""
+    found = find_spec("nicegui")
+    if found is None or found.origin is None:
+        return {}
+    folder, prefix = Path(found.origin).parent / "static", f"/_nicegui/{version('nicegui')}/static"
+    return {f"{prefix}/{name}": (name, folder / name) for name in FILES if (folder / name).is_file()}
+
+
+def _without_start(send: Send) -> Send:
+    """Sends the rest of an answer that is begun."""
+
+    async def rest(message: Message) -> None:
+        if message["type"] != "http.response.start":
+            await send(message)
+
+    return rest
+
+
+@contextmanager
+def _loading() -> Iterator[None]:
+    """Load modules in a thread: the others get their turn soon, and nobody looks for garbage, as modules leave none."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        sys.setswitchinterval(before)
+
+
+@contextmanager
+def _without(*names: str) -> Iterator[None]:
+    """Import as if packages were not installed.
+
+    The socket library would load a client and another server first, FastAPI models of a form that nobody uses here.
+    """
+    # None means to an import that there is no such package.
+    absent = [n for n in names if n not in sys.modules]
+    sys.modules.update(dict.fromkeys(absent))  # type: ignore[arg-type]
+    try:
+        yield
+    finally:
+        for name in absent:
+            del sys.modules[name]
