@@ -57,6 +57,8 @@ NEAR_FLOOR, ABOVE = 1.25, 1.5
 """and no more than so many times the noise; it is asked only where the model leaves more than so many times that."""
 NEAR_REFIT = 1.05
 """Or, of a factor, no more than so many times what the model leaves with its own numbers refitted."""
+BY_FAR = 0.1
+"""Or, of a factor, no more than this share of the residual: numbers that are out of date as well leave the rest."""
 SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and how many places are tried."""
 THIN = 200
@@ -241,7 +243,8 @@ def _edited_records(judged: Judgement) -> "_Edit | None":
         return None
     near = NEAR_FLOOR * _whole_noise(judged)
     if found.kind == "wrong_channel":
-        near = max(near, NEAR_REFIT * judged.refitted)  # a refit of the numbers makes up for a factor
+        # A refit of the numbers makes up for a factor.
+        near = max(near, NEAR_REFIT * judged.refitted, BY_FAR * judged.residual)
     return found if found.residual <= min(BETTER * judged.residual, near) else None
 
 

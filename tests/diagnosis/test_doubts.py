@@ -96,6 +96,21 @@ def test_a_wrong_unit_of_a_channel_is_no_new_effect(factor: float) -> None:
     assert doubt.message.startswith(f"with x times {'1/60' if factor == 60.0 else '25.4'} ")
 
 
+@pytest.mark.parametrize("factor", [2.0, 5.0, 0.2, 60.0])
+def test_a_wrong_factor_is_asked_about_where_numbers_are_out_of_date_as_well(factor: float) -> None:
+    """Oracle: what the column was multiplied with; a model whose numbers are 5 and 9 % off leaves more than the noise.
+
+    Near 20 °C a refit would make up for the factor, and the numbers would be blamed alone.
+    """
+    now = laser(["scale,component=EXX,axis=X,k=42", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=12"], 72)
+    known = model("scale,component=EXX,axis=X,k=40", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11")
+    odd = replace(now, channels={**now.channels, "T_bed": factor * now.channels["T_bed"]})
+    (doubt,) = compare(known, [odd]).doubts
+    assert doubt.kind == "wrong_channel"
+    assert doubt.message.startswith(f"with T_bed times {f'1/{factor:g}' if factor > 1.0 else '5'} ")
+    assert not compare(known, [now]).doubts
+
+
 def test_a_corrected_machine_is_not_called_a_wrong_model() -> None:
     """The loop was on: the readings hold noise, where the model says 20 µm."""
     (doubt,) = compare(model("scale,component=EXX,axis=X,k=300"), [laser([], 15)]).doubts
