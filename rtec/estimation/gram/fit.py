@@ -13,7 +13,7 @@ from rtec.estimation.gram.identifiable import check_seen
 from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.projection import Polished, polish
 from rtec.estimation.gram.source import Source, flat, thinned
-from rtec.estimation.gram.stream import Progress, Term, gather, predict
+from rtec.estimation.gram.stream import Progress, Slope, Term, gather, predict
 from rtec.estimation.gram.weights import residuals_of, rough_noise
 from rtec.estimation.robust import huber, settled, sigmas
 
@@ -61,7 +61,7 @@ class Estimate:
     @cached_property
     def errors(self) -> Floats:
         """Standard errors of the coefficients, then of the parameters that are on no bound."""
-        terms = (*self.terms, *self.found.slopes)
+        terms: list[Term | Slope] = [*self.terms, *self.found.slopes]
         return standard_errors(self.sources, terms, self.residuals)[: self.found.normal.width]
 
     @cached_property
