@@ -60,7 +60,13 @@ def repeats_floor(readings: Readings, series: Sequence[Series], left: Floats) ->
             square, freedom, held = square + float(off @ off), freedom + len(group) - 1, held + len(group)
     if freedom < FEWEST or held < SHARE * len(run):
         return None
-    return math.sqrt(square / freedom)
+    return math.sqrt(square / (freedom * _kept(series)))
+
+
+def _kept(series: Sequence[Series]) -> float:
+    """Share of the noise that is left once what each run has anew is taken out of it."""
+    unknown = [np.minimum(np.bincount(s.run), s.nuisance.shape[1]).sum() for s in series]
+    return max(1.0 - float(sum(unknown)) / sum(map(len, series)), SMALL)
 
 
 def _groups(place: Ints, run: Ints, warm: Floats) -> list[Ints]:

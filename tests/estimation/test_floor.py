@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.estimation.floor import repeats_floor
+from rtec.estimation.gls import without_nuisance
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
+from rtec.estimation.readings import read
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
+from tests.support.characterise_examples import Probe, ProbeSetup, measurement, runs
 from tests.support.diagnosis_examples import effects, small_machine
 
 Floats = NDArray[np.float64]
@@ -69,3 +73,21 @@ def test_another_set_up_is_no_repeat() -> None:
     one, other = (passed_once(name, ROUGH, i) for i, name in enumerate(("low", "high")))
     beside = make_instrument("laser_linear", {"beam_offset_mm": [0.0, 0.0, 150.0]}, "X", None, machine, "test")
     assert {source for _, source in floors(one, replace(other, instrument=beside))} == {"short-time differences"}
+
+
+@pytest.mark.parametrize("slope", ["none", "run"])
+def test_what_a_run_spends_on_its_zero_is_no_lack_of_noise(slope: str) -> None:
+    """Twelve runs over three places, each with a zero (and a slope) of its own, which take a third (or two) of it."""
+    rng = np.random.default_rng(8)
+    probe = Probe(ProbeSetup.model_validate({"zero": "run", "slope": slope}), component="EXX")
+    found = []
+    for seed in range(20):
+        m = measurement(runs([3] * 12), instrument=probe, seed=seed, noise_um=0.0)
+        still = {k: np.full_like(v, v[0]) for k, v in m.channels.items()}
+        x = np.tile([10.0, 50.0, 90.0], 12)
+        m = replace(m, channels=still | {"x": x}, readings={"reading_um": 0.5 * rng.standard_normal(36)})
+        readings = read([m], smooth=False)
+        value = repeats_floor(readings, readings.series, without_nuisance(readings, readings.values))
+        assert value is not None
+        found.append(value)
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.5, rel=0.12)
