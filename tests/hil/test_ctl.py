@@ -1,4 +1,4 @@
-"""`rtec run` in a process of its own, looked at and ordered about by `rtec status` and `rtec ctl` in others.
+"""`rtec run` in a process of its own, looked at and ordered about by `rtec status` and `rtec ctl`.
 
 Oracles: what the commands say against the log's rows and the events beside it; the exit status.
 """
@@ -25,6 +25,7 @@ from rtec.log.reader import LogReader
 from rtec.loop.clock import RealClock
 from tests.hil.test_run import rtec
 from tests.support import setups
+from tests.support.command import here
 from tests.support.control_rig import Line
 
 pytestmark = pytest.mark.xdist_group("real-clock")
@@ -91,21 +92,21 @@ def test_every_order_by_the_command_line(daemon: Running) -> None:
     """Each says what came of it; the log has it at the row that the events name, and nowhere a jump."""
     said = {}
     for name in ("hold", "enable", "fade", "resume"):
-        done = rtec("ctl", name, daemon.config)
+        done = here("ctl", name, daemon.config)
         assert done.returncode == 0, done.stderr
         said[name] = done.stdout
     assert "stays where it is; applied now: X " in said["hold"]
     assert "goes to nothing" in said["fade"]
     assert "go on from where they are" in said["resume"]
-    marked = rtec("ctl", "mark", "first part", daemon.config, "--json")
+    marked = here("ctl", "mark", "first part", daemon.config, "--json")
     assert json.loads(marked.stdout)["text"].endswith(": first part")
 
     content = tomllib.loads(daemon.config.read_text(encoding="utf-8"))
     content["limits"]["X"]["stop_um"] = 80.0
     daemon.config.write_text(tomli_w.dumps(content), encoding="utf-8")
-    assert rtec("ctl", "reload", daemon.config).stdout == "reloaded: limits of X\n"
+    assert here("ctl", "reload", daemon.config).stdout == "reloaded: limits of X\n"
     daemon.config.write_text("[run", encoding="utf-8")
-    spoilt = rtec("ctl", "reload", daemon.config)
+    spoilt = here("ctl", "reload", daemon.config)
     assert spoilt.returncode == 1
     assert "the old one stays in force" in spoilt.stdout
 
@@ -143,12 +144,12 @@ def test_from_another_computer(daemon: Running, monkeypatch: pytest.MonkeyPatch)
     )
     ssh.chmod(0o755)
     monkeypatch.setenv("PATH", f"{ssh.parent}:{os.environ['PATH']}")
-    here = json.loads(rtec("status", daemon.config, "--json").stdout)
-    assert json.loads(rtec("status", "--at", "office@mill", "--json").stdout)["pid"] == here["pid"]
-    refused = rtec("ctl", "fade", "--at", "office@mill")
+    told = json.loads(here("status", daemon.config, "--json").stdout)
+    assert json.loads(here("status", "--at", "office@mill", "--json").stdout)["pid"] == told["pid"]
+    refused = here("ctl", "fade", "--at", "office@mill")
     assert refused.returncode == 2
     assert refused.stderr.startswith("rtec: refused: office (")
-    assert rtec("ctl", "fade", "--at", "cell@mill").returncode == 0
+    assert here("ctl", "fade", "--at", "cell@mill").returncode == 0
     daemon.end()
     assert [(e["what"], e["who"].split()[0]) for e in events(daemon)][:2] == [("refused", "rtec"), ("fade", "cell")]
 
@@ -190,7 +191,7 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     config = setups.write(tmp_path, setups.tables(tmp_path))
     for arguments in (("status", config), ("ctl", "hold", config)):
-        found = rtec(*arguments)
+        found = here(*arguments)
         assert found.returncode == 2
         assert f"no daemon runs with {config}: start one with `rtec run {config}`" in found.stderr
     running = Running(config, tmp_path / "log.arrows")
@@ -200,14 +201,14 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     finally:
         running.process.communicate()
     assert socket_path(config).exists()
-    assert rtec("status", config).returncode == 2
+    assert here("status", config).returncode == 2
     again = Running(config, tmp_path / "log-2.arrows")
     try:
         again.until_it_runs()
         second = rtec("run", config, "--duration", 1)
         assert second.returncode == 2
         assert "another rtec runs with this run file" in second.stderr
-        assert rtec("status", config).returncode in ANSWERED
+        assert here("status", config).returncode in ANSWERED
         again.end()
     finally:
         again.process.kill()

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from tests.support import hil_rig
+from tests.support.command import here
 from tests.support.setups import CONFIGS
 
 pytestmark = pytest.mark.xdist_group("real-clock")
@@ -22,7 +23,7 @@ def _failed(facts: dict[str, Any]) -> list[dict[str, Any]]:
 
 def test_improvement_as_in_the_all_simulated_run(tmp_path: Path) -> None:
     """Oracle: the loop on a virtual clock with the simulated machine as its one device. Within 10 %."""
-    config = hil_rig.short(tmp_path, settle_s=2.0, off_s=8.0, on_s=8.0)
+    config = hil_rig.short(tmp_path, settle_s=1.0, off_s=5.0, on_s=5.0)
     done = hil_rig.rtec(
         "hil", config, "--shared", "--json", "--report", tmp_path / "out", env=hil_rig.environment(tmp_path / "t")
     )
@@ -157,16 +158,16 @@ def test_messages(tmp_path: Path) -> None:
         (("--fault", "modbus-silent"), "write NAME@30s"),
         (("--off", 3), "give at least 5 s"),
     ):
-        done = hil_rig.rtec("hil", config, *arguments)
+        done = here("hil", config, *arguments)
         assert (done.returncode, words in done.stderr) == (2, True), done.stderr
         assert "Traceback" not in done.stderr
-    plain = hil_rig.rtec("hil", CONFIGS / "turning-centre-sim.toml")
+    plain = here("hil", CONFIGS / "turning-centre-sim.toml")
     assert plain.returncode == 2
     assert "[hil] is missing" in plain.stderr
 
 
 def test_list_of_faults() -> None:
-    listed = hil_rig.rtec("hil", "--fault", "list")
+    listed = here("hil", "--fault", "list")
     assert listed.returncode == 0, listed.stderr
     for name in ("box-unplugged", "box-count-jump", "modbus-late", "can-bus-off"):
         assert name in listed.stdout

@@ -15,6 +15,7 @@ from rtec.log.folder import log_files
 from rtec.log.reader import open_log
 from rtec.log.tidy import tidy
 from tests.support import setups
+from tests.support.command import here
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 
@@ -52,7 +53,7 @@ def test_a_run_in_several_files_replays_from_each_of_them(tmp_path: Path) -> Non
     assert len(before) == 5000
     assert (np.diff(before) > 0).all()
     for _ in range(2):
-        checked = rtec("replay", config, folder)
+        checked = here("replay", config, folder)
         assert (checked.returncode, checked.stdout) == (0, "5000 commands checked: all bit-identical\n")
         tidy(folder, 1 << 60)
     assert {p.suffix for p in log_files(folder)} == {".parquet"}

@@ -16,6 +16,7 @@ import pytest
 
 from rtec.log.reader import LogReader
 from tests.support import faulty, setups
+from tests.support.command import here
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 
@@ -74,13 +75,13 @@ def test_a_run_its_log_and_its_replay(tmp_path: Path) -> None:
     assert moved <= 50.0 * gap_s * (1 + 1e-9)
     assert np.abs(list(facts["applied_um"].values())).max() > 10.0
     assert list(facts["largest_um"].values()) == np.abs(applied_um).max(axis=0).tolist()
-    checked = rtec("replay", config, log, "--check")
+    checked = here("replay", config, log, "--check")
     assert (checked.returncode, checked.stdout) == (0, "1500 commands checked: all bit-identical\n")
 
     content = setups.tables(tmp_path)
     content["limits"]["X"]["slew_um_s"] = 49.0
     (tmp_path / "other").mkdir()
-    other = rtec("replay", setups.write(tmp_path / "other", content), log, "--check")
+    other = here("replay", setups.write(tmp_path / "other", content), log, "--check")
     assert other.returncode == 1
     assert "applied_um was" in other.stdout
     assert "the run file is not the one that the log was made with" in other.stdout
@@ -230,7 +231,7 @@ def test_a_dry_run_commands_nothing(tmp_path: Path) -> None:
 def test_a_wrong_run_file_is_told_in_one_line(tmp_path: Path, spoil: Any, message: str) -> None:
     content = setups.tables(tmp_path)
     spoil(content)
-    done = rtec("run", setups.write(tmp_path, content), "--duration", "0.1")
+    done = here("run", setups.write(tmp_path, content), "--duration", "0.1")
     assert done.returncode == 2
     assert message in done.stderr
     assert "Traceback" not in done.stderr
