@@ -169,7 +169,7 @@ class LogWriter:
 
 def _column(array: NDArray[Any], kind: pa.DataType) -> "pa.Array[Any]":
     flat: pa.Array[Any] = pa.Array.from_buffers(  # pa.array would import pandas, where it is, before the first row
-        pa.from_numpy_dtype(array.dtype), array.size, [None, pa.py_buffer(np.ascontiguousarray(array))]
+        pa.from_numpy_dtype(array.dtype), array.size, [None, pa.py_buffer(np.ascontiguousarray(array).data)]
     )
     return flat if array.ndim == 1 else pa.Array.from_buffers(kind, len(array), [None], children=[flat])
 
