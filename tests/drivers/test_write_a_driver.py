@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 
 from rtec.loop.driver_info import CAN_BE
 from tests.support import setups
+from tests.support.command import here
 
 PAGE = (Path(__file__).parents[2] / "docs" / "write-a-driver.md").read_text(encoding="utf-8")
 pytestmark = pytest.mark.xdist_group("real-clock")
@@ -31,7 +33,7 @@ SAID = {"T_spindle_front": 31.25, "T_bed": 19.5}
 
 
 @pytest.fixture
-def site(tmp_path: Path) -> Path:
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The page's package as `pip install` leaves it; a run file with its device, and the files that this reads."""
     project = tomllib.loads(PYPROJECT)["project"]
     info = tmp_path / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
@@ -49,14 +51,25 @@ def site(tmp_path: Path) -> Path:
     for name, degc in SAID.items():
         (tmp_path / name).write_text(f"{degc * 1000:.0f}\n", encoding="utf-8")
     setups.write(tmp_path, tables)
-    return tmp_path
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield tmp_path
+    sys.modules.pop(module, None)
 
 
-def rtec(site: Path, *words: str, expected: int = 0) -> str:
-    """Run a command in a process of its own, in which the package is installed."""
+def rtec(*words: str, expected: int = 0) -> str:
+    """Run a command where the package is installed."""
+    return said(here(*words), expected)
+
+
+def apart(site: Path, *words: str, expected: int = 0) -> str:
+    """The same in a process of its own, with all that its own processes say."""
     given = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in (str(site), os.environ.get("PYTHONPATH")) if p)}
     command = [sys.executable, "-m", "rtec.cli.main", *words]
-    done = subprocess.run(command, capture_output=True, text=True, env=given, cwd=site, check=False)
+    return said(subprocess.run(command, capture_output=True, text=True, env=given, check=False), expected)
+
+
+def said(done: "subprocess.CompletedProcess[str]", expected: int) -> str:
     assert done.returncode == expected, done.stderr
     return done.stdout if done.returncode != 2 else done.stderr
 
@@ -69,36 +82,37 @@ def test_it_is_short() -> None:
 
 
 def test_it_is_listed(site: Path) -> None:
-    found: dict[str, Any] = json.loads(rtec(site, "drivers", "hwmon", "--json"))
+    found: dict[str, Any] = json.loads(apart(site, "drivers", "hwmon", "--json"))
     assert (found["package"], found["roles"], found["trouble"]) == ("rtec-hwmon", ["temperatures"], "")
     assert [(o["name"], o["required"]) for o in found["options"]] == [("files", True)]
     assert "thousandths" in found["options"][0]["meaning"]
     assert tomllib.loads(found["example"])["device"]["cabinet"]["driver"] == "hwmon"
-    assert "hwmon" in rtec(site, "drivers")
+    assert "hwmon" in rtec("drivers")
 
 
 def test_the_doctor_reads_it(site: Path) -> None:
     words = ("doctor", "run.toml", "--no-pc", "--seconds", "0.3", "--json")
-    found = json.loads(rtec(site, *words))
+    found = json.loads(rtec(*words))
     (cabinet,) = [d for d in found["devices"]["devices"] if d["name"] == "cabinet"]
     assert {v["name"]: v["value"] for v in cabinet["values"]} == SAID
     (site / "T_bed").unlink()
-    found = json.loads(rtec(site, *words, expected=1))
+    found = json.loads(rtec(*words, expected=1))
     (cabinet,) = [d for d in found["devices"]["devices"] if d["name"] == "cabinet"]
     assert "T_bed" in cabinet["wrong"][0]["what"]
     assert [v["name"] for v in cabinet["values"]] == ["T_spindle_front"]
 
 
-def test_the_loop_runs_on_it(site: Path) -> None:
-    found = json.loads(rtec(site, "run", "run.toml", "--duration", "0.5", "--json"))
+@pytest.mark.usefixtures("site")
+def test_the_loop_runs_on_it() -> None:
+    found = json.loads(rtec("run", "run.toml", "--duration", "0.5", "--json"))
     assert {name: found["degc"][name] for name in SAID} == SAID
 
 
 def test_a_sensor_that_is_not_there_is_refused(site: Path) -> None:
     text = (site / "run.toml").read_text(encoding="utf-8")
     (site / "run.toml").write_text(text.replace('T_bed = "T_bed"', 'T_bett = "T_bed"'), encoding="utf-8")
-    said = rtec(site, "run", "run.toml", "--duration", "0.1", expected=2)
-    assert "[device.cabinet] the machine has no sensor 'T_bett'; did you mean 'T_bed'?" in " ".join(said.split())
+    found = rtec("run", "run.toml", "--duration", "0.1", expected=2)
+    assert "[device.cabinet] the machine has no sensor 'T_bett'; did you mean 'T_bed'?" in " ".join(found.split())
 
 
 @pytest.mark.parametrize("in_loop", [True, False])
@@ -109,15 +123,16 @@ def test_a_fault_of_such_a_driver_is_told_by_its_own_words(site: Path, in_loop: 
     if in_loop:
         faulty = faulty.replace("    options_model =", "    IN_LOOP = True\n    options_model =")
     module.write_text(faulty, encoding="utf-8")
-    said = " ".join(rtec(site, "run", "run.toml", "--duration", "0.5", expected=2).split())
+    found = " ".join(apart(site, "run", "run.toml", "--duration", "0.5", expected=2).split())
     told = "fault in the program or in a library that it uses: KeyError: 'its own fault'"
     where = "rtec: the loop's process ended at a" if in_loop else "rtec: [device.cabinet]"
-    assert f"{where} {told}" in said
-    assert "Traceback" not in said  # an exception's text could write what it likes into the journal
-    assert "(rtec_hwmon.py:" in said
+    assert f"{where} {told}" in found
+    assert "Traceback" not in found  # an exception's text could write what it likes into the journal
+    assert "(rtec_hwmon.py:" in found
 
 
-def test_what_else_the_page_says(site: Path) -> None:
+@pytest.mark.usefixtures("site")
+def test_what_else_the_page_says() -> None:
     """Its table of methods against the ports; its commands run, but for the last part of the names."""
     rows = dict(re.findall(r"^\| (\w+) \| (.*?) \|", PAGE.split("## What a driver can be")[1], re.MULTILINE))
     rows.pop("key", None)
@@ -127,4 +142,4 @@ def test_what_else_the_page_says(site: Path) -> None:
     assert set(rows) == set(CAN_BE)
     for line in COMMANDS.splitlines():
         words = [*line.split()[1:], *(["--no-pc", "--seconds", "0.2"] if " doctor " in line else [])]
-        rtec(site, *words)
+        rtec(*words)
