@@ -7,7 +7,7 @@ contradiction.
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -299,30 +299,38 @@ class _Edits:
         """Every edit that can be made here."""
         return [*self._factors(), *self._exchanged(), *self._moved()]
 
-    def residual(self, channels: Mapping[str, Callable[[State], Floats]]) -> float:
-        """Root mean square of the residual with some channels replaced; infinite where that cannot be.
+    def residuals(self, edits: Sequence[Mapping[str, Callable[[State], Floats]]]) -> Floats:
+        """Root mean square of the residual with some channels replaced, (edits,); infinite where that cannot be.
 
         Args:
-            channels: what takes the place of each, from the state of a measurement.
+            edits: of each, what takes the place of a channel, from the state of a measurement.
         """
+        out, kept = np.full(len(edits), np.inf), [self._left(e) for e in edits]
+        there = [i for i, left in enumerate(kept) if left is not None]
+        if not there:
+            return out
+        whole = floor.cleaned(self.readings, np.stack([left for left in kept if left is not None], axis=1))
+        for i, left in zip(there, whole.T, strict=True):
+            out[i] = floor.pooled(self.readings, floor.rms_by_series(self.readings, left), self.scale)
+        return out
+
+    def _left(self, channels: Mapping[str, Callable[[State], Floats]]) -> Floats | None:
+        """What the model leaves with some channels replaced, (m,); None where that cannot be."""
         states = []
         for state in self.readings.states:
             if any(c not in state.channels for c in channels):
-                return math.inf
+                return None
             changed = {**state.channels, **{c: make(state) for c, make in channels.items()}}
-            states.append(type(state)(state.machine, state.time_s, changed, state.reference_degc))
-        changed_readings = replace(self.readings, states=tuple(states), _arms={})
+            states.append(State(state.machine, state.time_s, changed, state.reference_degc))
+        changed_readings = self.readings.with_states(states)
         left = self.readings.values.copy()
         try:
             for fitted, part in zip(self.model.effects, self.parts, strict=True):
                 touched = set(fitted.effect.channels(self.model.machine)) & set(channels)
                 left -= self._part(fitted, changed_readings) if touched else part
         except ModelError:
-            return math.inf
-        if not np.isfinite(left).all():
-            return math.inf
-        by_series = floor.rms_by_series(self.readings, floor.cleaned(self.readings, left))
-        return floor.pooled(self.readings, by_series, self.scale)
+            return None
+        return left if np.isfinite(left).all() else None
 
     def _part(self, fitted: FittedEffect, readings: Readings) -> Floats:
         with np.errstate(all="ignore"):
@@ -334,15 +342,14 @@ class _Edits:
             if channel.startswith("d_"):
                 continue
             suspect, check = "its unit or its scale in the file may be wrong", "that column"
-            for factor in CHANNEL_FACTORS:
-                if not self._within_travel(channel, factor):
-                    continue
+            factors = [f for f in CHANNEL_FACTORS if self._within_travel(channel, f)]
+            times = [{channel: lambda s, c=channel, f=f: f * s.channels[c]} for f in factors]
+            for factor, residual in zip(factors, self.residuals(times), strict=True):
                 by = f"{factor:g}" if abs(factor) >= 1.0 else f"1/{1.0 / factor:g}"
-                residual = self.residual({channel: lambda s, c=channel, f=factor: f * s.channels[c]})  # type: ignore[misc]
-                yield _Edit(residual, "wrong_channel", f"{channel} times {by}", suspect, check)
+                yield _Edit(float(residual), "wrong_channel", f"{channel} times {by}", suspect, check)
             if channel in self.model.machine.sensor_names:
-                residual = self.residual({channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8})  # type: ignore[misc]
-                yield _Edit(residual, "wrong_channel", f"{channel} read as °F", suspect, check)
+                residual = self.residuals([{channel: lambda s, c=channel: (s.channels[c] - 32.0) / 1.8}])[0]  # type: ignore[misc]
+                yield _Edit(float(residual), "wrong_channel", f"{channel} read as °F", suspect, check)
 
     def _within_travel(self, channel: str, factor: float) -> bool:
         """Whether a position times a factor is where the axis can be; true of all other channels."""
@@ -360,8 +367,8 @@ class _Edits:
         for one, two in itertools.combinations(sensors, 2):
             if {one, two} & self.read:
                 swap = {one: lambda s, c=two: s.channels[c], two: lambda s, c=one: s.channels[c]}
-                residual = self.residual(swap)
-                yield _Edit(residual, "swapped_sensors", f"{one} and {two} exchanged", suspect, "their labels")
+                residual = self.residuals([swap])[0]
+                yield _Edit(float(residual), "swapped_sensors", f"{one} and {two} exchanged", suspect, "their labels")
 
     def _moved(self) -> Iterator[_Edit]:
         from scipy.optimize import minimize_scalar
@@ -374,11 +381,11 @@ class _Edits:
                 return {channel: lambda s: s.channels[channel] + by_mm}
 
             def left(by_mm: float, at: Callable[[float], dict[str, Callable[[State], Floats]]] = moved) -> float:
-                return self.residual(at(by_mm))
+                return float(self.residuals([at(by_mm)])[0])
 
             reach = SHIFT * (axis.travel_mm[1] - axis.travel_mm[0])
             grid = np.linspace(-reach, reach, SHIFTS)
-            best = float(min(grid, key=lambda by: self._thin.residual(moved(by))))
+            best = float(grid[np.argmin(self._thin.residuals([moved(by) for by in grid]))])
             step = float(grid[1] - grid[0])
             by = float(minimize_scalar(left, bounds=(best - step, best + step), method="bounded").x)
             edit = f"{axis.channel} moved by {by:+.3g} mm"

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.gls import solve, without_runs
 from rtec.estimation.readings import Readings, Series
+from rtec.jit import njit
 
 Floats = NDArray[np.float64]
 
@@ -77,16 +78,19 @@ def _warm(readings: Readings, series: Series, moving: list[Floats]) -> Floats:
     return np.asarray(seen @ turn[:, ::-1][:, :most][:, kept])
 
 
+@njit
 def _states(degc: Floats) -> int:
     """How many states of temperature were gone through, one after the other; (n, sensors).
 
     Not readings but these are what a dependence on temperature is judged by: more columns than a part of them would
     follow the drift of the noise.
     """
-    count, first = 1, degc[0]
-    for now in degc:
-        if np.abs(now - first).max() > NEAR_DEGC:
-            count, first = count + 1, now
+    count, first = 1, 0
+    for i in range(len(degc)):
+        for j in range(degc.shape[1]):
+            if abs(degc[i, j] - degc[first, j]) > NEAR_DEGC:
+                count, first = count + 1, i
+                break
     return count
 
 

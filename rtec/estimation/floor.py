@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from rtec.estimation.flexible import NEAR_DEGC, flexible_columns
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.noise import Noise, Whitener, found_on_stretches
-from rtec.estimation.readings import Readings, Series
+from rtec.estimation.readings import Readings, Series, row_codes
 from rtec.estimation.whitening import drift_draws
+from rtec.jit import njit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -52,12 +53,7 @@ def repeats_floor(readings: Readings, series: Sequence[Series], left: Floats) ->
     if warm is None:
         return None
     pose = _pose_codes(readings, series)
-    square, freedom, held = 0.0, 0, 0
-    order = np.lexsort((np.arange(len(run)), pose))
-    for place in np.split(order, np.flatnonzero(np.diff(pose[order])) + 1):
-        for group in _groups(place, run, warm):
-            off = values[group] - values[group].mean()
-            square, freedom, held = square + float(off @ off), freedom + len(group) - 1, held + len(group)
+    square, freedom, held = group_differences(np.argsort(pose, kind="stable"), pose, run, warm, values)
     if freedom < FEWEST or held < SHARE * len(run):
         return None
     return math.sqrt(square / (freedom * _kept(series)))
@@ -69,16 +65,41 @@ def _kept(series: Sequence[Series]) -> float:
     return max(1.0 - float(sum(unknown)) / sum(map(len, series)), SMALL)
 
 
-def _groups(place: Ints, run: Ints, warm: Floats) -> list[Ints]:
-    """Readings at one pose, in order of time, put together while temperatures stay near; one of each run."""
-    out: list[list[int]] = []
-    for i in place.tolist():
-        if out and np.abs(warm[i] - warm[out[-1][0]]).max(initial=0.0) < NEAR_DEGC:
-            if run[i] != run[out[-1][-1]]:
-                out[-1].append(i)
-        else:
-            out.append([i])
-    return [np.array(g) for g in out if len(g) > 1]
+@njit
+def group_differences(order: Ints, pose: Ints, run: Ints, warm: Floats, values: Floats) -> tuple[float, int, int]:
+    """Sum of squares of readings about the mean of their group, its degrees of freedom, and how many readings it has.
+
+    A group are readings at one pose, in order of time, while temperatures stay near; one of each run.
+
+    Args:
+        order: readings pose by pose, in order of time, (n,).
+        pose, run, values: of each reading, (n,).
+        warm: its temperatures, (n, sensors).
+    """
+    n = len(order)
+    mine = np.empty(n)
+    square, freedom, held, count = 0.0, 0, 0, 0
+    first, last = 0, 0
+    for k in range(n + 1):
+        near = 0 < k < n and pose[order[k]] == pose[first]
+        if near:
+            for j in range(warm.shape[1]):
+                near = near and abs(warm[order[k], j] - warm[first, j]) < NEAR_DEGC
+        if near:
+            if run[order[k]] != run[last]:
+                last = order[k]
+                mine[count] = values[last]
+                count += 1
+            continue
+        if count > 1:
+            square += np.sum((mine[:count] - np.mean(mine[:count])) ** 2)
+            freedom += count - 1
+            held += count
+        if k < n:
+            first = last = order[k]
+            mine[0] = values[first]
+            count = 1
+    return square, freedom, held
 
 
 def _pose_codes(readings: Readings, series: Sequence[Series]) -> Ints:
@@ -87,14 +108,14 @@ def _pose_codes(readings: Readings, series: Sequence[Series]) -> Ints:
     steps = {a.velocity_channel: 1.0 for a in axes} | {"spindle_rpm": SAME_RPM, "load_kg": 0.1, "feed_mm_min": 1.0}
     rows = []
     for s in series:
-        state, keys = readings.states[s.source], [np.round(readings.poses_mm[s.source][s.row] / SAME_MM)]
-        keys += [np.sign(state.value(a.direction_channel)[s.row])[:, None] for a in axes]
+        state = readings.states[s.source]
+        keys = [*np.round(readings.poses_mm[s.source][s.row] / SAME_MM).T]
+        keys += [np.sign(state.value(a.direction_channel)[s.row]) for a in axes]
         for name, step in steps.items():
             value = state.channels[name][s.row] if name in state.channels else np.zeros(len(s))
-            keys.append(np.round(np.nan_to_num(value) / step)[:, None])
-        rows.append(np.concatenate(keys, axis=1))
-    whole = np.concatenate(rows)
-    return np.asarray(np.unique(whole, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+            keys.append(np.round(np.nan_to_num(value) / step))
+        rows.append(np.stack(keys))
+    return row_codes(np.concatenate(rows, axis=1))
 
 
 def _temperatures(readings: Readings, series: Sequence[Series]) -> Floats | None:
@@ -285,7 +306,7 @@ def _draws(whitener: Whitener, number: int, rng: np.random.Generator) -> Floats:
 
 
 def cleaned(readings: Readings, left: Floats) -> Floats:
-    """Residuals less what the instruments cannot know: terms of the set-up, then those of each run, (m,)."""
+    """Residuals less what the instruments cannot know: terms of the set-up, then those of each run, (m,) or (m, p)."""
     if readings.setup.shape[1]:
         setup = np.stack([without_nuisance(readings, c) for c in readings.setup.T], axis=1)
         flat = without_nuisance(readings, left)

@@ -48,26 +48,40 @@ class Fit:
         return inverse(self.whitener(self.columns))
 
 
-def fit_columns(whitener: Whitener, columns: Floats, rounds: int = ROUNDS, steps: int = STEPS) -> Fit:
-    """Fit columns and noise in turn, beginning with a noise that is about right."""
+def fit_columns(
+    whitener: Whitener, columns: Floats, rounds: int = ROUNDS, steps: int = STEPS, values: Floats | None = None
+) -> Fit:
+    """Fit columns and noise in turn.
+
+    Args:
+        whitener: a noise that is about right, to begin with.
+        columns: (m, p).
+        rounds: how often the noise is found again.
+        steps: evaluations of each of these searches, for each series.
+        values: coefficients under the noise begun with, (p,); None where they are not known.
+    """
     readings, now = whitener.readings, whitener
-    values = solve(now(columns), now(readings.values))
+    whole = np.concatenate([columns, readings.values[:, None]], axis=1)
+    if values is None:
+        white = now(whole)
+        values = solve(white[:, :-1], white[:, -1])
     for _ in range(rounds):
         now = refine(now, readings.values - columns @ values, steps)
-        values = solve(now(columns), now(readings.values))
-    return Fit(now, columns, values, log_likelihood(now, readings.values - columns @ values))
+        white = now(whole)
+        values = solve(white[:, :-1], white[:, -1])
+    return Fit(now, columns, values, log_likelihood(now, white[:, -1] - white[:, :-1] @ values))
 
 
 def solve(columns: Floats, values: Floats) -> Floats:
-    """Least squares; a direction that the readings do not see gets nothing, (p,)."""
-    scale = np.linalg.norm(columns, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    scaled = columns / scale
-    gram = scaled.T @ scaled
-    found = _pseudo(gram) @ (scaled.T @ values)
+    """Least squares; a direction that the readings do not see gets nothing, (p,); (p, q) for values (m, q)."""
+    gram = columns.T @ columns
+    size = np.sqrt(np.diag(gram))
+    size = np.where(size > NOTHING, size, 1.0)
+    scale = np.outer(size, size)
+    back = _pseudo(gram / scale) / scale
+    found = back @ (columns.T @ values)
     # One step of refinement gives back the digits that the normal equations lost.
-    found = found + _pseudo(gram) @ (scaled.T @ (values - scaled @ found))
-    return np.asarray(found / scale)
+    return np.asarray(found + back @ (columns.T @ (values - columns @ found)))
 
 
 def inverse(columns: Floats) -> Floats:
@@ -88,11 +102,13 @@ def resolved(columns: Floats) -> Floats:
 
 
 def _pseudo(gram: Floats) -> Floats:
-    if not len(gram):
+    """Inverses of symmetric matrices, (…, p, p), without the directions that hardly count."""
+    if not gram.shape[-1]:
         return gram
     value, vector = np.linalg.eigh(gram)
-    good = value > SMALL * value[-1]
-    return np.asarray((vector[:, good] / value[good]) @ vector[:, good].T)
+    good = value > SMALL * value[..., -1:]
+    back = np.where(good, 1.0 / np.where(good, value, 1.0), 0.0)
+    return np.asarray((vector * back[..., None, :]) @ vector.swapaxes(-1, -2))
 
 
 @dataclass(frozen=True)
@@ -137,30 +153,53 @@ def held_out(whitener: Weights, columns: Floats, scale: Floats | None = None) ->
         columns: (m, p).
         scale: one over the unit of each series in the mean square, (series,); ones where not given.
     """
-    readings = whitener.readings
-    white, target = whitener(columns), whitener(readings.values)
-    norm = np.linalg.norm(white, axis=0)
-    norm = np.where(norm > 0, norm, 1.0)
-    white, plain = white / norm, columns / norm
-    folds = np.unique(readings.fold)
-    rows = [np.flatnonzero(readings.fold == f) for f in folds]
-    grams = [white[r].T @ white[r] for r in rows]
-    rights = [white[r].T @ target[r] for r in rows]
-    gram, right = np.sum(grams, axis=0), np.sum(rights, axis=0)
-    lost = np.zeros(len(folds))
-    left = np.empty(len(readings))
-    for i, r in enumerate(rows):
-        values = _pseudo(gram - grams[i]) @ (right - rights[i]) if len(folds) > 1 else _pseudo(gram) @ right
-        error = target[r] - white[r] @ values
-        lost[i] = float(error @ error)
-        left[r] = readings.values[r] - plain[r] @ values
-    cleaned = without_nuisance(readings, left)
+    readings, runs = whitener.readings, _HeldOutRuns(whitener, columns)
+    lost, left = runs.errors(columns.shape[1])
     weight = np.ones(len(readings.series)) if scale is None else scale
-    squares = [float(np.mean(cleaned[s.part] ** 2)) * w * w for s, w in zip(readings.series, weight, strict=True)]
+    squares = [float(np.mean(left[s.part] ** 2)) * w * w for s, w in zip(readings.series, weight, strict=True)]
     sizes = np.array([len(s) for s in readings.series], dtype=np.float64)
     whole = spreads(readings, without_nuisance(readings, readings.values)) ** 2
-    folded = np.array([float(np.sum(cleaned[r] ** 2 / whole[readings.series_of[r]])) for r in rows])
+    folded = np.array([float(np.sum(left[r] ** 2 / whole[readings.series_of[r]])) for r in runs.rows])
     return HeldOut(lost, float(np.average(squares, weights=sizes)), np.array(squares), folded)
+
+
+def held_out_gain(whitener: Weights, base: Floats, columns: Floats) -> tuple[float, float]:
+    """What columns, (m, k), beside a base, (m, p), bring on held-out runs.
+
+    Returns:
+        Relative fall of the mean square, and mean gain of the folds in whitened squares.
+    """
+    runs = _HeldOutRuns(whitener, np.concatenate([base, columns], axis=1))
+    (without, before), (with_it, after) = (runs.errors(p) for p in (base.shape[1], base.shape[1] + columns.shape[1]))
+    return 1.0 - float(after @ after) / max(float(before @ before), 1e-300), float(np.mean(without - with_it))
+
+
+class _HeldOutRuns:
+    """Normal equations of each fold, for fits of the first so many columns to all others."""
+
+    def __init__(self, whitener: Weights, columns: Floats) -> None:
+        self.readings = readings = whitener.readings
+        white, self.target = whitener(columns), whitener(readings.values)
+        norm = np.sqrt(np.einsum("ij,ij->j", white, white))
+        norm = np.where(norm > 0, norm, 1.0)
+        white, self.plain = white / norm, columns / norm
+        self.rows = [np.flatnonzero(readings.fold == f) for f in np.unique(readings.fold)]
+        self.parts = [white[r] for r in self.rows]
+        self.grams = np.stack([w.T @ w for w in self.parts])
+        self.rights = np.stack([w.T @ self.target[r] for w, r in zip(self.parts, self.rows, strict=True)])
+
+    def errors(self, width: int) -> tuple[Floats, Floats]:
+        """Sum of squares of the whitened errors of each fold, (folds,); errors less what each run has anew, (m,)."""
+        grams, rights = self.grams[:, :width, :width], self.rights[:, :width]
+        if len(self.rows) > 1:
+            grams, rights = grams.sum(axis=0) - grams, rights.sum(axis=0) - rights
+        values = (_pseudo(grams) @ rights[..., None])[..., 0]
+        lost, left = np.zeros(len(self.rows)), np.empty(len(self.readings))
+        for i, (r, part) in enumerate(zip(self.rows, self.parts, strict=True)):
+            error = self.target[r] - part[:, :width] @ values[i]
+            lost[i] = float(error @ error)
+            left[r] = self.readings.values[r] - self.plain[r, :width] @ values[i]
+        return lost, without_nuisance(self.readings, left)
 
 
 def without_nuisance(readings: Readings, left: Floats) -> Floats:

@@ -216,9 +216,8 @@ def refine(whitener: Whitener, left: Floats, steps: int) -> Whitener:
     return whitener.with_noises(noises)
 
 
-def log_likelihood(whitener: Whitener, left: Floats) -> float:
-    """Log likelihood of what a fit leaves, (m,), up to a constant, with the weak priors."""
-    white = whitener(left)
+def log_likelihood(whitener: Whitener, white: Floats) -> float:
+    """Log likelihood of what a fit leaves, whitened, (m,), up to a constant, with the weak priors."""
     priors = sum(_prior(n) for n in whitener.noises)
     return -0.5 * (whitener.log_det + float(white @ white)) + priors
 
@@ -278,9 +277,7 @@ class _Mean:
 
 def noise_bounds(series: Series) -> Floats:
     """Lowest, highest, centre and spread of the prior of the logarithms of drift, memory and offset, (3, 4)."""
-    times = series.time_s
-    span, apart = max(float(times[-1] - times[0]), 1.0), np.diff(times)
-    shortest = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
+    span, shortest = series.pace_s
     return np.array(
         [
             [math.log(DRIFT_BOUNDS[0]), math.log(DRIFT_BOUNDS[1]), USUAL_DRIFT, SPREAD],

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtec.estimation.flexible import smooth_columns
 from rtec.estimation.gls import solve
-from rtec.estimation.readings import Readings, Series, read
+from rtec.estimation.readings import Readings, Series, read, row_codes
 from rtec.jit import njit
 from rtec.metrology.measurement import Measurement
 from rtec.parallel import MANY
@@ -49,8 +49,6 @@ QUARTILE, QUARTILE_SIGMA = 0.75, 1.1503
 """Readings around one that tell how loud its part of the record is, by their third quartile: bursts are fewer."""
 SIGMA_PER_MAD, SMALL = 1.4826, 0.02
 STILL_MM = 1e-3
-MIX = np.uint64(0x9E3779B97F4A7C15)
-"""Odd, its bits spread evenly (the golden ratio): places get different numbers."""
 TOLD = 12
 
 
@@ -176,12 +174,7 @@ def _places(readings: Readings, s: Series) -> tuple[Ints, bool]:
         return np.zeros(len(s), dtype=np.int64), True
     columns = [np.round(pose[:, i] / PLACE_MM) for i in range(pose.shape[1])]
     columns += [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
-    # One number for each row: sorting rows of many columns would take most of the time.
-    key = np.zeros(len(s), dtype=np.uint64)
-    for column in columns:
-        key = key * MIX + column.astype(np.int64).view(np.uint64)
-        key ^= key >> np.uint64(29)
-    return np.asarray(np.unique(key, return_inverse=True)[1].ravel(), dtype=np.int64), False
+    return row_codes(np.stack(columns)), False
 
 
 def _rough(readings: Readings, s: Series, values: Floats, linked: Ints) -> Floats:

@@ -62,6 +62,13 @@ class Series:
         """Its place among all readings."""
         return slice(self.start, self.start + len(self.row))
 
+    @cached_property
+    def pace_s(self) -> tuple[float, float]:
+        """From the first reading to the last, s, at least 1; and usually from one reading to the next."""
+        apart = np.diff(self.time_s)
+        usual = float(np.median(apart[apart > 0])) if (apart > 0).any() else 1.0
+        return max(float(self.time_s[-1] - self.time_s[0]), 1.0), usual
+
 
 @dataclass(frozen=True)
 class Readings:
@@ -176,12 +183,19 @@ class Readings:
             self.measurements, self.states, tuple(series), self.values[kept], self.setup[kept], self.setup_names
         )
 
+    def with_states(self, states: Sequence[State]) -> "Readings":
+        """The same readings with other channels."""
+        axes = [a.channel for a in self.machine.axes]
+        pairs = zip(self.states, states, strict=True)
+        at_rest = all(one.channels[c] is other.channels[c] for one, other in pairs for c in axes)
+        return replace(self, states=tuple(states), _arms=self._arms if at_rest else {})
+
     def smoothed(self) -> "Readings":
         """The same with the temperatures smoothed both ways in time, which the loop cannot do."""
         states = tuple(
             _state(m, s.reference_degc, smooth=True) for m, s in zip(self.measurements, self.states, strict=True)
         )
-        return replace(self, states=states, _arms={})
+        return self.with_states(states)
 
     def _basis(self, effect: Effect, theta: Mapping[str, float], source: int) -> list[Floats]:
         state = self.states[source]
@@ -289,6 +303,22 @@ def _check(measurements: Sequence[Measurement]) -> None:
     faults += [f"{m.name}: has no reading" for m in measurements if not np.isfinite(m.matrix()).any()]
     if faults:
         raise MeasurementError("\n".join(faults))
+
+
+MIX = np.uint64(0x9E3779B97F4A7C15)
+"""Odd, its bits spread evenly (the golden ratio): places get different numbers."""
+
+
+def row_codes(columns: Floats) -> Ints:
+    """A number for each different row of whole numbers, (n,), of columns, (k, n).
+
+    Sorting rows of many columns would take most of the time: each becomes one number first.
+    """
+    key = np.zeros(columns.shape[1], dtype=np.uint64)
+    for column in columns:
+        key = key * MIX + column.astype(np.int64).view(np.uint64)
+        key ^= key >> np.uint64(29)
+    return np.asarray(np.unique(key, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
 LOOK = 2500

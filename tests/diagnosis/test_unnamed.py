@@ -6,7 +6,8 @@ import pytest
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
 from rtec.diagnosis.search.diagnose import diagnose
-from rtec.diagnosis.search.shapes import LocalPlace
+from rtec.diagnosis.search.shapes import Ground, LocalPlace, Shape
+from rtec.estimation.readings import read
 from rtec.model import Model
 from tests.support.diagnosis_examples import laser, small_machine
 
@@ -37,3 +38,23 @@ def test_hump_and_step_are_what_they_say() -> None:
     at = np.array([8.0, 10.0, 12.0])
     assert hump.curve(at) == pytest.approx([np.exp(-1.0), 1.0, np.exp(-1.0)])
     assert step.curve(at) == pytest.approx([-np.tanh(1.0), 0.0, np.tanh(1.0)])
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [
+        [Shape("EXX", ("x",), (0,), p) for p in (11.0, 23.0)],
+        [Shape("EXX", ("x",), (0,), place=LocalPlace("hump", c, 4.0)) for c in (50.0, 90.0, 120.0)],
+        [Shape("EXX", ("x",), (0,), place=LocalPlace("step", 60.0, w)) for w in (2.0, 9.0)],
+        [Shape("EXX", ("x", "time_s"), (0, 1), 30.0), Shape("EXX", ("x", "x"), (0, 2), 30.0)],
+        [Shape("EXX", ("x",), (5,)), Shape("EXX", ("x",), (0,), 12.0)],
+    ],
+)
+def test_columns_of_several_shapes_are_those_of_each(shapes: list[Shape]) -> None:
+    """Oracle: the columns of each shape by itself."""
+    ground = Ground(read([laser([], 3)]))
+    group = next(iter(ground.groups))
+    named = [Shape(group, s.over, s.fine, s.period, s.place) for s in shapes]
+    whole, widths = ground.block(named)
+    assert np.array_equal(whole, np.concatenate([ground.columns(s) for s in named], axis=1))
+    assert widths.tolist() == [ground.columns(s).shape[1] for s in named]

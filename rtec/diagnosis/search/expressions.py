@@ -194,6 +194,8 @@ Floats = NDArray[np.float64]
 
 LEADING = 2
 """Component errors for which forms are weighed."""
+ALIKE = 1e-6
+"""Forms whose evidence differs by less are one."""
 HALVINGS = 4
 FWHM = 2.0 * math.sqrt(math.log(2.0))
 """Width of exp(-(x/w)²) at half its height over w."""
@@ -248,9 +250,11 @@ def propose(readings: Readings, base: Floats, shaped: Shaped) -> Typed | None:
         for form in forms_of(spans, shaped.shape.period)
         if (t := _best(few, projected, form, component)) is not None
     ]
-    best = max(tried, key=lambda t: t.evidence, default=None)
-    if best is None or best.evidence <= 0.0:
+    top = max((t.evidence for t in tried), default=0.0)
+    if top <= 0.0:
         return None
+    # A term that the model has already adds nothing: the form without it comes first.
+    best = next(t for t in tried if t.evidence > top - ALIKE)
     best = _refined(few, projected, best)
     parameters = tuple(p.text(best.theta[p.name]) for p in best.form.searched)
     text = best.form.expression

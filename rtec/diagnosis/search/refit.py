@@ -26,7 +26,7 @@ from rtec.effects import Effect, Parameter
 from rtec.estimation import floor
 from rtec.estimation.candidates import REAL, EffectCandidate
 from rtec.estimation.columns import base_of
-from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out, solve, without_nuisance
+from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, solve, without_nuisance
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
 from rtec.estimation.outliers import Clean, WrongReading
 from rtec.estimation.readings import Readings, looked_at
@@ -366,14 +366,19 @@ class Refits:
 
     def second_look(self) -> Screen:
         """The same weighing as if there were hardly any drift: the noise may have swallowed what is looked for."""
-        return self.look(without_drift(self.prepared.whitener), self.prepared.base)
+        return self.look(self._calm, self.prepared.base)
 
     def fit(self, columns: Floats) -> Fit:
         """Fit from the noise that was found, and from hardly any drift; the likelier of the two."""
-        noises = (self.prepared.whitener, without_drift(self.prepared.whitener))
         # One round tells which is the likelier; the rest is for that alone.
-        best = max((fit_columns(w, columns, 1) for w in noises), key=lambda f: f.log_likelihood)
-        return fit_columns(best.whitener, columns, ROUNDS - 1)
+        starts = (self.prepared.whitener, self._calm)
+        best = max((fit_columns(w, columns, 1) for w in starts), key=lambda f: f.log_likelihood)
+        return fit_columns(best.whitener, columns, ROUNDS - 1, values=best.values)
+
+    @cached_property
+    def _calm(self) -> Whitener:
+        """The noise as if there were hardly any drift."""
+        return without_drift(self.prepared.whitener)
 
     def beside(self, first: Refitted) -> list[Refitted]:
         """The best beside an effect, each fitted together with it; the evidence is that of both."""
@@ -501,13 +506,14 @@ class Refits:
         the most direct stands for all.
         """
         machine, out = self.readings.machine, []
-        shapes_of: dict[str, list[tuple[int, Floats]]] = {}
+        shapes_of: dict[str, list[Floats]] = {}
         for i in sorted(found.order[:DISTINCT], key=lambda i: (-round(found.score[i], 3),
                         directness(self.candidates[i].effect, machine))):  # fmt: skip
             mine = found.contribution(i)
+            mine /= max(float(np.sqrt(mine @ mine)), 1e-300)
             same = shapes_of.setdefault(self.candidates[i].effect.effect, [])
-            if all(cosine(mine, other) < ONE for _, other in same):
-                same.append((i, mine))
+            if all(abs(float(mine @ other)) < ONE for other in same):
+                same.append(mine)
                 out.append(i)
         return out
 
@@ -549,7 +555,7 @@ class Refits:
             searched: parameters that were searched for.
         """
         base, best = self.prepared.base, None
-        for noise in (self.prepared.whitener, without_drift(self.prepared.whitener)):
+        for noise in (self.prepared.whitener, self._calm):
             known = Projected.of(noise, base, self.readings.values)
             squares = [float(np.sum((orthonormal(known.take_out(noise(c))).T @ known.left) ** 2)) for c in curves]
             columns = curves[int(np.argmax(squares))]
@@ -560,11 +566,7 @@ class Refits:
 
     def left_out(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""
-        base = self.prepared.base
-        without = held_out(whitener, base)
-        with_it = held_out(whitener, np.concatenate([base, columns], axis=1))
-        gain = float(np.mean(without.white - with_it.white))
-        return 1.0 - with_it.square / max(without.square, 1e-300), gain
+        return held_out_gain(whitener, self.prepared.base, columns)
 
     @cached_property
     def few(self) -> tuple[NDArray[np.bool_], Readings]:

@@ -341,12 +341,12 @@ class _Weighed:
     def _take(self, chunk: Chunk) -> None:
         first = np.cumsum(chunk.widths) - chunk.widths
         usual = np.concatenate([self.bank.usual[int(i)] for i in chunk.which[:, 0]])
-        moves = _norms(chunk.columns) / math.sqrt(len(chunk.columns))
+        moves = norms(chunk.columns) / math.sqrt(len(chunk.columns))
         moved = np.maximum.reduceat(moves * usual, first) > UNMOVED
         white = self.projected.whitener(chunk.columns)
-        before = _norms(white)
+        before = norms(white)
         left = self.projected.take_out(white)
-        size = np.stack([before, _norms(left)], axis=1)
+        size = np.stack([before, norms(left)], axis=1)
         left /= np.where(before > 0, before, 1.0)
         gram, along = left.T @ left, left.T @ self.projected.left
         found: dict[int, tuple[Floats, Floats]] = {}
@@ -378,7 +378,7 @@ def _turns(gram: Floats, at: Ints) -> list[Floats]:
     return [b[:, a > ABSORBED**2] / np.sqrt(a[a > ABSORBED**2]) for a, b in zip(value, vector, strict=True)]
 
 
-def _norms(columns: Floats) -> Floats:
+def norms(columns: Floats) -> Floats:
     """Norm of each column, (p,)."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
 

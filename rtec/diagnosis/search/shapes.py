@@ -7,6 +7,7 @@ Weighs every shape without a name against the readings: curves, surfaces, waves,
 """
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,12 +16,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.search.screen import ABSORBED, Projected
+from rtec.diagnosis.search.screen import ABSORBED, Projected, norms
 from rtec.estimation.candidates import real
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 LEVELS = 8
 """A variable with at most so many values is taken level by level."""
@@ -43,8 +45,12 @@ class LocalPlace:
 
     def curve(self, value: Floats) -> Floats:
         """The hump or step over a variable, (m,)."""
-        u = (value - self.centre) / self.width
-        return np.asarray(np.exp(-np.minimum(u * u, 50.0)) if self.form == "hump" else np.tanh(u))
+        return local_curve(self.form, (value - self.centre) / self.width)
+
+
+def local_curve(form: Literal["hump", "step"], u: Floats) -> Floats:
+    """A hump or a step about zero, of width one."""
+    return np.asarray(np.exp(-np.minimum(u * u, 50.0)) if form == "hump" else np.tanh(u))
 
 
 @dataclass(frozen=True)
@@ -119,6 +125,26 @@ class Ground:
         one, two = (self._curve(name, fine) for name, fine in zip(shape.over, shape.fine, strict=True))
         cross = (one[:, :, None] * two[:, None, :]).reshape(len(one), -1)
         return np.concatenate([one, two, cross], axis=1) * mask
+
+    def block(self, shapes: Sequence[Shape]) -> tuple[Floats, Ints]:
+        """Columns of several shapes side by side, (m, columns), and how many each has, (shapes,).
+
+        Plain waves along one variable are worked out at once, and so are humps and steps: there are hundreds.
+        """
+        if len({(s.group, s.over, s.place and s.place.form, s.period is None) for s in shapes}) == 1:
+            value, mask = self.known[shapes[0].over[0]][:, None], self.groups[shapes[0].group][:, None]
+            places = [s.place for s in shapes if s.place is not None]
+            if places:
+                centre, width = np.array([[p.centre, p.width] for p in places]).T
+                return local_curve(places[0].form, (value - centre) / width) * mask, np.ones(
+                    len(places), dtype=np.int64
+                )
+            if shapes[0].period is not None and len(shapes[0].over) == 1:
+                angle = value * (2.0 * np.pi / np.array([s.period for s in shapes]))
+                wave = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(len(value), -1)
+                return wave * mask, np.full(len(shapes), 2)
+        columns = [self.columns(s) for s in shapes]
+        return np.concatenate(columns, axis=1), np.array([c.shape[1] for c in columns])
 
     def _curve(self, name: str, fine: int) -> Floats:
         if (name, fine) not in self._curves:
@@ -268,7 +294,7 @@ def weigh(projected: Projected, columns: Floats, searched: int = 0) -> tuple[int
         searched: non-linear parameters that were searched for.
     """
     white = projected.whitener(columns)
-    found = _weigh(projected, white[None].transpose(0, 2, 1), projected.take_out(white)[None].transpose(0, 2, 1))
+    found = _weigh(projected, norms(white)[None], projected.take_out(white).T[None])
     return found[0] and (found[0][0], found[0][1], found[0][2] - 0.5 * searched * float(np.log(len(white))))
 
 
@@ -276,15 +302,15 @@ def weigh_all(ground: Ground, projected: Projected, shapes: Iterable[Shape]) -> 
     """Weigh shapes, whitening several at a time, and working out those of one width together; best first."""
     out: list[Weighed] = []
     for chunk in _chunks(shapes):
-        columns = [ground.columns(s) for s in chunk]
-        white = projected.whitener(np.concatenate(columns, axis=1))
-        left = projected.take_out(white)
-        widths = np.array([c.shape[1] for c in columns])
+        columns, widths = ground.block(chunk)
+        white = projected.whitener(columns)
+        # One column after the other in memory: those of a shape are taken out together.
+        before, left = norms(white), np.ascontiguousarray(projected.take_out(white).T)
         first = np.cumsum(widths) - widths
         for width in np.unique(widths):
             which = np.flatnonzero(widths == width)
             at = first[which][:, None] + np.arange(width)
-            found = _weigh(projected, white.T[at], left.T[at])
+            found = _weigh(projected, before[at], left[at])
             out += (_weighed(projected, chunk[i], f) for i, f in zip(which, found, strict=True) if f is not None)
     return sorted(out, key=lambda w: -w.log_evidence)
 
@@ -299,7 +325,7 @@ def _chunks(shapes: Iterable[Shape]) -> Iterator[list[Shape]]:
     width = 0
     for shape in shapes:
         waiting.append(shape)
-        width += int(np.prod([f + 1 for f in shape.fine])) * (1 if shape.period is None else 2)
+        width += math.prod(f + 1 for f in shape.fine) * (1 if shape.period is None else 2)
         if width >= CHUNK:
             yield waiting
             waiting, width = [], 0
@@ -307,15 +333,14 @@ def _chunks(shapes: Iterable[Shape]) -> Iterator[list[Shape]]:
         yield waiting
 
 
-def _weigh(projected: Projected, white: Floats, left: Floats) -> list[tuple[int, float, float] | None]:
+def _weigh(projected: Projected, before: Floats, left: Floats) -> list[tuple[int, float, float] | None]:
     """Numbers, explained squares and log evidence of shapes of one width.
 
     Args:
         projected: the readings, less the base.
-        white: whitened columns, (shapes, k, m).
-        left: the same, less the base, (shapes, k, m).
+        before: norms of the whitened columns, (shapes, k).
+        left: these columns less the base, (shapes, k, m).
     """
-    before = np.linalg.norm(white, axis=2)
     scaled = left / np.where(before > 0, before, 1.0)[:, :, None]
     value, vector = np.linalg.eigh(scaled @ scaled.transpose(0, 2, 1))
     keep = value > ABSORBED**2 * 25.0

@@ -62,7 +62,8 @@ def best_shapes(
     """
     keep = looked_at(readings)
     few = readings if keep.all() else readings.without(~keep)
-    ground, whole = Ground(few), Ground(readings)
+    whole = Ground(readings)
+    ground = whole if few is readings else Ground(few)
 
     def look(whitener: Whitener) -> list[Weighed]:
         thin = Whitener(few, whitener.noises, whitener.wides, whitener.least)
