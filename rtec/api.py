@@ -19,7 +19,7 @@ from rtec.result import Result
 
 if TYPE_CHECKING:
     from rtec.characterise.result import Characterisation
-    from rtec.diagnosis.compare.result import Comparison
+    from rtec.diagnosis.compare.result import Comparison, Traces
     from rtec.diagnosis.extend.add import Added
     from rtec.diagnosis.extend.improve import Improved, ProposedStep
     from rtec.diagnosis.plan.answer import Answer
@@ -285,6 +285,7 @@ def compare(
     seed: int = 1,
     report: PathLike | None = None,
     progress: Progress | None = None,
+    residual: "Callable[[Traces], None] | None" = None,
 ) -> "Comparison":
     """Compare a model with measurements: the residual, how much of it is noise, and where it is largest.
 
@@ -295,6 +296,8 @@ def compare(
         seed: of the random draws.
         report: folder for the report with figures.
         progress: called with stage, done and total.
+        residual: called with measured and predicted value of each reading as soon as they are known: with very many
+            readings long before the noise floor and the worst regions are.
 
     Raises:
         ModelError, MeasurementError: a file cannot be read or used.
@@ -303,7 +306,7 @@ def compare(
 
     known, path, _ = _model(model, machine)
     read, paths = _measurements(_listed(measurements), known.machine)
-    return _finished(compare_with(known, read, seed=seed, stage=progress), path, paths, report)
+    return _finished(compare_with(known, read, seed=seed, stage=progress, residual=residual), path, paths, report)
 
 
 def diagnose(

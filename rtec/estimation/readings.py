@@ -6,7 +6,7 @@ readings of all series stand one after the other; NaN readings and spikes are le
 Fewer readings for a first look where there are very many.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -128,12 +128,17 @@ class Readings:
     def arms(self, component: str) -> Floats:
         """How much a component error moves each reading, (m,)."""
         if component not in self._arms:
-            whole = [
-                m.instrument.arms_of(m.machine, pose, component)
-                for m, pose in zip(self.measurements, self.poses_mm, strict=True)
-            ]
-            self._arms[component] = np.concatenate([whole[s.source][s.lane, s.row] for s in self.series])
+            self._arms[component] = np.concatenate(list(self._arms_by_series(component)))
         return self._arms[component]
+
+    def _arms_by_series(self, component: str) -> Iterator[Floats]:
+        """Worked out where there are readings, for all lanes that have them at the same instants at once."""
+        source, row, lanes = -1, np.zeros(0, dtype=np.int64), np.zeros((0, 0))
+        for s in self.series:
+            if s.source != source or not np.array_equal(s.row, row):
+                source, row, m = s.source, s.row, self.measurements[s.source]
+                lanes = m.instrument.arms_of(m.machine, self.poses_mm[source][row], component)
+            yield lanes[s.lane]
 
     def columns(self, effect: Effect, theta: Mapping[str, float]) -> Floats:
         """What one unit of each coefficient of an effect adds to each reading, (m, coefficients).

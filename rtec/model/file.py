@@ -15,7 +15,7 @@ from rtec.machine import Machine
 from rtec.model.model import FittedEffect, Model
 from rtec.quantities import Coefficient, CoefficientNotNegative, Counts, DegreesCelsius, MicrometresNotNegative
 from rtec.tomlfile import Strict, read_toml, validated
-from rtec.wholefile import write_text
+from rtec.wholefile import whole
 
 FORMAT = 1
 
@@ -114,14 +114,25 @@ def model_from(data: Mapping[str, Any], machine: Machine, source: str) -> Model:
     return model
 
 
-def save_model(model: Model, path: Path) -> None:
-    """Write a model; the file appears whole or not at all, an older one of that name is replaced."""
+def save_model(model: Model, path: Path, *, replace: bool = True) -> None:
+    """Write a model; the file appears whole or not at all, an older one of that name is replaced.
+
+    Args:
+        model: that is written.
+        path: of its file.
+        replace: take the place of an older file of that name.
+
+    Raises:
+        ModelError: it cannot be written.
+        FileExistsError: there is one, and it is not to be replaced.
+    """
     content = tables(model)
     # A file that is cut off between two effects is good TOML; before all other keys, so that none hides the cut.
     content["model"] = {"effects": len(model.effects), **content["model"]}
     if model.machine.file is not None:
         content["model"]["machine_file"] = _way(path.parent, model.machine.file)
-    write_text(tomli_w.dumps(content), path, ModelError)
+    with whole(path, ModelError, replace) as out:
+        out.write(tomli_w.dumps(content).encode())
 
 
 def _way(folder: Path, file: Path) -> str:

@@ -27,9 +27,10 @@ async def compare(session: TabSession) -> None:
     if step is None or step.compared is not None:
         return
     view = await session.work("Comparing", tasks.compare, step.model, session.files, session.model_path)
-    if view is not None and session.step is step:
-        session.keep(compared=view)
-        session.on_change()
+    if view is not None and session.step is not None and session.step.model is step.model:
+        session.keep(compared=view, residual=())
+        if not session.on_compared():
+            session.on_change()
 
 
 async def diagnose(session: TabSession) -> None:

@@ -15,7 +15,7 @@ from nicegui import events, ui
 from rtec.studio import jobs
 from rtec.studio.address import BESIDE, PAGES
 from rtec.studio.folder import Folder
-from rtec.studio.parts import Words, button, trouble
+from rtec.studio.parts import Words, button, from_home, trouble
 from rtec.studio.session import TabSession
 from rtec.text import clean
 from rtec.wording import counted
@@ -143,7 +143,7 @@ class _Frame:
 
     def _show_names(self) -> None:
         s = self._session
-        names = [str(s.folder.root), s.machine, s.model, counted(len(s.chosen), "measurement")]
+        names = [from_home(str(s.folder.root)), s.machine, s.model, counted(len(s.chosen), "measurement")]
         self._what.set_text(clean(" · ".join(n for n in names if n)))
 
     def _show_progress(self) -> None:

@@ -1,8 +1,13 @@
 // A plot whose colours follow the theme, whose points light up in all plots beside it, and which moves from one state
 // to the next. Data come as plain numbers; texts are text: Plotly's own markup is taken out of them.
 const charts = new Set();
+let turn = Promise.resolve();
+const shown = () => new Promise((done) => setTimeout(done));
 // Numbers of the readings that are marked in every plot of the page; and whether that is changing.
 let marked = null, marking = false;
+// How far each key leads along the readings of a plot; a page is a twentieth of them.
+const STEPS = { " ": 0, ArrowRight: 1, ArrowLeft: -1, Home: -Infinity, End: Infinity };
+const PAGES = { PageDown: 1, PageUp: -1 };
 const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 function colours(value, style) {
@@ -19,7 +24,8 @@ export default {
   async mounted() {
     const { Plotly } = await import("nicegui-plotly");
     this.Plotly = Plotly;
-    await this.draw();
+    // One after the other, each shown before the next is drawn.
+    await (turn = turn.then(() => this.$el.isConnected && this.draw()).then(shown, shown));
     if (!this.$el.isConnected) return;
     charts.add(this);
     this.listen();
@@ -48,6 +54,7 @@ export default {
     },
     draw() {
       const { data, layout, config } = this.styled();
+      this.forget();
       return this.Plotly.react(this.$el, data, layout, config);
     },
     listen() {
@@ -65,9 +72,44 @@ export default {
       });
       this.$el.on("plotly_click", (event) => { const found = ids(event); if (found.length) this.$emit("reading", found[0]); });
       this.$el.on("plotly_relayout", (event) => {
-        if ("xaxis.range[0]" in event) this.$emit("zoom", [event["xaxis.range[0]"], event["xaxis.range[1]"]]);
-        else if (event["xaxis.autorange"]) this.$emit("zoom", null);
+        const { xaxis, yaxis } = this.$el._fullLayout, changed = Object.keys(event).join();
+        this.forget();
+        if (/[xy]axis\.range/.test(changed)) this.$emit("zoom", [...xaxis.range, ...yaxis.range]);
+        else if (/[xy]axis\.autorange/.test(changed)) this.$emit("zoom", null);
       });
+      this.$el.addEventListener("keydown", (event) => {
+        const far = STEPS[event.key] ?? PAGES[event.key];
+        if (far === undefined || event.target !== this.$el || event.ctrlKey || event.altKey || event.metaKey) return;
+        event.preventDefault();
+        this.walk(far, event.key in PAGES);
+      });
+      this.$el.addEventListener("blur", () => this.ring?.remove());
+    },
+    // Other readings are seen, or at other places.
+    forget() { this.order = null; this.ring?.remove(); },
+    // The readings that are seen, from left to right, or around the circle.
+    readings() {
+      const { xaxis, yaxis } = this.$el._fullLayout, seen = (v, axis) => (v - axis.range[0]) * (v - axis.range[1]) <= 0;
+      const all = this.$el.data.flatMap((trace) => (trace.ids ?? []).map((id, k) => (
+        { across: (trace.x ?? trace.theta)[k], up: (trace.y ?? trace.r)[k], id: Number(id), polar: !trace.x })));
+      return all.filter((p) => p.polar || (seen(p.across, xaxis) && seen(p.up, yaxis)))
+        .sort((p, q) => p.across - q.across || p.up - q.up || p.id - q.id);
+    },
+    // Says the reading so many further on, as if it were pointed at, and rings it.
+    walk(far, pages) {
+      this.order ??= this.readings();
+      const last = this.order.length - 1, at = this.order.findIndex((p) => p.id === this.hovered);
+      if (last < 0) return;
+      const by = pages ? far * Math.ceil(last / 20) : far;
+      const { id, across, up, polar } = this.order[Math.min(Math.max(at + by, 0), last)];
+      this.$emit("reading", (this.hovered = id));
+      this.ring?.remove();
+      if (polar) return;
+      const { xaxis, yaxis } = this.$el._fullLayout;
+      this.ring = this.$el.appendChild(document.createElement("div"));
+      this.ring.className = "ring";
+      this.ring.style.left = `${xaxis._offset + xaxis.l2p(across)}px`;
+      this.ring.style.top = `${yaxis._offset + yaxis.l2p(up)}px`;
     },
     lit(trace) {
       return trace.ids.reduce((points, id, i) => { if (marked.has(Number(id))) points.push(i); return points; }, []);

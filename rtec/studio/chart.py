@@ -12,18 +12,22 @@ PLOTLY: Final = str(Path(nicegui.__file__).parent / "elements" / "plotly" / "dis
 class Chart(Element, component="chart.js", esm={"nicegui-plotly": PLOTLY}):
     """A plot.
 
-    It emits `brush` (numbers of the readings that were selected), `reading` (number of the one under the pointer) and
-    `zoom` (range of the horizontal axis, None for all of it).
+    It emits `brush` (numbers of the readings that were selected), `reading` (number of the one under the pointer, or
+    that the arrow keys lead to) and `zoom` (ends of the horizontal and of the vertical axis, None for all of both).
 
     Args:
         figure: from `rtec.studio.figures`.
         shows: what it shows, in words for those who cannot see it.
+        keys: whether its readings are walked along by keys.
     """
 
-    def __init__(self, figure: dict[str, Any], shows: str) -> None:
+    def __init__(self, figure: dict[str, Any], shows: str, *, keys: bool = False) -> None:
         super().__init__()
         self._props["options"] = figure
         self._props["aria-label"] = shows
+        if keys:
+            self._props["role"], self._props["tabindex"] = "application", "0"
+            self._props["aria-description"] = "arrow keys, Page up, Page down, Home and End walk along the readings"
 
     def show(self, figure: dict[str, Any]) -> None:
         """Draw another figure in its place."""

@@ -1,7 +1,7 @@
 """The figures of the pages, as Plotly takes them. Arrays come in; colours are names that the theme resolves.
 
-Of very many readings some are drawn: those with the largest residual, and others evenly at random. All of them count
-in the numbers, and zooming in draws those that are there.
+Of very many readings some are drawn: so many that the eye misses none of what all of them would show. All of them count
+in the numbers, and zooming in draws more of those that are there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,36 +19,50 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Figure = dict[str, Any]
+Box = tuple[tuple[float, float], tuple[float, float]]
 
-MOST, WORST = 12_000, 2_000
-"""Readings that are drawn at once; of these, so many with the largest residual."""
+MOST, EVENLY = 7_000, 3_000
+"""Readings that are drawn at once; of these, so many evenly at random: they show where readings are dense."""
+ACROSS, UP = 96, 40
+"""Cells of a plot, a little larger than a marker; in each that has readings at least one is drawn."""
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
 FEW, LARGE, SMALL = 2_000, 9, 6
 """Up to so many readings are drawn large; sizes of both."""
 CELLS, LEAST = 24, 3
+LINE = 300
+"""Parts of the line of a temperature; the lowest and the highest of each are drawn."""
 WAYS = 2
 DIGITS = 5
 
 
-def drawn(series: "SeriesView", over: Floats, within: tuple[float, float] | None = None) -> Ints:
-    """Which readings are drawn, rising, (k,).
+def drawn(series: "SeriesView", over: Floats, up: Floats, box: Box | None = None) -> Ints:
+    """Which readings are drawn, rising, (k,): of each small cell of the plot the one with the largest residual.
+
+    So the outline of the cloud and every reading that lies alone are there. Further ones are taken at random, the same
+    in every plot of a series.
 
     Args:
         series: the reading column.
-        over: what they are drawn over, (n,).
-        within: part of it that is seen; None for all.
+        over, up: what they are drawn over, and what is drawn, (n,).
+        box: the ends of both that are seen; None for all.
     """
-    inside = np.isfinite(over)
-    if within is not None:
-        inside &= (over >= min(within)) & (over <= max(within))
+    inside = np.isfinite(over) & np.isfinite(up)
+    for values, ends in zip((over, up), box or (), strict=False):
+        inside &= (values >= min(ends)) & (values <= max(ends))
     rows = np.flatnonzero(inside)
     if len(rows) <= MOST:
         return rows
-    size = np.abs(series.left[rows])
-    worst = np.argpartition(size, -WORST)[-WORST:]
-    others = np.setdiff1d(np.arange(len(rows)), worst)
-    some = np.random.default_rng(0).choice(others, MOST - WORST, replace=False)
-    return np.sort(rows[np.concatenate([worst, some])])
+    cell = _part_of(over[rows], ACROSS) * UP + _part_of(up[rows], UP)
+    outward = np.lexsort((np.abs(series.left[rows]), cell))  # the largest of a cell stands last
+    last = np.append(np.diff(cell[outward]) > 0, True)
+    evenly = np.random.default_rng(0).permutation(len(series)) * len(rows) < EVENLY * len(series)
+    return np.union1d(rows[outward[last]], rows[evenly[rows]])
+
+
+def _part_of(values: Floats, parts: int) -> Ints:
+    """In which of so many equal parts of the range each value is, (n,)."""
+    low, wide = float(values.min()), float(np.ptp(values)) or 1.0
+    return np.minimum(((values - low) * (parts / wide)).astype(np.int64), parts - 1)
 
 
 def text(words: str) -> str:
@@ -114,20 +128,12 @@ def _points(s: "SeriesView", rows: Ints, x: Floats, y: Floats, name: str, **mark
     }
 
 
-def _band(low: float, high: float, floor: float, yaxis: str = "y") -> Figure:
-    """The noise floor as a band."""
-    return {
-        "type": "rect",
-        "xref": "x domain",
-        "yref": yaxis,
-        "x0": 0,
-        "x1": 1,
-        "y0": low * floor,
-        "y1": high * floor,
-        "fillcolor": "@floor",
-        "line": {"width": 0},
-        "layer": "below",
-    }
+def _band(floor: float) -> list[Figure]:
+    """The noise floor as a band, where it is known."""
+    if not np.isfinite(floor):
+        return []
+    place = {"xref": "x domain", "yref": "y", "x0": 0, "x1": 1, "y0": -floor, "y1": floor}
+    return [{"type": "rect", **place, "fillcolor": "@floor", "line": {"width": 0}, "layer": "below"}]
 
 
 def ways(direction: Floats) -> list[tuple[str, NDArray[np.bool_], str, str]]:
@@ -156,8 +162,8 @@ def residual_over(
         wrong: readings that were excluded, drawn where they are as far off as they are.
     """
     x = s.channels[over]
-    rows = drawn(s, x) if wanted is None else wanted
     y = s.left if what == "residual" else s.measured
+    rows = drawn(s, x, y) if wanted is None else wanted
     traces: list[Figure] = []
     if colour and colour in s.channels:
         shade = {
@@ -187,7 +193,7 @@ def residual_over(
         "layout": layout(
             xaxis=axis(over),
             yaxis=axis(title),
-            shapes=[_band(-1, 1, s.floor)] if what == "residual" else [],
+            shapes=_band(s.floor) if what == "residual" else [],
             showlegend=legend,
         ),
     }
@@ -229,15 +235,14 @@ def by_place(x: Floats, y: Floats, most: int = 120) -> tuple[Floats, Floats]:
     return tuple(np.bincount(code, weights=v)[full] / count[full] for v in (x, y))  # type: ignore[return-value]
 
 
-def over_time(s: "SeriesView") -> Figure:
-    """The residual over time, with the temperatures beneath."""
+def over_time(s: "SeriesView", rows: Ints) -> Figure:
+    """The residual of some readings over time, with the temperatures beneath."""
     title = next(t for t in s.channels if t.startswith("time "))
     x = s.channels[title]
-    rows = drawn(s, x)
     traces = [_points(s, rows, x, s.left, "residual", color="@c3")]
-    thin = rows[:: max(1, len(rows) // 1500)]
     for k, name in enumerate(s.sensors):
         line = {"color": PALETTE[k % 8], "width": 2, "dash": ("solid", "dash", "dot")[k // 8 % 3]}
+        thin = _ends(s.channels[name])
         traces.append(
             {
                 "type": "scatter",
@@ -253,12 +258,22 @@ def over_time(s: "SeriesView") -> Figure:
     whole = layout(
         xaxis=axis(title, anchor="y2" if both else "y"),
         yaxis=axis(f"residual, {s.unit}", domain=[0.52, 1.0] if both else [0.0, 1.0]),
-        shapes=[_band(-1, 1, s.floor)],
+        shapes=_band(s.floor),
         legend={"orientation": "v", "x": 1.01, "y": 0.42, "yanchor": "top", "font": {"size": 13}},
     )
     if both:
         whole["yaxis2"] = axis("temperature, °C", domain=[0.0, 0.42])
     return {"data": traces, "layout": whole}
+
+
+def _ends(values: Floats) -> Ints:
+    """Rows of the lowest and the highest value of each part of a line, rising; all of a short one."""
+    if len(values) <= 2 * LINE:
+        return np.arange(len(values))
+    parts = np.array_split(np.where(np.isfinite(values), values, values[np.isfinite(values)][:1].sum()), LINE)
+    first = np.cumsum([0, *map(len, parts[:-1])])
+    ends = [[k + p.argmin(), k + p.argmax()] for k, p in zip(first, parts, strict=True)]
+    return np.unique(np.array(ends, dtype=np.int64))
 
 
 def residual_map(s: "SeriesView", across: str, up: str) -> Figure:
@@ -296,9 +311,8 @@ def _cells(v: Floats) -> int:
     return int(min(CELLS, max(len(np.unique(np.round(v, 2))), 1)))
 
 
-def polar(s: "SeriesView", angle_rad: Floats) -> Figure:
-    """A ball bar's readings around its circle: measured and predicted, outwards from a ring."""
-    rows = drawn(s, angle_rad)
+def polar(s: "SeriesView", angle_rad: Floats, rows: Ints) -> Figure:
+    """Some readings of a ball bar around its circle: measured and predicted, outwards from a ring."""
     order = rows[np.argsort(angle_rad[rows], kind="stable")]
     most = max(float(np.abs(s.measured).max()), float(np.abs(s.predicted).max()), 1e-9)
     angle = numbers(np.rad2deg(angle_rad[order]))

@@ -5,12 +5,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from rtec.errors import RtecError
 from rtec.text import clean
 from rtec.tomlfile import read_toml
 from rtec.wholefile import whole
+
+if TYPE_CHECKING:
+    from rtec.model import Model
 
 FOREIGN: Final = (
     ".csv",
@@ -160,6 +163,35 @@ class Folder:
         except FileExistsError as e:
             raise RtecError(f"{name}: another file of that name is in the folder; rename one of them") from e
         return path
+
+    def save_model(self, model: "Model", name: str, known: bytes | None = None) -> bytes:
+        """Write a model as the command line does; what another tab or program wrote is never replaced.
+
+        Args:
+            model: that is written.
+            name: of its file.
+            known: what this tab wrote into it before; None: nothing, the file must be new.
+
+        Returns:
+            What the file holds now.
+
+        Raises:
+            RtecError: the name is not possible, the file is another's, or it cannot be written.
+        """
+        from rtec.model import save_model
+
+        path = self.path(name)
+        if path.suffix != ".toml":
+            raise RtecError(f"{name}: a model file ends in .toml")
+        if known is not None and path.exists() and path.read_bytes() != known:
+            raise RtecError(
+                f"{name}: was changed by another tab or program since it was saved here; give the model a new name"
+            )
+        try:
+            save_model(model, path, replace=known is not None)
+        except FileExistsError as e:
+            raise RtecError(f"{name}: another file of that name is in the folder; give the model a new name") from e
+        return path.read_bytes()
 
     def _is_inside(self, entry: "os.DirEntry[str]") -> bool:
         with contextlib.suppress(OSError):

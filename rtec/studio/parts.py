@@ -1,7 +1,9 @@
 """What the pages are put together from: sentences, tables, commands to copy. Every text is text, never HTML."""
 
+import contextlib
 import re
 from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from nicegui import events, ui
@@ -49,6 +51,13 @@ def number(text: str) -> float:
     return float(plain)
 
 
+def from_home(path: str) -> str:
+    """A path as people say it: from their own folder on, where it is in that."""
+    with contextlib.suppress(ValueError, RuntimeError):
+        return str("~" / Path(path).relative_to(Path.home()))
+    return path
+
+
 class Area:
     """A part of a page that is built again by itself, so that the rest keeps its place, its texts and the focus.
 
@@ -60,6 +69,11 @@ class Area:
         self._build, self._box = build, ui.element("div").classes("area")
         with self._box:
             build()
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the page that it was on is no longer shown."""
+        return self._box.is_deleted
 
     def redo(self) -> None:
         """Build it again."""

@@ -15,7 +15,7 @@ from rtec.studio.jobs import Cancelled, Job, Reporter
 if TYPE_CHECKING:
     from rtec.model import Model
     from rtec.studio.live import LiveLink
-    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, ImportView, ReportFiles
+    from rtec.studio.tasks import AddedView, CompareView, DiagnosisView, ImportView, ReportFiles, SeriesView
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
@@ -38,6 +38,7 @@ class ModelStep:
         words: of the command that does it, behind `rtec`, without model and files; empty for the model as it was read.
         added: what came of it; None for the model as it was read.
         compared, diagnosed: once they were made.
+        residual: reading columns that can be drawn before it is compared, their noise not known yet.
     """
 
     model: Model
@@ -46,6 +47,7 @@ class ModelStep:
     added: AddedView | None = None
     compared: CompareView | None = None
     diagnosed: DiagnosisView | None = None
+    residual: tuple[SeriesView, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class TabSession:
         summaries: of all measurements.
         steps: the model as it was read, and after each addition; `at` is where undo and redo have gone.
         saved: name of the file that holds the step, by number of the step.
+        written: what this tab wrote, by name of the file.
         job: what runs now; None: nothing.
         trouble: why the last work failed, in a sentence; `beside` is the place or field of a page that it belongs to.
         improved: why the last improvement ended.
@@ -86,6 +89,8 @@ class TabSession:
         foreign: the file of another program that is being imported; None: none.
         live: the daemon that is attached; None: none.
         report: the last one, and the step that it is of.
+        on_progress, on_change, on_names: show again how far the work is, the whole page, the names above it.
+        on_compared: puts a comparison into a page that shows its residual already; gives whether there is one.
     """
 
     folder: Folder
@@ -97,6 +102,7 @@ class TabSession:
     steps: tuple[ModelStep, ...] = ()
     at: int = 0
     saved: dict[int, str] = field(default_factory=dict)
+    written: dict[str, bytes] = field(default_factory=dict)
     job: Job | None = None
     trouble: str = ""
     beside: str = ""
@@ -110,6 +116,7 @@ class TabSession:
     on_progress: Callable[[], None] = lambda: None
     on_change: Callable[[], None] = lambda: None
     on_names: Callable[[], None] = lambda: None
+    on_compared: Callable[[], bool] = lambda: False
     go: Callable[[str], None] = lambda _: None
 
     @property
@@ -231,13 +238,16 @@ class TabSession:
             self.on_change()
 
     def _asked(self, question: Any) -> asyncio.Future[Any]:
-        from rtec.studio.tasks import StepDone
+        from rtec.studio.tasks import ResidualKnown, StepDone
 
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         if isinstance(question, StepDone):
             view = question.view
             label = ", ".join(view.added.labels) or "numbers refitted"
             self.push(ModelStep(view.added.model, label, ("improve",), view, view.compared))
+            answer.set_result(True)
+        elif isinstance(question, ResidualKnown):
+            self.keep(residual=question.series)
             answer.set_result(True)
         else:
             self.question = question, answer

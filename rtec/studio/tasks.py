@@ -18,7 +18,7 @@ from rtec.studio.folder import Summary
 from rtec.studio.jobs import Reporter
 
 if TYPE_CHECKING:
-    from rtec.diagnosis.compare.result import Comparison
+    from rtec.diagnosis.compare.result import Comparison, Traces
     from rtec.diagnosis.extend.add import Added
     from rtec.diagnosis.extend.improve import ProposedStep
     from rtec.diagnosis.result import Diagnosis, Finding
@@ -47,7 +47,7 @@ class SeriesView:
         sensors: titles of those that are temperatures.
         direction: -1, 0, +1, (n,).
         measured, predicted: (n,).
-        floor: noise, root mean square.
+        floor: noise, root mean square; NaN while it is not known.
         residual: its root mean square.
         first: number of its first reading among those of all columns.
         angle_rad: of a ball bar's readings, (n,); None for other instruments.
@@ -175,16 +175,32 @@ def load_model(line: Reporter, model: Path, machine: Path) -> "Model":
     return rtec.load_model(model, machine)
 
 
+MANY = 20_000
+"""Of so many readings the residual is shown before its noise is known: that takes long."""
+
+
+@dataclass(frozen=True)
+class ResidualKnown:
+    """Told to the page as soon as it can draw the residual; floors are NaN."""
+
+    series: tuple[SeriesView, ...]
+
+
 def compare(line: Reporter, model: "Model", files: Sequence[Path], named: Path) -> CompareView:
     """Compare a model with measurements.
 
     Args:
-        line: reported to.
+        line: reported to; it is asked a `ResidualKnown` where there are many readings.
         model: the model.
         files: tables of the measurements.
         named: how the model is called in the command to type next.
     """
-    return _compared(rtec.compare(model, files, progress=line.stage), [named, *files])
+
+    def known(traces: "Traces") -> None:
+        if len(traces.readings) >= MANY:
+            line.ask(ResidualKnown(tuple(_series(traces, s, float("nan")) for s in traces.readings.series)))
+
+    return _compared(rtec.compare(model, files, progress=line.stage, residual=known), [named, *files])
 
 
 def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
@@ -193,7 +209,7 @@ def _compared(c: "Comparison", files: Sequence[Path]) -> CompareView:
         for w in c.judged.given.wrong
     ]
     items = zip(c.traces.readings.series, c.items, strict=True)
-    series = tuple(_series(c, s, item.floor, item.left.rms) for s, item in items)
+    series = tuple(_series(c.traces, s, item.floor) for s, item in items)
     return CompareView(_page(c, files), series, tuple(wrong), c.to_dict())
 
 
@@ -216,11 +232,11 @@ def _page(result: "Result", files: Sequence[Path]) -> "Page":
     return page
 
 
-def _series(c: "Comparison", s: "Series", floor: float, residual: float) -> SeriesView:
+def _series(traces: "Traces", s: "Series", floor: float) -> SeriesView:
     from rtec.diagnosis.search.picture import series_name
     from rtec.metrology.instruments.ball_bar import BallBar
 
-    readings = c.traces.readings
+    readings = traces.readings
     channels, sensors, direction = _channels(readings, s)
     instrument = readings.measurements[s.source].instrument
     angle = readings.states[s.source].channels.get("angle_deg")
@@ -233,10 +249,10 @@ def _series(c: "Comparison", s: "Series", floor: float, residual: float) -> Seri
         channels,
         sensors,
         direction,
-        c.traces.measured[s.part],
-        c.traces.predicted[s.part],
+        traces.measured[s.part],
+        traces.predicted[s.part],
         floor,
-        residual,
+        float(np.sqrt(np.mean(traces.left[s.part] ** 2))),
         s.start,
         np.deg2rad(angle[s.row]) if bar and angle is not None else None,
     )
@@ -419,7 +435,10 @@ def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, 
 
 def fit(line: Reporter, machine: Path, files: Sequence[Path], out: Path, effects: str) -> str:
     """Fit a first model and write it, as `rtec fit` does; give what it says of it."""
-    done = rtec.fit(machine, files, effects=effects or None, out=out, progress=line.stage)
+    from rtec.studio.folder import Folder
+
+    done = rtec.fit(machine, files, effects=effects or None, name=out.stem, progress=line.stage)
+    Folder(out.parent).save_model(done.model, out.name)
     return str(done.page(figures=False).lead)
 
 

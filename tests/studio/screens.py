@@ -1,5 +1,6 @@
 """Screenshots of every page, light and dark, for the documentation: `python -m tests.studio.screens docs/figures`."""
 
+import os
 import sys
 import tempfile
 from io import BytesIO
@@ -31,9 +32,10 @@ def shoot(page: "Page", folder: Path, name: str) -> None:
 def main(out: Path) -> None:
     """Go through the story of the tutorial and keep what is seen."""
     with tempfile.TemporaryDirectory() as made, chromium() as browser:
-        folder = Path(made) / "example"
-        folder.mkdir()
-        config = live_config(Path(made) / "live")
+        os.environ["HOME"] = made  # paths are shown from there
+        folder = Path(made) / "workshop" / "lathe"
+        folder.mkdir(parents=True)
+        config = live_config(Path(made) / "workshop" / "lathe-daemon")
         with running_studio(folder) as studio:
             _story(tab(browser, studio.address, WIDTH, HIGH).page, folder, out)
         with running_daemon(config), running_studio(folder, "--attach", str(config), "--role", "operate") as studio:

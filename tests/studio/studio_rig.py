@@ -59,13 +59,12 @@ class RunningStudio:
 
 
 @contextmanager
-def running_studio(folder: Path, *more: str) -> Iterator[RunningStudio]:
-    """A studio of a folder on a free port."""
-    command = [sys.executable, "-m", "rtec.cli.main", "studio", str(folder), "--port", "0", "--no-browser", *more]
+def running_studio(folder: Path, *more: str, before: tuple[str, ...] = ()) -> Iterator[RunningStudio]:
+    """A studio of a folder on a free port; what stands before its command starts it."""
+    words = ["studio", str(folder), "--port", "0", "--no-browser", *more, "--token", TOKEN]
+    command = [*before, sys.executable, "-m", "rtec.cli.main", *words]
     env = {**os.environ, "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(
-        [*command, "--token", TOKEN], stdout=subprocess.PIPE, text=True, cwd=folder, env=env, start_new_session=True
-    )
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder, env=env, start_new_session=True)
     try:
         assert process.stdout is not None
         line = process.stdout.readline()

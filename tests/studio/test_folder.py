@@ -1,11 +1,14 @@
 """The opened folder. Oracle: the files on disk, and the rule that nothing outside can be named."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import rtec
 from rtec.cli.main import status
 from rtec.errors import RtecError
+from rtec.model import Model
 from rtec.studio.folder import Folder
 from tests.studio.studio_rig import MACHINE
 
@@ -96,3 +99,19 @@ def test_without_nicegui_it_says_what_to_install(
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     assert status(["studio", str(tmp_path), "--no-browser"]) == 2
     assert "rtec[studio]" in capsys.readouterr().err
+
+
+def test_two_tabs_never_replace_each_other_s_model(tmp_path: Path) -> None:
+    """Each saves, saves again, and once more after the other tab did. Oracle: the file, of whoever wrote it last."""
+    model = Model(rtec.load_machine(MACHINE), ())
+    one, two = Folder(tmp_path), Folder(tmp_path)
+    first = one.save_model(model, "better.toml")
+    with pytest.raises(RtecError, match=r"better\.toml: another file of that name"):
+        two.save_model(model, "better.toml")
+    second = one.save_model(replace(model, name="second"), "better.toml", first)
+    assert (tmp_path / "better.toml").read_bytes() == second != first
+    (tmp_path / "better.toml").write_bytes(b"of another program")
+    with pytest.raises(RtecError, match=r"better\.toml: was changed by another tab or program"):
+        one.save_model(model, "better.toml", second)
+    assert (tmp_path / "better.toml").read_bytes() == b"of another program"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["better.toml"]

@@ -2,13 +2,16 @@
 
 import json
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rtec.errors import RtecError
 from rtec.studio import figures
-from rtec.studio.parts import number
+from rtec.studio.parts import from_home, number
 from rtec.studio.tasks import SeriesView
 
 
@@ -41,13 +44,31 @@ def _many(n: int) -> SeriesView:
     return SeriesView("m", "µm", ones, ones, {"X, mm": x}, (), np.zeros(n), measured, np.zeros(n), 1.0, 1.0, 0)
 
 
-def test_of_very_many_readings_the_worst_are_drawn() -> None:
-    """Oracle: sorting all of them; and no more than the page can move fluently."""
+def test_of_very_many_readings_so_many_are_drawn_that_none_stands_apart_unseen() -> None:
+    """Oracle: a grid over the plot: no cell with readings is empty; no column is shorter by more than a cell."""
     many = _many(100_000)
-    rows = figures.drawn(many, many.channels["X, mm"])
-    assert len(rows) == figures.MOST
-    worst = np.argsort(-np.abs(many.left))[: figures.WORST]
-    assert set(worst) <= set(rows)
+    x, left = many.channels["X, mm"], many.left
+    rows = figures.drawn(many, x, left)
+    assert len(rows) <= figures.MOST
+    assert 7 in rows
+
+    def cells(some: NDArray[np.int64]) -> set[tuple[int, int]]:
+        low, wide = (np.array([f(x), f(left)]) for f in (np.min, np.ptp))
+        part = (np.stack([x[some], left[some]], axis=1) - low) / wide * [figures.ACROSS, figures.UP]
+        return {(int(a), int(b)) for a, b in np.minimum(part, [figures.ACROSS - 1, figures.UP - 1])}
+
+    assert cells(rows) == cells(np.arange(len(many)))
+    column = np.floor(x / 500.0 * figures.ACROSS).astype(int)
+    for k in range(figures.ACROSS):
+        here = column[rows] == k
+        assert np.abs(left[rows][here]).max() == np.abs(left[column == k]).max()
+
+
+def test_every_plot_draws_the_same_even_sample() -> None:
+    """So that what is marked in one plot is mostly seen in the others. Oracle: the readings that both draw."""
+    many = _many(100_000)
+    one, two = (figures.drawn(many, v, many.left) for v in (many.channels["X, mm"], np.arange(100_000.0)))
+    assert len(np.intersect1d(one, two)) > 0.9 * figures.EVENLY
 
 
 def test_no_plot_gets_all_of_very_many_readings() -> None:
@@ -60,9 +81,9 @@ def test_no_plot_gets_all_of_very_many_readings() -> None:
         "residual": figures.residual_over(s, "X, mm"),
         "coloured": figures.residual_over(s, "X, mm", "T_bed, °C"),
         "measured": figures.residual_over(s, "X, mm", what="measured"),
-        "time": figures.over_time(s),
+        "time": figures.over_time(s, figures.drawn(s, hours["time since the first reading, h"], s.left)),
         "map": figures.residual_map(s, "X, mm", "Y, mm"),
-        "polar": figures.polar(s, np.deg2rad(place)),
+        "polar": figures.polar(s, np.deg2rad(place), figures.drawn(s, place, s.left)),
     }
     sent = {n: sum(len(t.get("x", t.get("r", []))) for t in f["data"]) for n, f in made.items()}
     assert {n: k for n, k in sent.items() if k > 2 * figures.MOST} == {}
@@ -70,11 +91,23 @@ def test_no_plot_gets_all_of_very_many_readings() -> None:
 
 
 def test_zoomed_in_every_reading_there_is_drawn() -> None:
-    """Oracle: the readings in that stretch."""
+    """Oracle: the readings in that box."""
     many = _many(100_000)
-    x = many.channels["X, mm"]
-    rows = figures.drawn(many, x, (100.0, 120.0))
-    assert list(rows) == list(np.flatnonzero((x >= 100.0) & (x <= 120.0)))
+    x, left = many.channels["X, mm"], many.left
+    rows = figures.drawn(many, x, left, ((100.0, 120.0), (2.0, -1.0)))
+    assert list(rows) == list(np.flatnonzero((x >= 100.0) & (x <= 120.0) & (left >= -1.0) & (left <= 2.0)))
+
+
+def test_a_noise_that_is_not_known_yet_is_not_drawn() -> None:
+    """Oracle: JSON, which has no NaN; and the band where the noise is known."""
+    many = replace(_many(50), channels={"X, mm": np.arange(50.0), "time since the first reading, h": np.arange(50.0)})
+    over = partial(figures.residual_over, over="X, mm")
+    time = partial(figures.over_time, rows=np.arange(50))
+    for made in (over, time):
+        assert len(made(many)["layout"]["shapes"]) == 1
+        unknown = made(replace(many, floor=float("nan")))
+        assert unknown["layout"]["shapes"] == []
+        json.dumps(unknown, allow_nan=False)
 
 
 def test_a_text_from_a_file_is_no_markup() -> None:
@@ -88,3 +121,11 @@ def test_numbers_for_the_page_have_few_digits() -> None:
     assert figures.numbers(values) == [pytest.approx(float(f"{v:.5g}"), rel=1e-9) for v in values]
     assert figures.numbers(np.array([np.nan, np.inf, 2.0])) == [None, None, 2.0]
     assert max(len(repr(v)) for v in figures.numbers(values[:500])) <= 9
+
+
+def test_a_path_in_ones_own_folder_is_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the shell's `~`."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert from_home(str(tmp_path / "workshop" / "lathe")) == "~/workshop/lathe"
+    assert from_home("/mnt/lathe") == "/mnt/lathe"
+    assert Path(from_home(str(tmp_path / "a"))).expanduser() == tmp_path / "a"

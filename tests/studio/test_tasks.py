@@ -45,6 +45,43 @@ def test_a_view_of_a_comparison_is_the_comparison(folder: Path) -> None:
         assert o.row not in series.row
 
 
+class Asked(Silent):
+    """Keeps what it is asked, and how far the work was."""
+
+    def __init__(self) -> None:
+        self.stages: list[str] = []
+        self.asked: list[tuple[object, list[str]]] = []
+
+    def stage(self, what: str, done: int, total: int) -> None:
+        """Kept."""
+        self.stages.append(f"{what} {done}/{total}")
+
+    def ask(self, question: object) -> None:
+        """Kept."""
+        self.asked.append((question, list(self.stages)))
+
+
+def test_of_very_many_readings_the_residual_comes_before_its_noise(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracles: `rtec.compare`'s residual; the stages of the work, of which the noise and the regions come later."""
+    model, file = rtec.load_model(folder / "m.toml", MACHINE), folder / "laser.csv"
+    few, many = Asked(), Asked()
+    tasks.compare(few, model, [file], folder / "m.toml")
+    assert few.asked == []
+    monkeypatch.setattr(tasks, "MANY", 1)
+    view = tasks.compare(many, model, [file], folder / "m.toml")
+    ((told, before),) = many.asked
+    assert isinstance(told, tasks.ResidualKnown)
+    assert before == many.stages[: len(before)]
+    assert [s for s in before if s.startswith("finding the noise")] == []
+    assert [s for s in many.stages if s.startswith("finding the noise")] != []
+    (early,), (late,) = told.series, view.series
+    assert np.array_equal(early.left, late.left)
+    assert np.isnan(early.floor)
+    assert early.residual == late.residual == pytest.approx(rtec.compare(model, [file]).items[0].left.rms)
+
+
 def test_a_measurement_that_cannot_be_read_says_why_in_the_list(folder: Path, tmp_path: Path) -> None:
     """The others are listed all the same. Oracle: the numbers of the simulation."""
     for end in (".csv", ".toml"):

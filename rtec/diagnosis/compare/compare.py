@@ -47,7 +47,12 @@ FEWEST = 4
 
 
 def compare(
-    model: Model, measurements: Sequence[Measurement], *, seed: int = 1, stage: Stage | None = None
+    model: Model,
+    measurements: Sequence[Measurement],
+    *,
+    seed: int = 1,
+    stage: Stage | None = None,
+    residual: Callable[[Traces], None] | None = None,
 ) -> Comparison:
     """Compare a model with measurements.
 
@@ -56,6 +61,7 @@ def compare(
         measurements: of its machine, by any instruments.
         seed: of the draws of chance.
         stage: told how far it is.
+        residual: given the readings and the predictions as soon as they are known, before the noise is.
 
     Raises:
         MeasurementError: the measurements are of another machine, or lack a channel that the model needs.
@@ -68,6 +74,8 @@ def compare(
         judged = Judgement(model, clean(measurements, model.reference_degc))
         readings, notes = judged.readings, outlier_words(judged.given.wrong)
         traces = _traces(model, readings)
+        if residual is not None:
+            residual(traces)
         tell("finding the noise", 0, 1)
         columns = flexible_columns(readings, judged.base.columns)
         whitener = _of_chance(readings, traces.left, judged.flexible, judged.noise)

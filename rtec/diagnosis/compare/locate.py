@@ -165,13 +165,14 @@ def scan(fine: Sequence[Variable], pairs: Sequence[tuple[Variable, Variable]], s
     chance = np.full(squares.shape[1] - 1, -np.inf)
     singles, best_pair = [], None
     whole = np.where(free[:, None], squares, 0.0)
+    total, n = whole.sum(axis=0, dtype=np.float64), float(free.sum())
     for v in fine:
         sums, counts = _cells([v], whole, free)
         a, b = _stretches(len(v))
-        spot = _best([v], [a], [b], sums[b + 1] - sums[a], counts[b + 1] - counts[a], whole, free, chance)
+        spot = _best([v], [a], [b], sums[b + 1] - sums[a], counts[b + 1] - counts[a], total, n, chance)
         singles += [spot] if spot else []
     for pair in pairs:
-        spot = _rectangles(pair, whole, free, chance)
+        spot = _rectangles(pair, whole, free, total, chance)
         if spot and (best_pair is None or spot.score > best_pair.score):
             best_pair = spot
     single = max(singles, key=lambda s: s.score, default=None)
@@ -200,7 +201,9 @@ def _stretches(k: int) -> tuple[Ints, Ints]:
     return a.astype(np.int64), b.astype(np.int64)
 
 
-def _rectangles(pair: tuple[Variable, Variable], whole: Floats, free: Bools, chance: Floats) -> Spot | None:
+def _rectangles(
+    pair: tuple[Variable, Variable], whole: Floats, free: Bools, total: Floats, chance: Floats
+) -> Spot | None:
     sums, counts = _cells(pair, whole, free)
     (a, b), (c, d) = _stretches(len(pair[0])), _stretches(len(pair[1]))
     # All of one channel is a region of the other by itself.
@@ -212,7 +215,7 @@ def _rectangles(pair: tuple[Variable, Variable], whole: Floats, free: Bools, cha
     def over(x: Floats) -> Floats:
         return np.asarray(x[b + 1, d + 1] - x[a, d + 1] - x[b + 1, c] + x[a, c])
 
-    return _best(list(pair), [a, c], [b, d], over(sums), over(counts), whole, free, chance)
+    return _best(list(pair), [a, c], [b, d], over(sums), over(counts), total, float(free.sum()), chance)
 
 
 def _best(
@@ -221,12 +224,11 @@ def _best(
     last: list[Ints],
     inside: Floats,
     count: Floats,
-    whole: Floats,
-    free: Bools,
+    total: Floats,
+    n: float,
     chance: Floats,
 ) -> Spot | None:
-    """Best region; raises `chance` to the best score of each draw."""
-    total, n = whole.sum(axis=0, dtype=np.float64), float(free.sum())
+    """Best region; raises `chance` to the best score of each draw. Of all: sums of squares, and how many."""
     good = (count >= max(FEWEST, SHARE * n)) & (count <= LARGEST * n)
     if not good.any():
         return None

@@ -135,7 +135,7 @@ def _residual(session: TabSession, view: CompareView) -> None:
     """The residual of the reading column that was worst, moving from where it was before."""
     before = _before(session)
     source = before if before is not None else view
-    k = worst(source)
+    k = worst(source.series)
     with ui.element("div").classes("card"):
         s = view.series[k] if k < len(view.series) else view.series[0]
         over = next(iter(s.channels))
@@ -145,7 +145,7 @@ def _residual(session: TabSession, view: CompareView) -> None:
             Chart(after, "The residual over position").classes("tall").props["data-moved"] = "yes"
             return
         began = before.series[k]
-        rows = figures.drawn(began, began.channels[over])
+        rows = figures.drawn(began, began.channels[over], began.left)
         chart = Chart(
             _fixed(figures.residual_over(began, over, "", rows), source, k), "The residual over position"
         ).classes("tall")
@@ -219,16 +219,10 @@ def keep(session: TabSession, name: str) -> None:
     """Save the model of the step that is shown, as the command line saves it.
 
     Raises:
-        RtecError: the name is not possible, or is that of another file.
+        RtecError: the name is not possible, the file is another's, or it cannot be written.
     """
-    from rtec.model import save_model
-
-    path = session.folder.path(name)
-    if path.suffix != ".toml":
-        raise RtecError(f"{name}: a model file ends in .toml")
-    if path.exists() and name not in session.saved.values():
-        raise RtecError(f"{name}: another file of that name is in the folder; give the model a new name")
-    save_model(session.steps[session.at].model, path)
+    known = session.written.get(name) if name in session.saved.values() else None
+    session.written[name] = session.folder.save_model(session.steps[session.at].model, name, known)
     session.saved = {k: n for k, n in session.saved.items() if n != name} | {session.at: name}
     session.fail("")
     session.look()

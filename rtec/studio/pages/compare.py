@@ -1,19 +1,25 @@
 """Compare: the model beside the measurements, and where it fails."""
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from nicegui import events, ui
+from numpy.typing import NDArray
 
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
-from rtec.studio.parts import Words, button, heading, lacking, section, table, tiles, waiting
+from rtec.studio.parts import Area, Words, button, heading, lacking, section, table, tiles, waiting
 from rtec.studio.session import TabSession
-from rtec.studio.tasks import CompareView, SeriesView
+from rtec.studio.tasks import CompareView, OutlierView, SeriesView
 from rtec.text import clean
 from rtec.wording import counted, number
 
+Ints = NDArray[np.int64]
+
 MOST_OUTLIERS = 50
+NONE: Final[Ints] = np.zeros(0, dtype=np.int64)
 
 
 def build(session: TabSession) -> None:
@@ -22,13 +28,48 @@ def build(session: TabSession) -> None:
     if lacking(session):
         return
     step = session.step
-    view = step.compared if step is not None else None
-    if view is None:
+    if step is None or (step.compared is None and (not step.residual or session.job is None)):
         waiting(session, "The model is being compared with the measurements.", actions.compare)
         return
-    Words("p", view.page.lead, "lead")
-    tiles(view.page.numbers)
-    _plots(session, view)
+    view = step.compared
+    head = Area(lambda: _head(session))
+    plots = _Plots(session, step.residual if view is None else view.series)
+    plots.build()
+    tail = Area(lambda: _tail(session))
+
+    def compared() -> bool:
+        view = session.step.compared if session.step is not None else None
+        if head.is_gone or view is None:
+            return False
+        for area in (head, tail):
+            area.redo()
+        plots.know(view)
+        return True
+
+    session.on_compared = compared
+    if view is not None:
+        plots.know(view)
+
+
+def _head(session: TabSession) -> None:
+    step = session.step
+    if step is None:
+        return
+    if step.compared is not None:
+        Words("p", step.compared.page.lead, "lead")
+        tiles(step.compared.page.numbers)
+        return
+    s = step.residual[worst(step.residual)]
+    known = [float(np.sqrt(np.mean(v**2))) for v in (s.measured, s.left)]
+    Words("p", "The residual is drawn. Its noise floor and where it is worst are being worked out.", "lead")
+    sizes = [f"{number(v)}\u00a0{s.unit}" for v in known]
+    tiles([(sizes[0], "measured"), (sizes[1], "residual"), ("…", "noise floor")])
+
+
+def _tail(session: TabSession) -> None:
+    view = session.step.compared if session.step is not None else None
+    if view is None:
+        return
     _outliers(view)
     for part in view.page.sections:
         section(part)
@@ -36,20 +77,36 @@ def build(session: TabSession) -> None:
         button("Diagnose: which effect is missing?", lambda: session.go("diagnose"), main=True)
 
 
-def worst(view: CompareView) -> int:
-    """The reading column that the model fails most on, against its noise."""
-    return int(np.argmax([s.residual / max(s.floor, 1e-9) for s in view.series]))
+def worst(series: Sequence[SeriesView]) -> int:
+    """The reading column that the model fails most on: against its noise, where that is known."""
+    return int(np.argmax([s.residual / (max(s.floor, 1e-9) if s.floor >= 0.0 else 1.0) for s in series]))
+
+
+@dataclass
+class _Plot:
+    """A plot and what is in it.
+
+    Attributes:
+        chart: on the page.
+        make: its figure of some readings.
+        rows: those readings; None for a plot of no single readings.
+    """
+
+    chart: Chart
+    make: Callable[[Ints], dict[str, Any]]
+    rows: Ints | None
 
 
 class _Plots:
     """The linked plots of one reading column."""
 
-    def __init__(self, session: TabSession, view: CompareView) -> None:
-        self._session, self._view = session, view
+    def __init__(self, session: TabSession, series: tuple[SeriesView, ...]) -> None:
+        self._session, self._all = session, series
         kept = session.view.get("series", "")
-        names = [s.name for s in view.series]
-        self._series = view.series[names.index(kept) if kept in names else worst(view)]
-        self._charts: dict[str, Chart] = {}
+        names = [s.name for s in series]
+        self._series = series[names.index(kept) if kept in names else worst(series)]
+        self._plots: dict[str, _Plot] = {}
+        self._wrong: tuple[OutlierView, ...] = ()
 
     @property
     def _over(self) -> str:
@@ -65,19 +122,26 @@ class _Plots:
         s = self._series
         channels = {t: clean(t) for t in s.channels}
         with ui.element("div").classes("row"):
-            names = {v.name: clean(v.name) for v in self._view.series}
+            names = {v.name: clean(v.name) for v in self._all}
             self._choice("series", "Measurement", names, s.name, rebuild=True)
             self._choice("over", "Draw over", channels, self._over)
             self._choice("colour", "Colour by", {"": "direction of motion", **channels}, self._colour)
         self._detail = Words(
-            "div", "Point at a reading to see its row. Drag over readings to mark them in every plot.", "reading card"
+            "div",
+            "Point at a reading to see its row, or walk along the readings of a plot with the arrow keys. Drag over "
+            "readings to mark them in every plot.",
+            "reading card",
         ).props('role="status" aria-live="polite"')
         with ui.element("div").classes("plots"):
-            self._add("residual", "The residual", self._residual)
+            self._add("residual", "The residual", self._residual, self._over_channel("residual"))
+            self._add("measured", "Measured and predicted", self._measured, self._over_channel("measured"))
+            time = next(t for t in s.channels if t.startswith("time "))
             self._add(
-                "measured", "Measured and predicted", lambda w: figures.residual_over(s, self._over, "", w, "measured")
+                "time",
+                "The residual over time, with the temperatures",
+                lambda rows: figures.over_time(self._series, rows),
+                lambda box: figures.drawn(s, s.channels[time], s.left, box),
             )
-            self._add("time", "The residual over time, with the temperatures", lambda _: figures.over_time(s))
             places = [t for t in s.channels if t.endswith(", mm")]
             if len(places) > 1:
                 self._add(
@@ -85,48 +149,81 @@ class _Plots:
                 )
             angle = s.angle_rad
             if angle is not None:
-                self._add("polar", "Deviation from the circle, magnified", lambda _: figures.polar(s, angle))
+                self._add(
+                    "polar",
+                    "Deviation from the circle, magnified",
+                    lambda rows: figures.polar(s, angle, rows),
+                    lambda _: figures.drawn(s, angle, s.left),
+                )
         if len(s) > figures.MOST:
             Words(
                 "p",
-                f"{figures.MOST} of {len(s)} readings are drawn, among them those with the largest residual; zoom in "
-                "to see those that are there. All of them count in the numbers.",
+                f"Of {len(s)} readings so many are drawn that none stands apart unseen; zoom in to see more of those "
+                "that are there. All of them count in the numbers.",
                 "small",
             )
 
-    def _residual(self, rows: Any) -> dict[str, Any]:
+    def know(self, view: CompareView) -> None:
+        """Take the noise floor and the wrong readings into the plots that are there."""
+        new = next((s for s in view.series if s.name == self._series.name), None)
         own = self._series.name.partition(", ")[0]
-        wrong = [o for o in self._view.outliers if o.measurement == own]
-        return figures.residual_over(self._series, self._over, self._colour, rows, wrong=wrong)
+        wrong = tuple(o for o in view.outliers if o.measurement == own)
+        if new is None or (new.floor == self._series.floor and wrong == self._wrong):
+            return
+        self._all, self._series, self._wrong = view.series, new, wrong
+        self._show("residual", "measured", "time")
+
+    def _residual(self, rows: Ints) -> dict[str, Any]:
+        return figures.residual_over(self._series, self._over, self._colour, rows, wrong=self._wrong)
+
+    def _measured(self, rows: Ints) -> dict[str, Any]:
+        return figures.residual_over(self._series, self._over, "", rows, "measured")
+
+    def _over_channel(self, what: str) -> Callable[[figures.Box | None], Ints]:
+        s = self._series
+        up = s.left if what == "residual" else s.measured
+        return lambda box: figures.drawn(s, s.channels[self._over], up, box)
 
     def _choice(self, key: str, label: str, options: dict[str, str], value: str, *, rebuild: bool = False) -> None:
         def choose(event: events.ValueChangeEventArguments[str]) -> None:
             self._session.view[key] = event.value
             if rebuild:
                 self._session.on_change()
-            else:
-                self._redraw()
+                return
+            for name in ("residual", "measured") if key == "over" else ("residual",):
+                self._plots[name].rows = self._over_channel(name)(None)
+                self._show(name)
 
         ui.select(options, value=value, label=label, on_change=choose).props("outlined").style("min-width: 15rem")
 
-    def _add(self, key: str, title: str, make: Any) -> None:
+    def _add(
+        self,
+        key: str,
+        title: str,
+        make: Callable[[Ints], dict[str, Any]],
+        drawn: Callable[[figures.Box | None], Ints] | None = None,
+    ) -> None:
+        rows = None if drawn is None else drawn(None)
         with ui.element("div").classes("card"):
             Words("h2", title)
-            chart = Chart(make(None), title).classes("tall" if key == "time" else "")
+            shown = make(NONE if rows is None else rows)
+            chart = Chart(shown, title, keys=drawn is not None).classes("tall" if key == "time" else "")
+        self._plots[key] = _Plot(chart, make, rows)
         chart.on("reading", lambda e: self._point(int(e.args)))
         chart.on("brush", lambda e: self._brush([int(v) for v in e.args]))
-        if key in ("residual", "measured") and len(self._series) > figures.MOST:
-            chart.on("zoom", lambda e: self._zoom(chart, make, e.args))
-        self._charts[key] = chart
+        if drawn is not None and key != "polar" and len(self._series) > figures.MOST:
+            chart.on("zoom", lambda e: self._zoom(key, drawn, e.args))
 
-    def _zoom(self, chart: Chart, make: Any, within: list[float] | None) -> None:
-        span = (float(within[0]), float(within[1])) if within else None
-        chart.show(make(figures.drawn(self._series, self._series.channels[self._over], span)))
+    def _zoom(self, key: str, drawn: Callable[[figures.Box | None], Ints], box: list[float] | None) -> None:
+        within = None if box is None else ((float(box[0]), float(box[1])), (float(box[2]), float(box[3])))
+        rows, now = drawn(within), self._plots[key].rows
+        if now is None or not np.array_equal(rows, now):
+            self._plots[key].rows = rows
+            self._show(key)
 
-    def _redraw(self) -> None:
-        s = self._series
-        self._charts["residual"].show(self._residual(None))
-        self._charts["measured"].show(figures.residual_over(s, self._over, "", None, "measured"))
+    def _show(self, *keys: str) -> None:
+        for plot in (self._plots[k] for k in keys):
+            plot.chart.show(plot.make(NONE if plot.rows is None else plot.rows))
 
     def _point(self, number_of_all: int) -> None:
         i = number_of_all - self._series.first
@@ -136,7 +233,16 @@ class _Plots:
     def _brush(self, numbers: list[int]) -> None:
         s = self._series
         rows = np.array([n - s.first for n in numbers if 0 <= n - s.first < len(s)], dtype=np.int64)
-        self._detail.set_text(clean(_marked_words(s, rows)) if len(rows) else "No readings marked.")
+        drawn = " that are drawn" if len(s) > figures.MOST else ""
+        self._detail.set_text(clean(_marked_words(s, rows, drawn)) if len(rows) else "No readings marked.")
+        self._draw_also(rows)
+
+    def _draw_also(self, rows: Ints) -> None:
+        """What is marked in one plot is drawn in all."""
+        for key, plot in self._plots.items():
+            if plot.rows is not None and not np.isin(rows, plot.rows).all():
+                plot.rows = np.union1d(plot.rows, rows)
+                self._show(key)
 
 
 def _row_words(s: SeriesView, i: int) -> str:
@@ -147,7 +253,7 @@ def _row_words(s: SeriesView, i: int) -> str:
     )
 
 
-def _marked_words(s: SeriesView, rows: Any) -> str:
+def _marked_words(s: SeriesView, rows: Ints, drawn: str) -> str:
     left = s.left[rows]
     spans = [
         f"{t.partition(', ')[0]} {v[rows].min():.5g} to {v[rows].max():.5g} {t.partition(', ')[2]}".strip()
@@ -155,13 +261,9 @@ def _marked_words(s: SeriesView, rows: Any) -> str:
     ]
     rms = float(np.sqrt(np.mean(left**2)))
     return (
-        f"{counted(len(rows), 'reading')} marked: residual {number(rms)} {s.unit} root mean square, mean "
+        f"{counted(len(rows), 'reading')}{drawn} marked: residual {number(rms)} {s.unit} root mean square, mean "
         f"{number(float(left.mean()), sign=True)} {s.unit}; {'; '.join(spans)}."
     )
-
-
-def _plots(session: TabSession, view: CompareView) -> None:
-    _Plots(session, view).build()
 
 
 def _outliers(view: CompareView) -> None:

@@ -8,7 +8,7 @@ from nicegui import ui
 
 from rtec.control.facts import axis_rows, footer, held, input_rows, troubles, um_text
 from rtec.errors import RtecError
-from rtec.studio.parts import Area, Words, button, heading, table
+from rtec.studio.parts import Area, Words, button, from_home, heading, table
 from rtec.studio.session import TabSession
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class _LivePage:
         if found is None:
             self._lead.set_text("It is asked again every second.")
             return
-        self._lead.set_text(f"{found['machine']}, model {found['model']}, {found['config']}")
+        self._lead.set_text(f"{found['machine']}, model {found['model']}, {from_home(found['config'])}")
         if tuple(found["status"]["applied_um"]) != self._axes:
             self._session.on_change()  # it answers for the first time, or another machine's daemon does
             return

@@ -38,6 +38,10 @@ PLACE = """([chart, trace, k]) => {
   return { x: box.left + l.xaxis.l2p(t.x[k]), y: box.top + l.yaxis.l2p(t.y[k]), value: t.y[k],
     left: box.left, right: box.right, top: box.top, bottom: box.bottom };
 }"""
+POINTS = (
+    "(chart) => document.querySelectorAll('.chart')[chart].data.flatMap((t, i) => (t.ids ?? []).map((_, k) => [i, k]))"
+)
+MIDDLE = "(e) => { const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }"
 MARKED = """(chart) => document.querySelectorAll(".chart")[chart].data.filter((t) => t.ids && t.selectedpoints)
   .flatMap((t) => t.selectedpoints.map((k) => Number(t.ids[k]))).sort((a, b) => a - b)"""
 WATCH = """() => {
@@ -104,6 +108,35 @@ def test_what_is_pointed_at_is_shown_with_its_row(page: "Page", compared: "Compa
     for name, values in (("measured", traces.measured), ("predicted", traces.predicted), ("residual", traces.left)):
         assert f"{name} {rtec_number(values[i])}" in said
     assert traces.left[i] == pytest.approx(place["value"], abs=0.5)
+
+
+def test_arrow_keys_walk_along_the_readings(page: "Page", compared: "Comparison") -> None:
+    """From left to right, those at one place from the lowest up. Oracle: positions and residuals of `rtec.compare`."""
+    show(page, "Compare")
+    chart = page.locator(".chart[aria-label='The residual']")
+    chart.focus()
+    series = {series_name(compared.traces.readings, s): s for s in compared.traces.readings.series}
+    words = page.locator(".reading[aria-live=polite]")
+
+    def says(key: str) -> tuple[str, int]:
+        before = words.inner_text()
+        page.keyboard.press(key)
+        page.wait_for_function("(t) => document.querySelector('.reading').innerText !== t", arg=before)
+        match = re.match(r"(laser-\w), row (\d+),", words.inner_text())
+        assert match, words.inner_text()
+        return match[1], int(match[2])
+
+    name, first = says("Home")
+    s = series[name]
+    x = compared.traces.readings.states[s.source].value("x")[s.row]
+    order = s.row[np.lexsort((compared.traces.left[s.part], x))] + 1
+    assert first == order[0]
+    assert [says(key) for key in ("ArrowRight", "ArrowRight", "End", "ArrowLeft")] == [
+        (name, int(order[k])) for k in (1, 2, -1, -2)
+    ]
+    ring = page.locator(".ring").evaluate(MIDDLE)
+    places = [page.evaluate(PLACE, [0, t, k]) for t, k in page.evaluate(POINTS, 0)]
+    assert min(np.hypot(p["x"] - ring[0], p["y"] - ring[1]) for p in places) < 1.0
 
 
 def rtec_number(value: float) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -16,16 +16,25 @@ if TYPE_CHECKING:
 pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
 
 
+FADED = """[...document.querySelectorAll(".bar")]
+  .filter((b) => b.querySelector("span").innerText === "applied")
+  .every((b) => parseFloat(b.querySelector("b").innerText.replace("−", "-")) === 0)"""
+
+
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The shipped run file at 50 Hz, with counts that may be late: a busy computer is no fault here."""
     return live_config(tmp_path_factory.mktemp("live") / "run")
 
 
-def _mode(config: Path) -> str:
+def _found(config: Path) -> dict[str, Any]:
     (path,) = [p for p in of_config(config) if p.exists()]
     with Client(DaemonPlace(path)) as client:
-        return str(client.status()["status"]["mode"])
+        return dict(client.status())
+
+
+def _mode(config: Path) -> str:
+    return str(_found(config)["status"]["mode"])
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +59,21 @@ def test_the_page_follows_a_daemon_through_a_hold_a_fault_and_a_restart(watched:
         page.get_by_text("held: ordered by an operator").wait_for()
         assert _mode(config) == "hold"
         page.get_by_role("cell", name="studio", exact=False).first.wait_for()
+        page.get_by_label("Text beside the log").fill("new tool <b>4</b>")
+        page.get_by_role("button", name="Mark", exact=True).click()
+        page.get_by_role("cell", name="new tool <b>4</b>", exact=True).wait_for()
+        assert [e["text"] for e in _found(config)["events"] if e["what"] == "mark"] == ["new tool <b>4</b>"]
+        page.get_by_role("button", name="Fade", exact=True).click()
+        page.get_by_text("Fade the correction to zero at its slew limit?").wait_for()
+        page.get_by_role("alertdialog").get_by_role("button", name="Cancel").click()
+        page.get_by_role("alertdialog").wait_for(state="detached")
+        assert _mode(config) == "hold"
+        page.get_by_role("button", name="Fade", exact=True).click()
+        page.get_by_role("alertdialog").get_by_role("button", name="Fade", exact=True).click()
+        page.locator(".state", has_text="off").wait_for()
+        found = _found(config)["status"]
+        assert found["mode"] == "off"
+        page.wait_for_function(FADED)
     page.get_by_text("no answer").wait_for()
     text = config.read_text(encoding="utf-8").replace("counts_max_age_s = 5.0", "counts_max_age_s = 0.000001")
     config.write_text(text, encoding="utf-8")

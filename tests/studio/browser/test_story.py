@@ -173,6 +173,18 @@ def test_a_name_that_is_taken_is_refused_beside_the_field(story: Watched, studio
     assert (studio.folder / "model.toml").read_bytes() == before
 
 
+def test_what_another_wrote_meanwhile_is_not_replaced(story: Watched, studio: RunningStudio) -> None:
+    """Under a name that this tab has saved before. Oracle: the file on disk, which stays the other's."""
+    path = studio.folder / "improved.toml"
+    mine, other = path.read_bytes(), (studio.folder / "better.toml").read_bytes()
+    path.write_bytes(other)
+    story.page.get_by_label("File for the model").fill("improved.toml")
+    story.page.get_by_role("button", name="Save", exact=True).click()
+    story.page.get_by_text("improved.toml: was changed by another tab or program since it was saved here").wait_for()
+    assert path.read_bytes() == other
+    path.write_bytes(mine)
+
+
 def test_the_machine_and_the_part_of_the_model_are_shown(story: Watched) -> None:
     """Oracle: the model on disk through `Model.predict`; switching the play off takes its error away."""
     page = story.page
