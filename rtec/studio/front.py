@@ -166,13 +166,14 @@ def _without_start(send: Send) -> Send:
 
 @contextmanager
 def _loading() -> Iterator[None]:
-    """Load modules in a thread: the others get their turn soon, and nobody looks for garbage, as modules leave none."""
+    """Load modules in a thread: the others get their turn soon, and nobody looks for garbage, then or in them later."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
     gc.disable()
     try:
         yield
     finally:
+        gc.freeze()
         gc.enable()
         sys.setswitchinterval(before)
 
