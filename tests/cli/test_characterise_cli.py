@@ -44,7 +44,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 
 def test_model_report_and_words(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the effects that the measurement was made with; of a second run, the bytes of the first."""
-    model, again = tmp_path / "model.toml", tmp_path / "again" / "model.toml"
+    model, again = (tmp_path / name / "model.toml" for name in ("first", "again"))
     code, out, _ = run(capsys, MACHINE, folder / "laser-x.csv", "-o", model, "--report", tmp_path / "report")
     assert code == 0
     assert run(capsys, MACHINE, folder / "laser-x.csv", "-o", again)[0] == 0
