@@ -2,11 +2,12 @@
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 
 from rtec.bench.score import VERDICTS, TrialAnswer
 from rtec.bench.sets import measurements_of, model_of
@@ -16,7 +17,8 @@ from rtec.metrology.files.save import save_measurement
 from rtec.model import save_model
 from rtec.tomlfile import read_toml
 
-PLAN, ANSWERS, SETS = "benchmark.toml", "answers.csv", "sets"
+PLAN, ANSWERS, SETS, PREDICTED = "benchmark.toml", "answers.csv", "sets", "predicted.csv"
+Floats = NDArray[np.float64]
 HEAD = ("set", "verdict", "names", "claimed", "variables", "doubts", "seconds")
 
 
@@ -105,12 +107,31 @@ def read_answers(folder: Path, made: Sequence[Trial]) -> dict[str, TrialAnswer]:
         row = rows.get(_number(i))
         if row is None:
             raise MeasurementError(f"{file}: set {_number(i)} has no row")
-        out[trial.label] = _answer(row, f"{file}, set {_number(i)}")
+        answer = _answer(row, f"{file}, set {_number(i)}")
+        if trial.records[0].held_back:
+            answer = replace(answer, predicted=_read_predicted(folder / SETS / _number(i) / PREDICTED, trial))
+        out[trial.label] = answer
     return out
 
 
-def write_answers(file: Path, made: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> None:
-    """Write answers as the table that `read_answers` takes."""
+def _read_predicted(file: Path, trial: Trial) -> dict[str, Floats]:
+    """Predictions of a set by column, (n,); empty where there is no file."""
+    wanted, rows = trial.records[0].held_back, len(trial.records[0].plan)
+    if not file.is_file():
+        return {}
+    with file.open(encoding="utf-8", newline="") as lines:
+        table = list(csv.DictReader(lines))
+    try:
+        found = {name: np.array([float(row[name]) for row in table]) for name in wanted}
+    except (KeyError, TypeError, ValueError) as e:
+        raise MeasurementError(f"{file}: {e}; a number is needed in {', '.join(wanted)} of every row") from None
+    if len(table) != rows or not all(np.isfinite(v).all() for v in found.values()):
+        raise MeasurementError(f"{file}: {len(table)} rows of finite numbers; the set has {rows} readings")
+    return found
+
+
+def write_answers(folder: Path, made: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> None:
+    """Write answers as `read_answers` takes them."""
     rows = []
     for i, trial in enumerate(made, 1):
         a = answers[trial.label]
@@ -118,7 +139,12 @@ def write_answers(file: Path, made: Sequence[Trial], answers: Mapping[str, Trial
         rows.append(
             (_number(i), a.verdict, *texts, _joined(sorted(a.variables)), _joined(sorted(a.doubts)), f"{a.seconds:.3f}")
         )
-    _write_table(file, rows)
+        if a.predicted:
+            where = folder / SETS / _number(i)
+            where.mkdir(parents=True, exist_ok=True)
+            values = zip(*(map(repr, map(float, v)) for v in a.predicted.values()), strict=True)
+            _write_table(where / PREDICTED, values, tuple(a.predicted))
+    _write_table(folder / ANSWERS, rows)
 
 
 def _answer(row: Mapping[str, str | None], where: str) -> TrialAnswer:
@@ -165,8 +191,8 @@ def _number(i: int) -> str:
     return f"{i:04d}"
 
 
-def _write_table(file: Path, rows: Iterable[Sequence[str]]) -> None:
+def _write_table(file: Path, rows: Iterable[Sequence[str]], head: Sequence[str] = HEAD) -> None:
     with file.open("w", encoding="utf-8", newline="") as out:
         table = csv.writer(out, lineterminator="\n")
-        table.writerow(HEAD)
+        table.writerow(head)
         table.writerows(rows)

@@ -5,6 +5,9 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from time import process_time
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rtec.bench.score import TrialAnswer
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import Right, Trial
@@ -12,10 +15,14 @@ from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import Effect
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
 from rtec.parallel import one_blas_thread
 
-SEVERAL = "plates"
-"""The group whose effects are added one after the other."""
+Floats = NDArray[np.float64]
+
+IMPROVED = ("plates", "improve")
+"""Groups whose effects are added one after the other."""
 
 
 def own_answers(trials: Sequence[Trial], jobs: int, tell: Callable[[int, int], None]) -> dict[str, TrialAnswer]:
@@ -47,9 +54,12 @@ def own_answer(trial: Trial) -> TrialAnswer:
         found = diagnose(model, measurements)
         seconds = process_time() - start
         claimed = tuple(_name(f.effect) for f in found.group)
-        if trial.group == SEVERAL:
-            done = improve(model, measurements)
-            claimed = tuple(_name(f.effect) for f in done.model.effects[len(model.effects) :])
+        predicted: dict[str, Floats] = {}
+        if trial.group in IMPROVED:
+            done = improve(model, measurements).model
+            claimed = tuple(_name(f.effect) for f in done.effects[len(model.effects) :])
+            if trial.records[0].held_back:
+                predicted = _predicted(done, measurements[0])
     return TrialAnswer(
         found.verdict,
         tuple(_name(f.effect) for f in found.findings),
@@ -57,7 +67,18 @@ def own_answer(trial: Trial) -> TrialAnswer:
         frozenset(found.unknown.channels) if found.unknown is not None else frozenset(),
         _doubts(found),
         seconds,
+        predicted,
     )
+
+
+def _predicted(model: Model, measurement: Measurement) -> dict[str, Floats]:
+    """What a model predicts of each reading, on the channels as recorded, (n,) by column."""
+    state = model.state(measurement.time_s, measurement.channels)
+    pose, columns = state.positions_mm(), measurement.instrument.columns()
+    out = np.zeros((len(columns), len(state)))
+    for fitted, value in zip(model.effects, model.effect_components(state), strict=True):
+        out += measurement.instrument.arms_of(model.machine, pose, fitted.effect.component) * value
+    return dict(zip(columns, out, strict=True))
 
 
 def _name(effect: Effect) -> Right:

@@ -1,7 +1,10 @@
 """Scores answers to the benchmark's trials: a row for each claim that a diagnosis makes, with its goal."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rtec.bench.rig.noise import FORMS
 from rtec.bench.trials import Names, Right, Trial
@@ -9,6 +12,10 @@ from rtec.errors import MeasurementError
 
 VERDICTS = ("nothing_missing", "undecided", "missing_effect", "ambiguous", "unknown_effect")
 CLAIMS = ("missing_effect", "ambiguous")
+NEAR_NOISE = 1.1
+"""An error on held-out runs of at most so many times their noise is at the noise."""
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -22,6 +29,7 @@ class TrialAnswer:
         variables: channels of what has no name.
         doubts: what is said of the record or of the machine file.
         seconds: processor time; NaN where it is not told.
+        predicted: of the readings of the first record, by column, (n,); empty where nothing is predicted.
     """
 
     verdict: str
@@ -30,6 +38,7 @@ class TrialAnswer:
     variables: frozenset[str] = frozenset()
     doubts: frozenset[str] = frozenset()
     seconds: float = float("nan")
+    predicted: Mapping[str, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,22 @@ def confidently_wrong(trial: Trial, answer: TrialAnswer) -> bool:
     return not any(is_right(answer.names[0], names) for names in trial.hidden)
 
 
+def over_noise(trial: Trial, answer: TrialAnswer) -> float:
+    """Error on held-out runs over their noise, outliers left out; infinite where nothing is predicted.
+
+    The zero of a column is unknown, so means are taken off.
+    """
+    (record,) = trial.records
+    if set(answer.predicted) != set(record.held_back):
+        return float("inf")
+    error = noise = 0.0
+    for name, readings in record.held_back.items():
+        known = np.isfinite(readings) & np.isfinite(record.noise[name])
+        error += float(np.var(readings[known] - answer.predicted[name][known]))
+        noise += float(np.var(record.noise[name][known]))
+    return float(np.sqrt(error / noise))
+
+
 def score(trials: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> list[ScoreRow]:
     """All rows that these trials can fill.
 
@@ -87,7 +112,7 @@ def score(trials: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> list[S
     if missing:
         raise MeasurementError(f"{len(missing)} data sets have no answer")
     pairs = [(t, answers[t.label]) for t in trials]
-    rows = [*_named(pairs), *_plates(pairs), *_doubted(pairs), *_quiet(pairs)]
+    rows = [*_named(pairs), *_plates(pairs), *_predicted(pairs), *_doubted(pairs), *_quiet(pairs)]
     rows.append(_row("asserted without rivals and false", pairs, confidently_wrong, 0.01, True))
     return [r for r in rows if r.total]
 
@@ -135,6 +160,17 @@ def _plates(pairs: Sequence[Pair]) -> list[ScoreRow]:
                 goal,
             )
         )
+    return out
+
+
+def _predicted(pairs: Sequence[Pair]) -> list[ScoreRow]:
+    """Held-out runs are predicted as well as their noise lets them be, after the model was improved."""
+    mine = [(t, a) for t, a in pairs if any(r.held_back for r in t.records)]
+    what = f"held-out error at most {NEAR_NOISE} × the noise after improving"
+    out = [_row(what, mine, lambda t, a: over_noise(t, a) <= NEAR_NOISE, 0.95)]
+    for form in ("bursts", "warm_up"):
+        part = [(t, a) for t, a in mine if t.what.startswith(f"{form}_")]
+        out.append(_row(f"… {form.replace('_', ' ')}", part, lambda t, a: over_noise(t, a) <= NEAR_NOISE, 0.95))
     return out
 
 

@@ -407,6 +407,17 @@ def alias(m: Maker) -> Parts:
     }
 
 
+def speed_gaps(m: Maker) -> Parts:
+    """The spindle grows with its bearing; only the air and the speed are recorded, with 17 minutes between the runs."""
+    plan = c.drift(m.rng, points=46)
+    plan = c.at(plan, np.flatnonzero((plan.time_s % 1620.0) < 600.0))
+    growth = m.sized(m.of.of("bearing", plan.time_s) - m.of.of("air", plan.time_s))
+    return {
+        "records": (m.record(plan, {"EZ0spindle": growth}, sensors=("T_air",)),),
+        "hidden": ((Right("spindle_growth", ""),),),
+    }
+
+
 # --- several effects on a plate ----------------------------------------------------------------------------------
 
 
@@ -448,6 +459,28 @@ def three_on_plate(m: Maker) -> Parts:
     return _plate(m, 3)
 
 
+# --- runs to be predicted ----------------------------------------------------------------------------------------
+
+
+def spindle_heat(m: Maker) -> Parts:
+    """The spindle grows with its bearing; its housing has a sensor."""
+    plan = c.drift(m.rng)
+    return {
+        "records": (m.record(plan, {"EZ0spindle": m.sized(m.of.of("bearing", plan.time_s))}),),
+        "hidden": ((Right("spindle_growth", ""), Right("mount_expansion", "", "T_spindle")),),
+    }
+
+
+def _improved(builder: Builder, form: str) -> Builder:
+    """An effect of which every fourth run is held back, under a noise of a form; empty for any."""
+
+    def build(m: Maker) -> Parts:
+        parts = builder(replace(m, form=form or m.form))
+        return {**parts, "records": tuple(map(c.with_runs_held_back, parts["records"]))}
+
+    return build
+
+
 # --- nothing hidden ----------------------------------------------------------------------------------------------
 
 
@@ -472,9 +505,18 @@ GROUPS: dict[str, Mapping[str, Builder]] = {
     "contradicting": {f.__name__: f for f in (contradiction, other_machine)},
     "one_pass": {"one_pass": one_pass},
     "unrecorded": {f.__name__: f for f in (no_sensors, nut_unseen)},
-    "gaps": {"gaps": gaps},
+    "gaps": {f.__name__: f for f in (gaps, speed_gaps)},
     "aliases": {"alias": alias},
     "plates": {f.__name__: f for f in (two_on_plate, three_on_plate)},
+    "improve": {
+        f"{form or 'any'}_{f.__name__}": _improved(f, form)
+        for form, effects in (
+            ("", (load_shift, plain_bow, warm_screw, servo, spindle_heat)),
+            ("bursts", (load_shift, plain_bow, warm_screw, servo, spindle_heat)),
+            ("warm_up", (warm_screw, spindle_heat)),
+        )
+        for f in effects
+    },
     "quiet": {f"{form}_{kind}": _clean(form, kind) for form in noise.FORMS for kind in ("line", "drift", "uneven")},
 }
 FAINT = ("run_level", "lean")

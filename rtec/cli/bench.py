@@ -39,7 +39,7 @@ def discovery(
 
     Example: `rtec bench discovery --score mytool --seeds 1:11`
 
-    Without --score it diagnoses the data sets itself, some 60 for each seed, about a second each. With --score MYTOOL
+    Without --score it diagnoses the data sets itself, some 70 for each seed, about a second each. With --score MYTOOL
     it writes them into the folder MYTOOL, without the truth, and a table answers.csv to fill in; called again, it
     scores that table. `docs/benchmark.md` describes the files.
     """

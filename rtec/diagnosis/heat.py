@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ BODIES = {
     "spindle_tilt": (("spindle", "bearing", "head"), "on the spindle or its bearings"),
 }
 """What a sensor should be on for an effect to be its own: words in its name, and the place in words."""
+PAUSE_S, LONG_PAUSE = 120.0, 0.2
+"""A pause of so long, and of so many time constants, is one that a lag remembers."""
 UNITS = {"um": "µm", "urad": "µrad"}
 
 
@@ -55,6 +57,25 @@ def stands_for(readings: Readings, effect: Effect) -> Doubt | None:
     place = where.format(axis=axis)
     message = f"{effect.effect} follows {sensor}; no sensor {place} was recorded, which moves alike."
     return Doubt("other_sensor", message, "Record one there before the compensation relies on this sensor.")
+
+
+def lag_assumed(readings: Readings, effect: Effect, theta: Mapping[str, float]) -> tuple[str, ...]:
+    """What an effect that lags takes for granted where nothing was recorded; empty for one that does not lag.
+
+    Args:
+        readings: the readings.
+        effect: that was named.
+        theta: its non-linear parameters.
+    """
+    names = [n for n in effect.channels(readings.machine) if n == "spindle_rpm" or n in readings.machine.sensor_names]
+    if "tau" not in theta or not names:
+        return ()
+    pause = max(float(np.diff(s.time_s).max(initial=0.0)) for s in readings.series)
+    said = f"{effect.effect} lags by {minutes(theta['tau'])}: {' and '.join(names)} counted as settled before the first"
+    said += " reading"
+    if pause > max(PAUSE_S, LONG_PAUSE * theta["tau"]):
+        said += f", and as a straight line over pauses (up to {minutes(pause)}), of which the record says nothing"
+    return (said,)
 
 
 def warm_up_curves(readings: Readings, effect: Effect, part: Floats) -> Sequence[Floats]:

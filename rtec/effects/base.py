@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import field_validator
 
 from rtec.effects.state import Channels, Value
@@ -13,6 +15,8 @@ from rtec.errors import ModelError
 from rtec.machine import Axis, Machine
 from rtec.machine.chain import component_unit
 from rtec.tomlfile import Strict, nearest
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Surroundings:
         channels: every channel that was recorded and varies, by name, with its lowest and highest value.
         span_s: length of the longest measurement.
         step_s: time between readings, typically.
-        moves_mm: by position channel, how far an axis that moves goes from one reading to the next, typically.
+        places_mm: by position channel, where the readings were taken.
     """
 
     machine: Machine
@@ -37,7 +41,7 @@ class Surroundings:
     channels: Mapping[str, tuple[float, float]]
     span_s: float
     step_s: float
-    moves_mm: Mapping[str, float] = field(default_factory=dict)
+    places_mm: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def moved(self) -> Axis:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from rtec.effects.base import About, AxisEffect, Confusion, Kind, Parameter, Surroundings
@@ -14,7 +15,21 @@ from rtec.machine import Machine
 
 MOST_HARMONICS = (1, 2, 4, 8, 16)
 PER_PERIOD = 4.0
-"""Readings that a period of the finest harmonic needs, before it is looked for."""
+"""So many times the widest gap between phases of readings fit into a period of the finest harmonic that is tried."""
+
+
+ROUNDING = 1e-6
+
+
+def widest_phase_gap(places_mm: NDArray[np.float64], pitch_mm: float | None) -> float:
+    """Widest part of a turn of a screw in which no reading was taken: 1 where all have one phase, or none is known.
+
+    However far apart readings are, they cover the turn where their phases differ.
+    """
+    if pitch_mm is None or not len(places_mm):
+        return 1.0
+    phases = np.unique(places_mm / pitch_mm % 1.0)
+    return float(np.max(np.diff(np.append(phases, phases[0] + 1.0))))
 
 
 class _Wave(AxisEffect):
@@ -69,11 +84,11 @@ class CyclicScrew(AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """The first harmonic; and up to others, twice as many each, that the readings are fine enough for."""
+        """The first harmonic; and up to others, twice as many each, whose phases the readings cover."""
         axis = around.moved
-        step = around.moves_mm.get(axis.channel, math.inf)
+        gap = widest_phase_gap(around.places_mm.get(axis.channel, np.zeros(0)), axis.pitch_mm)
         for most in MOST_HARMONICS:
-            if most == 1 or PER_PERIOD * most * step <= (axis.pitch_mm or 0.0):
+            if most == 1 or PER_PERIOD * most * gap <= 1.0 + ROUNDING:
                 yield {"axis": axis.name, "harmonics": most}
 
     def check(self, machine: Machine, where: str) -> None:

@@ -1,7 +1,6 @@
 """The library of a search: every effect of the registry, for every component error that the readings see."""
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -29,8 +28,6 @@ MOST = 48
 """Combinations of non-linear parameters that are tried, at most."""
 REAL = {"degc": 0.3, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
 """Changes below this are noise of the channel, not a cause that was moved."""
-JITTER_MM = 1e-3
-"""Less is no move from one reading to the next."""
 
 
 @dataclass(frozen=True)
@@ -108,14 +105,8 @@ def surroundings(readings: Readings, seen: VisibleComponent) -> Surroundings:
         channels=varying,
         span_s=max((float(t[-1] - t[0]) for t in times), default=0.0),
         step_s=min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=1.0),
-        moves_mm={a.channel: _move_mm([s for _, s in sources], a.channel) for a in machine.axes},
+        places_mm={a.channel: np.concatenate([s.value(a.channel) for _, s in sources]) for a in machine.axes},
     )
-
-
-def _move_mm(states: Sequence[State], channel: str) -> float:
-    """How far an axis goes from one reading to the next where it goes at all; the finest of the measurements."""
-    moves = [np.abs(np.diff(s.value(channel))) for s in states]
-    return min((float(np.median(d[d > JITTER_MM])) for d in moves if (d > JITTER_MM).any()), default=math.inf)
 
 
 def real(machine: Machine, channel: str) -> float:

@@ -8,7 +8,8 @@ reading is wrong where it is far from what
 - its neighbours in time show,
 
 and where it does not come again. Single readings count, and bursts of up to three where other visits to the place, or
-a machine that stands still, show that nothing was there. More than a few in a hundred are what the machine does.
+a machine that stands still, show that nothing was there; of up to five where visits near the place show it. More than a
+few in a hundred are what the machine does.
 """
 
 import itertools
@@ -34,6 +35,8 @@ FAR, NEAR, COMPANY = 7.0, 3.0, 0.3
 """Robust standard deviations; and the share of a wrong reading that its neighbours may be off at the most."""
 BURST = 3
 """So many wrong readings may follow each other."""
+LONG_BURST, LONG_REACH = 5, 12
+"""Or so many, far from the median of so many readings on either side, where visits within a step show nothing."""
 VISITS = 3
 """Visits to a place, going the same way, whose median tells what the machine does there."""
 AGAIN, HALF = 1.0 / 3.0, 0.5
@@ -144,6 +147,7 @@ def wrong_readings(readings: Readings) -> Floats:
 def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     n = len(s)
     place, still = _places(readings, s)
+    near = (place, place) if still else _near_places(readings, s)
     linked = _linked(s)
     rough = _rough(readings, s, values, linked)
     rough = rough - _of_visits(rough, place)
@@ -154,7 +158,18 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
         off = rough - middle
         sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
         found = _bursts(off, least, sigma, linked, place, still)
-        found &= ~_again(off, place, found) if not still else True
+        if not still:
+            found &= ~_again_anywhere(off, (place, *near), found)
+        if not (found & ~wrong).any():
+            break
+        wrong |= found
+    for _ in range(ROUNDS):
+        middle, least = neighbours(np.where(wrong, np.nan, rough), rough, linked, LONG_REACH)
+        off = rough - middle
+        sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
+        found = _long_bursts(np.where(wrong, 0.0, off), least, sigma, linked, near[0], still)
+        if not still:
+            found &= ~_again_anywhere(off, (place, *near), found)
         if not (found & ~wrong).any():
             break
         wrong |= found
@@ -275,6 +290,56 @@ def _bursts(off: Floats, least: Floats, sigma: Floats, linked: Ints, place: Ints
     return out
 
 
+def _long_bursts(off: Floats, least: Floats, sigma: Floats, linked: Ints, near: Ints, still: bool) -> Bools:
+    """Far readings, two to `LONG_BURST` in a row, of a stretch that is much longer, visited nearby by others, (n,)."""
+    size = np.abs(off)
+    far = (size > FAR * sigma) & (least * np.sign(off) > HALF * size)
+    out = np.zeros(len(off), dtype=bool)
+    edge = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(np.int8), [0]])))
+    visits, stretch = np.bincount(near), np.bincount(linked)
+    for a, b in zip(edge[::2], edge[1::2], strict=True):
+        long = b - a
+        if not 2 <= long <= LONG_BURST or linked[a] != linked[b - 1] or stretch[linked[a]] < 3 * long:
+            continue
+        mine = near[a:b]
+        if not still and (visits[mine] - (mine[:, None] == mine).sum(axis=1)).min() < VISITS:
+            continue
+        limit = max(NEAR * float(sigma[a:b].max()), COMPANY * float(size[a:b].min()))
+        before = size[a - 1] if a and linked[a - 1] == linked[a] else 0.0
+        after = size[b] if b < len(off) and linked[b] == linked[a] else 0.0
+        out[a:b] = max(before, after) < limit
+    return out
+
+
+def _near_places(readings: Readings, s: Series) -> tuple[Ints, Ints]:
+    """Numbers for neighbourhoods, passed the same way, of the axes that move from reading to reading, (n,) each.
+
+    Those of the second begin in the middle of those of the first: a place near the edge of one is inside the other.
+    """
+    pose = readings.poses_mm[s.source][s.row]
+    moves = np.abs(np.diff(pose, axis=0))[np.diff(s.run) == 0]
+    state, places, ways = readings.states[s.source], [], []
+    for i, axis in enumerate(readings.machine.axes):
+        step = float(np.median(moves[:, i])) if len(moves) else 0.0
+        if step > STILL_MM:
+            places.append(pose[:, i] / step)
+            ways.append(np.sign(state.value(axis.direction_channel)[s.row]))
+    if not places:
+        return np.arange(len(s), dtype=np.int64), np.arange(len(s), dtype=np.int64)
+    first, second = (_numbered(np.stack([*(np.floor(p + off) for p in places), *ways], axis=1)) for off in (0.0, 0.5))
+    return first, second
+
+
+def _numbered(rows: Floats) -> Ints:
+    """A number for each row that differs from the others, (n,)."""
+    return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+
+
+def _again_anywhere(off: Floats, places: Sequence[Ints], found: Bools) -> Bools:
+    """Whether visits to the place, or near it, of readings that were found are off the same way, (n,)."""
+    return np.asarray(np.logical_or.reduce([_again(off, p, found) for p in places]))
+
+
 def _again(off: Floats, place: Ints, found: Bools) -> Bools:
     """Whether other visits to the place of readings that were found are off the same way, (n,)."""
     out = np.zeros(len(off), dtype=bool)
@@ -286,33 +351,34 @@ def _again(off: Floats, place: Ints, found: Bools) -> Bools:
     return out
 
 
-def neighbours(values: Floats, own: Floats, linked: Ints) -> tuple[Floats, Floats]:
-    """Median of the nearest readings, five on either side, the reading itself left out, (n,), and how near a side is.
+def neighbours(values: Floats, own: Floats, linked: Ints, reach: int = REACH) -> tuple[Floats, Floats]:
+    """Median of the nearest readings on either side, the reading itself left out, (n,), and how near a side is.
 
     Args:
         values: NaN where a reading is known to be wrong, (n,).
         own: each reading, (n,); given back where it has no neighbours.
         linked: stretches that neighbours do not reach across, (n,).
+        reach: so many on either side.
 
     Returns:
         The median of both sides; and how far a reading is at least from the median of one side, with its sign, zero
         where it lies between both: at a step it is near to one of them.
     """
     middle, least = np.empty(len(values)), np.empty(len(values))
-    _medians(values, own, linked, middle, least)
+    _medians(values, own, linked, reach, middle, least)
     return middle, least
 
 
 @njit
-def _medians(values: Floats, own: Floats, linked: Ints, middle: Floats, least: Floats) -> None:
+def _medians(values: Floats, own: Floats, linked: Ints, reach: int, middle: Floats, least: Floats) -> None:
     n = len(values)
-    near = np.empty(2 * REACH)
+    near = np.empty(2 * reach)
     for i in range(n):
         sides = np.zeros(2)
         there = np.zeros(2)
         for part in range(3):
-            low = i - REACH if part != 1 else i + 1
-            high = i + REACH if part != 0 else i - 1
+            low = i - reach if part != 1 else i + 1
+            high = i + reach if part != 0 else i - 1
             count = 0
             for k in range(max(low, 0), min(high + 1, n)):
                 if k != i and linked[k] == linked[i] and not np.isnan(values[k]):

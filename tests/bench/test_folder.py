@@ -3,13 +3,15 @@
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rtec.bench.folder import ANSWERS, BenchmarkRange, read_answers, read_range, write_answers, write_sets
-from rtec.bench.score import TrialAnswer, confidently_wrong, score
+from rtec.bench.score import TrialAnswer, confidently_wrong, over_noise, score
 from rtec.bench.sets import measurements_of
 from rtec.bench.trials import Right, build
 from rtec.cli.main import status
+from rtec.errors import MeasurementError
 from rtec.machine import load_machine
 from rtec.metrology.files.load import load_measurements
 from rtec.model import load_model
@@ -55,8 +57,48 @@ def test_answers_go_there_and_back(folder: Path, tmp_path: Path) -> None:
         )
         for t in made
     }  # fmt: skip
-    write_answers(tmp_path / ANSWERS, made, given)
+    write_answers(tmp_path, made, given)
     assert read_answers(tmp_path, made) == given
+
+
+def test_predictions_go_there_and_back_and_are_held_against_the_noise(tmp_path: Path) -> None:
+    """Oracles: the readings that were held back are their own best prediction; without an effect its size stays."""
+    asked = BenchmarkRange(3, 4, ("improve",))
+    made = asked.trials()
+    write_sets(tmp_path, asked)
+    given = {}
+    for t in made:
+        (record,) = t.records
+        (measured,) = measurements_of(t)
+        back = np.isnan(measured.matrix())
+        assert np.array_equal(back, np.isfinite(np.array(list(record.held_back.values()))))
+        assert 0.2 < back.mean() < 0.3
+        known = {n: np.nan_to_num(v - record.noise[n]) for n, v in record.held_back.items()}
+        given[t.label] = TrialAnswer("missing_effect", predicted=known)
+        assert over_noise(t, given[t.label]) == pytest.approx(1.0)
+        assert over_noise(t, TrialAnswer("nothing_missing")) == np.inf
+    write_answers(tmp_path, made, given)
+    read = read_answers(tmp_path, made)
+    for t in made:
+        assert over_noise(t, read[t.label]) == pytest.approx(1.0)
+    rows = {r.what: (r.hits, r.total) for r in score(made, read)}
+    assert rows["held-out error at most 1.1 × the noise after improving"] == (12, 12)
+    assert rows["… bursts"] == (5, 5)
+    assert rows["… warm up"] == (2, 2)
+    file = tmp_path / "sets" / "0001" / "predicted.csv"
+    file.write_text("\n".join(file.read_text(encoding="utf-8").splitlines()[:-1]), encoding="utf-8")
+    with pytest.raises(MeasurementError, match="the set has"):
+        read_answers(tmp_path, made)
+
+
+def test_no_held_back_reading_is_in_the_files(tmp_path: Path) -> None:
+    """Oracle: their cells are empty."""
+    write_sets(tmp_path, BenchmarkRange(3, 4, ("improve",)))
+    for file in (tmp_path / "sets").glob("*/record.csv"):
+        rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
+        names = [n for n in rows[0] if n.startswith("reading")]
+        empty = [r["run"] for r in rows if not any(r[n] for n in names)]
+        assert set(empty) == {r["run"] for r in rows if int(r["run"]) % 4 == 0}
 
 
 def test_the_score_counts_what_is_right_and_what_is_asserted_and_false() -> None:

@@ -80,10 +80,29 @@ def test_steps_that_are_not_equal_fold_nothing() -> None:
     readings = read([replace(m, channels={**m.channels, "x": x_mm + 1.3 * np.sin(x_mm)})])
     assert step_mm(readings, "x", "EXX") is None
     (screw,) = effects(SCREW)
-    assert fold(readings, screw.effect, screw.theta) is None
+    nothing, part = np.zeros((len(readings), 0)), np.sin(2 * np.pi * readings.channel("x") / 5.0)
+    assert fold(readings, nothing, screw.effect, screw.theta, part) is None
     even = read([laser([SCREW], 7, targets={"step_mm": 2.0})])
     assert step_mm(even, "x", "EXX") == pytest.approx(2.0)
-    assert fold(even, screw.effect, screw.theta) is None, "2.5 readings a period are enough"
+    nothing, part = np.zeros((len(even), 0)), np.sin(2 * np.pi * even.channel("x") / 5.0)
+    assert fold(even, nothing, screw.effect, screw.theta, part) is None, "2.5 readings a period are enough"
+
+
+@pytest.mark.parametrize(("off_mm", "period_mm", "said"), [(0.1, 16.0, True), (0.8, 9.0, True), (1.4, 16.0, False)])
+def test_targets_that_are_a_little_off_their_step_fold_too(off_mm: float, period_mm: float, said: bool) -> None:
+    """Oracle: a wave's shares by scatter, exp(-(2π·off/p)²/2): told where it is high, and near the step always."""
+    m = laser([SCREW], 9, **EVEN)
+    x_mm = m.channels["x"] + off_mm * np.random.default_rng(4).standard_normal(len(m.channels["x"]))
+    readings = read([replace(m, channels={**m.channels, "x": x_mm})])
+    assert step_mm(readings, "x", "EXX") is None
+    (pole,) = effects(f"cyclic_pole,component=EXX,axis=X,s=1,c=0,period={period_mm}")
+    part = np.sin(2 * np.pi * readings.channel("x") / period_mm)
+    answer = fold(readings, np.zeros((len(readings), 0)), pole.effect, pole.theta, part)
+    assert (answer is not None) == said
+    if answer is not None:
+        (longest,) = re.findall(r"is like one of ([0-9.]+) mm", answer.why)
+        assert float(longest) == pytest.approx(aliases_mm(period_mm, 9.6)[0], rel=0.15)
+        assert "unequal steps along X" in answer.separating_test
 
 
 def test_a_machine_that_errs_in_the_same_places_has_no_wrong_readings() -> None:

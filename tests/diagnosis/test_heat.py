@@ -5,9 +5,11 @@ import pytest
 
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
+from rtec.diagnosis.heat import lag_assumed
 from rtec.diagnosis.result import Diagnosis
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.search.screen import Bank, Projected, screen_all
+from rtec.effects import effect_class
 from rtec.estimation.candidates import library
 from rtec.estimation.noise import Noise, Whitener
 from rtec.estimation.readings import read
@@ -73,3 +75,17 @@ def test_columns_kept_for_the_next_look_are_those_of_its_readings() -> None:
     for chunk in bank.chunks:
         made = [few.columns(candidates[i].effect, candidates[i].thetas[j]) for i, j in chunk.which.tolist()]
         np.testing.assert_array_equal(chunk.columns, np.concatenate(made, axis=1))
+
+
+def test_a_lag_says_what_it_took_for_granted() -> None:
+    """Oracle: the times of the readings: 17 minutes between the runs, whatever the spindle did there."""
+    readings = read(measurements_of(build("gaps", "speed_gaps", 1)))
+    growth = effect_class("spindle_growth", "test").model_validate(
+        {"effect": "spindle_growth", "component": "EZ0spindle"}
+    )
+    (said,) = lag_assumed(readings, growth, {"tau": 900.0, "p": 1.0})
+    assert "spindle_rpm counted as settled before the first reading" in said
+    assert "pauses (up to 17 min)" in said
+    (said,) = lag_assumed(readings, growth, {"tau": 9e4, "p": 1.0})
+    assert "pause" not in said
+    assert lag_assumed(readings, growth, {}) == ()

@@ -11,7 +11,7 @@ from rtec.bench.trials import Trial, build
 from rtec.diagnosis import words
 from rtec.diagnosis.heat import INSTRUMENT, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Member
-from rtec.diagnosis.search.confounded import alike
+from rtec.diagnosis.search.confounded import alike, bent_part
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import effect_class
 from rtec.estimation.candidates import library
@@ -106,3 +106,16 @@ def test_each_of_several_effects_is_told_with_its_rivals() -> None:
     told: Diagnosis = words.with_sentence(replace(d, together=(first, Member.of(bow, 0.5, [warm, warm]))), 0.1)
     assert "or axis_expansion_nonuniform(EXX, X, T_nut) in its place" in told.sentence
     assert told.sentence.count("T_nut") == 1
+
+
+def test_two_shifts_of_opposite_signs_may_be_one_part_that_bends() -> None:
+    """Oracle: the formula of column_tilt, k (T_front - T_back)."""
+    front, back, air = (
+        _effect("mount_expansion", component="EX0spindle", sensor=s) for s in ("T_front", "T_back", "T_air")
+    )
+    found = bent_part(back, -2.0, [(air, 0.1), (front, 2.5)])
+    assert found is not None
+    assert found.label == "column_tilt(T_front, T_back)"
+    assert bent_part(back, 2.0, [(front, 2.5)]) is None
+    assert bent_part(back, -2.0, [(front, 9.0)]) is None
+    assert bent_part(_effect("mount_expansion", component="EZ0spindle", sensor="T_back"), -2.0, [(front, 2.5)]) is None

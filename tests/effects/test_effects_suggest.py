@@ -9,13 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rtec.effects import EFFECTS, Effect, State
 from rtec.effects.base import Surroundings, component_kind
+from rtec.effects.cyclic import CyclicScrew, widest_phase_gap
 from rtec.machine import Machine
 from rtec.machine.machine import Sensor
 from tests.support.machines import turning_centre, vertical_mill
 
+Floats = NDArray[np.float64]
 SENSORS = ("T_spindle", "T_air", "T_coolant", "T_bed", "T_column", "T_front", "T_back", "T_nut")
 MILL = replace(vertical_mill(), sensors=tuple(Sensor(s) for s in SENSORS))
 LATHE = turning_centre()
@@ -128,3 +131,23 @@ def test_as_few_temperatures_as_an_effect_needs_are_enough() -> None:
             kind = EFFECTS[effect]
             assert len(list(kind.suggest(around))) >= (given == needed)
             assert bool(kind.missing(around)) == (given < needed)
+
+
+def test_harmonics_are_offered_where_phases_cover_the_turn_however_long_the_steps() -> None:
+    """Oracle: phases counted by hand. Steps of 2.1 turns visit ten, those of two turns one, a dense walk all."""
+    mill = replace(MILL, axes=tuple(replace(a, pitch_mm=10.0) for a in MILL.axes))
+    axis = next(a for a in mill.axes if a.name == "X")
+    pitch = 10.0
+    steps = np.linspace(0.0, 90.0, 10)
+    assert widest_phase_gap(2.1 * steps, pitch) == pytest.approx(0.1)
+    assert widest_phase_gap(2.0 * steps, pitch) == 1.0
+    assert widest_phase_gap(steps, None) == 1.0
+
+    def finest(places_mm: Floats) -> int:
+        around = replace(offered(mill, f"E{axis.name}{axis.name}"), places_mm={axis.channel: places_mm})
+        return max(e.harmonics for e in CyclicScrew.suggest(around) if isinstance(e, CyclicScrew))
+
+    assert finest(2.1 * steps) == 2
+    assert finest(2.0 * steps) == 1
+    assert finest(np.linspace(0.0, 39.0, 40) * 2.025 * pitch) == 8
+    assert finest(np.linspace(0.0, 2.0 * pitch, 129)) == 16

@@ -68,6 +68,28 @@ def test_a_burst_where_other_visits_show_nothing_is_wrong() -> None:
     assert not found(spoilt(m, again, [9.0] * len(again)))
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_bursts_at_places_of_their_own_are_wrong_where_other_runs_pass_nearby(seed: int) -> None:
+    """Oracle: what was added. No target comes twice; two to five in a row are far off in one run of sixteen.
+
+    A hump of some targets that all runs see is the machine, and kept.
+    """
+    rng = np.random.default_rng(seed)
+    there = (np.arange(26) + rng.uniform(0.02, 0.98, (16, 26))) * 23.0
+    back = (np.arange(26) + rng.uniform(0.02, 0.98, (16, 26)))[:, ::-1] * 23.0
+    x, way = np.concatenate([there, back], axis=1).ravel(), np.tile(np.repeat([1.0, -1.0], 26), 16)
+    curve = 4.0 * np.sin(x / 150.0) + 0.5 * rng.standard_normal(len(x))
+    m = replace(
+        measurement(runs([52] * 16)), channels={"x": x, "d_x": way}, readings={"reading_um": curve},
+        instrument=Probe(ProbeSetup(zero="setup"), component="EXX"),
+    )  # fmt: skip
+    assert not found(m)
+    rows = [60, 61, 200, 201, 202, 203, 204, 412, 413, 414, 415]
+    assert found(spoilt(m, rows, [15.0] * 11)) == rows
+    hump = np.flatnonzero(np.abs(x - 300.0) < 60.0).tolist()
+    assert not found(spoilt(m, hump, [15.0] * len(hump)))
+
+
 def test_peaks_that_come_again_are_the_machine() -> None:
     """Nine targets of ninety stand out by 40 noises in each of five runs: the pitch, not the reader."""
     rng = np.random.default_rng(3)

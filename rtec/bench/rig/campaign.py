@@ -1,7 +1,7 @@
 """What is measured on the rig: lines there and back, plates, drift probes; and the readings that come of it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -84,13 +84,17 @@ class Record:
         name: of the file.
         plan: how it was taken.
         channels: what was recorded beside, (n,) each.
-        readings: by column, (n,).
+        readings: by column, (n,); NaN where they are held back.
+        noise: in each reading, by column, (n,); NaN where it is an outlier.
+        held_back: readings that are NaN in `readings`, NaN elsewhere, by column, (n,); empty where none are.
     """
 
     name: str
     plan: CampaignPlan
     channels: Mapping[str, Floats]
     readings: Mapping[str, Floats]
+    noise: Mapping[str, Floats] = field(default_factory=dict)
+    held_back: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def line(
@@ -211,15 +215,27 @@ def read(
     plan: CampaignPlan, errors: Errors, rng: Rng, form: str, channels: Mapping[str, Floats], name: str = "record"
 ) -> Record:
     """Readings of an instrument: exact kinematics, noise of a form, a display of 0.1, an unknown zero."""
-    readings = {}
+    readings, noises = {}, {}
     for probe in plan.probes:
         if probe.letter in "XYZ":
             true = displaced(errors, plan.pose_mm, probe.offset_mm)[:, "XYZ".index(probe.letter)]
         else:
             true = turned(errors, probe.letter, len(plan))
-        values = true + noise.draw(rng, form, plan.time_s, plan.run) + rng.uniform(-15.0, 15.0)
+        drawn = noise.draw(rng, form, plan.time_s, plan.run)
+        values = true + drawn.values + rng.uniform(-15.0, 15.0)
         readings[probe.name] = np.round(values / 0.1) * 0.1
-    return Record(name, plan, dict(channels), readings)
+        noises[probe.name] = np.where(drawn.wrong, np.nan, drawn.values)
+    return Record(name, plan, dict(channels), readings, noises)
+
+
+def with_runs_held_back(record: Record, every: int = 4) -> Record:
+    """The same with the readings of every so manieth run held back, to be predicted."""
+    back = record.plan.run % every == 0
+    return replace(
+        record,
+        readings={k: np.where(back, np.nan, v) for k, v in record.readings.items()},
+        held_back={k: np.where(back, v, np.nan) for k, v in record.readings.items()},
+    )
 
 
 def one_way(plan: CampaignPlan) -> CampaignPlan:

@@ -1,10 +1,13 @@
 """Noise of the rig's instruments: forms that resemble effects, and forms that break a method's assumptions."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 Rng = np.random.Generator
 
 FORMS = ("white", "memory", "wander", "warm_up", "zeros", "bursts", "quantised")
@@ -12,9 +15,23 @@ FORMS = ("white", "memory", "wander", "warm_up", "zeros", "bursts", "quantised")
 outliers in runs of up to five; a coarse display."""
 
 
-def draw(rng: Rng, form: str, time_s: Floats, run: Ints) -> Floats:
-    """Noise of one column, µm or µrad, (n,); white part 0.3 to 0.8."""
+@dataclass(frozen=True)
+class DrawnNoise:
+    """Noise of one column.
+
+    Attributes:
+        values: µm or µrad, (n,).
+        wrong: which readings are outliers, (n,).
+    """
+
+    values: Floats
+    wrong: Bools
+
+
+def draw(rng: Rng, form: str, time_s: Floats, run: Ints) -> DrawnNoise:
+    """Noise of one column; white part 0.3 to 0.8."""
     n, sigma = len(time_s), rng.uniform(0.3, 0.8)
+    wrong = np.zeros(n, dtype=np.bool_)
     out = sigma * rng.standard_normal(n)
     first = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
     if form == "memory":
@@ -28,11 +45,13 @@ def draw(rng: Rng, form: str, time_s: Floats, run: Ints) -> Floats:
         out += np.repeat(rng.uniform(0.2, 0.5) * rng.standard_normal(len(first)), np.diff([*first, n]))
     elif form == "bursts":
         for at in rng.integers(0, n, max(n // 120, 2)):
-            out[at : at + int(rng.integers(1, 6))] += rng.choice([-1.0, 1.0]) * rng.uniform(8.0, 60.0)
+            burst = slice(at, at + int(rng.integers(1, 6)))
+            out[burst] += rng.choice([-1.0, 1.0]) * rng.uniform(8.0, 60.0)
+            wrong[burst] = True
     elif form == "quantised":
         step = rng.uniform(0.4, 1.0)
         out = np.round(out / step) * step
-    return out
+    return DrawnNoise(out, wrong)
 
 
 def _memory(rng: Rng, time_s: Floats, tau_s: float) -> Floats:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import DECIDES_NOTHING, Doubt
-from rtec.diagnosis.heat import stands_for, unrecorded_heat
+from rtec.diagnosis.heat import lag_assumed, stands_for, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown, label_of
 from rtec.diagnosis.search import picture
-from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, cosine, curve_or_wave, fold, pitch_in_doubt
+from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, bent_part, cosine, curve_or_wave, fold, pitch_in_doubt
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
 from rtec.diagnosis.search.refit import Prepared, Refitted
@@ -199,11 +199,22 @@ class _Answer:
         said += [a for a, _ in out.values() if a.apart]
         part = winner.columns @ winner.fit.values[self._first(winner) :][: winner.columns.shape[1]]
         asked = (
-            fold(self.readings, mine, winner.theta),
+            fold(self.readings, self.s.prepared.base, mine, winner.theta, part),
             curve_or_wave(self.readings, self.s.prepared.base, mine, part),
             self._pitch(winner),
+            bent_part(mine, self._coefficient(winner), self._beside(winner, tried)),
         )
         return [*said, *(a for a in asked if a is not None)]
+
+    def _coefficient(self, t: Refitted) -> float:
+        """The first number of a candidate."""
+        return float(t.fit.values[self._first(t)])
+
+    def _beside(self, winner: Refitted, tried: Sequence[Refitted]) -> list[tuple[Effect, float]]:
+        """Effects that are named with the winner, and those of the model, with their first coefficients."""
+        named = [t for t in (*tried, *self.s.chain[1:]) if t.number == self.s.partner or t in self.s.chain[1:]]
+        out = [(self.s.candidates[t.number].effect, self._coefficient(t)) for t in named if t.number != winner.number]
+        return out + [(f.effect, next(iter(f.values.values()), 0.0)) for f in self.s.model.effects]
 
     def _first(self, t: Refitted) -> int:
         """Place of a candidate's first number in its fit."""
@@ -316,6 +327,7 @@ class _Answer:
             absent=absent,
             notes=(
                 *(d.words for d in self._doubts(accepted)),
+                *(lag_assumed(readings, findings[0].effect, findings[0].theta) if accepted else ()),
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
                 *outlier_words(prepared.wrong),

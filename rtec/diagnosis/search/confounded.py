@@ -170,6 +170,12 @@ def pitch_in_doubt(effect: Effect, theta: Mapping[str, float], machine: Machine)
 PERIODS = ("pitch", "period")
 EVEN = 1e-3
 """Steps that differ by less than this share of themselves are equal."""
+SCATTER, MOST_MOVES = 0.25, 0.8
+"""Steps that differ by less than this share are meant to be one, where so many of all are."""
+NEAR_STEP = 0.15
+"""A period that is off by less than this share of the step between targets is near it."""
+AROUND = 0.5
+"""Turns over the span by which an alias may be off."""
 LEAST_TARGETS = 5
 PER_WAVE = 2.0
 """Steps in a period from which on it is not folded."""
@@ -202,6 +208,23 @@ def step_mm(readings: Readings, channel: str, component: str) -> float | None:
     return step if float(np.ptp(steps)) <= max(EVEN * step, 2.0 * RESOLVED_MM) else None
 
 
+def nominal_step_mm(readings: Readings, channel: str, component: str) -> float | None:
+    """The step that targets along an axis were meant to have, though each is a little off; None where there is none.
+
+    Args:
+        readings: the readings.
+        channel: position channel of the axis.
+        component: whose readings count.
+    """
+    seen, places = readings.arms(component) != 0.0, readings.channel(channel)
+    moves = np.abs(np.concatenate([np.diff(places[s.part][seen[s.part]]) for s in readings.series]))
+    moves = moves[moves > RESOLVED_MM]
+    if len(moves) < LEAST_TARGETS:
+        return None
+    near = moves[np.abs(moves / np.median(moves) - 1.0) < SCATTER]
+    return float(near.mean()) if len(near) >= MOST_MOVES * len(moves) else None
+
+
 def aliases_mm(period_mm: float, step: float) -> tuple[float, ...]:
     """Periods that look like this one at targets so far apart, the longest first."""
     own, comb = 1.0 / period_mm, 1.0 / step
@@ -210,10 +233,72 @@ def aliases_mm(period_mm: float, step: float) -> tuple[float, ...]:
     return tuple(1.0 / f for f in others)
 
 
+UNEVEN = 3.0
+"""Of two numbers of opposite signs the larger is at most so many times the other where a difference is the cause."""
+SHIFTS = ("mount_expansion", "ambient_drift", "spindle_growth")
+"""Shifts by one sensor, of which two with opposite signs are what a part does that bends."""
+
+
+def bent_part(effect: Effect, k: float, others: Sequence[tuple[Effect, float]]) -> Alike | None:
+    """The part that bends by the difference of two sensors, where two shifts by one each were found; None elsewhere.
+
+    Args:
+        effect: that was named.
+        k: its coefficient.
+        others: effects beside it, and those of the model, with their first coefficients.
+    """
+    sensor = getattr(effect, "sensor", None)
+    for other, value in others:
+        its = getattr(other, "sensor", None)
+        alike_ones = effect.effect in SHIFTS and other.effect in SHIFTS and effect.component == other.component
+        if not alike_ones or None in (sensor, its) or sensor == its or not k * value < 0.0:
+            continue
+        if max(abs(k), abs(value)) > UNEVEN * min(abs(k), abs(value)):
+            continue
+        front, back = (sensor, its) if k > 0.0 else (its, sensor)
+        why = f"shifts by {sensor} and by {its} with opposite signs are one part that bends by {front} - {back}"
+        test = "drift probes at two heights, or a level, while one side is heated"
+        return Alike("column_tilt", effect.component, why, test, label=f"column_tilt({front}, {back})")
+    return None
+
+
 LONG = 1.0
 """Turns over the span from which on a curve may be a wave."""
 FREQUENCIES = 60
 CURVES = ("polynomial_position", "piecewise_position", "straightness", "angular_motion")
+
+
+class _Along:
+    """Waves along an axis at the readings that see a component, less what the current model could predict.
+
+    Args:
+        readings: the readings.
+        base: columns of the current model, (m, p).
+        component: whose readings count.
+        channel: position channel of the axis.
+    """
+
+    def __init__(self, readings: Readings, base: Floats, component: str, channel: str) -> None:
+        arms = readings.arms(component)
+        self._seen = arms != 0.0
+        self._arms, self._q = arms[self._seen], readings.channel(channel)[self._seen]
+        self._known = np.linalg.qr(np.concatenate([np.ones((len(self._q), 1)), base[self._seen]], axis=1))[0]
+        self.span_mm = float(np.ptp(self._q))
+
+    def like_a_wave(self, per_mm: float, part: Floats) -> float:
+        """Cosine between readings, (m,), and the wave of a frequency that is most like them."""
+        turns = 2.0 * np.pi * per_mm * self._q
+        wave = self._left(np.stack([np.sin(turns), np.cos(turns)], axis=1) * self._arms[:, None])
+        mine = self._left(part[self._seen])
+        return cosine(wave @ np.linalg.lstsq(wave, mine, rcond=None)[0], mine)
+
+    def like_a_wave_near(self, period_mm: float, part: Floats) -> float:
+        """The same for the best of the periods that the span hardly tells from one."""
+        about = np.linspace(-AROUND, AROUND, 11) / self.span_mm
+        return max(self.like_a_wave(1.0 / period_mm + float(off), part) for off in about)
+
+    def _left(self, values: Floats) -> Floats:
+        return np.asarray(values - self._known @ (self._known.T @ values))
 
 
 def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats) -> Alike | None:
@@ -231,20 +316,10 @@ def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats
     step = step_mm(readings, axis.channel, effect.component)
     if step is None:
         return None
-    q, arms = readings.channel(axis.channel), readings.arms(effect.component)
-    seen = arms != 0.0
-    span = float(np.ptp(q[seen]))
-    known = np.linalg.qr(np.concatenate([np.ones((int(seen.sum()), 1)), base[seen]], axis=1))[0]
-    mine = part[seen] - known @ (known.T @ part[seen])
-    best, period = 0.0, math.nan
-    for f in np.linspace(LONG / span, 0.5 / step, FREQUENCIES):
-        wave = np.stack([np.sin(2.0 * np.pi * f * q[seen]), np.cos(2.0 * np.pi * f * q[seen])], axis=1)
-        wave = wave * arms[seen][:, None]
-        wave = wave - known @ (known.T @ wave)
-        follows = wave @ np.linalg.lstsq(wave, mine, rcond=None)[0]
-        cos = cosine(follows, mine)
-        if cos > best:
-            best, period = cos, 1.0 / float(f)
+    along = _Along(readings, base, effect.component, axis.channel)
+    tried = np.linspace(LONG / along.span_mm, 0.5 / step, FREQUENCIES)
+    cosines = [along.like_a_wave(float(f), part) for f in tried]
+    best, period = max(cosines), 1.0 / float(tried[int(np.argmax(cosines))])
     if best < WAVE:
         return None
     others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:2])
@@ -253,28 +328,46 @@ def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats
     return Alike("cyclic_pole", effect.component, why, test, label=f"a wave near the step ({effect.component})")
 
 
-def fold(readings: Readings, effect: Effect, theta: Mapping[str, float]) -> Alike | None:
+def fold(readings: Readings, base: Floats, effect: Effect, theta: Mapping[str, float], part: Floats) -> Alike | None:
     """A wave of another period that these targets cannot tell from that of an effect; None where they can.
 
     Args:
         readings: the readings.
+        base: columns of the current model, (m, p).
         effect: a wave along its axis, or anything else.
         theta: its period.
+        part: what it adds to the readings, (m,).
     """
     period, axis = period_mm(effect, theta), getattr(effect, "axis", None)
     if period is None or axis is None or not theta:
         return None
     channel = next(a.channel for a in readings.machine.axes if a.name == axis)
-    step = step_mm(readings, channel, effect.component)
-    known = "pitch" in theta or effect.effect != "cyclic_pole"
-    if step is None or (known and period >= PER_WAVE * step):
+    step, nominal = step_mm(readings, channel, effect.component), False
+    if step is None:
+        step, nominal = nominal_step_mm(readings, channel, effect.component), True
+    if step is None:
         return None
-    others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:3])
-    rests = "the period that the machine file gives" if known else "the longest period that may be"
-    why = (
-        f"targets stand every {step:.4g} mm, and there a wave of {period:.4g} mm looks like one of {others} mm: "
-        f"the name rests on {rests}"
-    )
-    finest = period if known else min(aliases_mm(period, step)[:3])
+    known = "pitch" in theta or effect.effect != "cyclic_pole"
+    folded = aliases_mm(period, step)[:3]
+    if nominal:
+        along = _Along(readings, base, effect.component, channel)
+        cosines = {p: along.like_a_wave_near(p, part) for p in folded}
+        close = abs(period / step - 1.0) < NEAR_STEP
+        folded = tuple(p for p in folded if close or cosines[p] > WAVE)
+        if not folded:
+            return None
+        said = ", ".join(f"{p:.4g} mm (cosine {cosines[p]:.2f})" for p in folded)
+        why = (
+            f"targets stand every {step:.4g} mm or nearly so, and there a wave of {period:.4g} mm is like one of {said}"
+        )
+    else:
+        if known and period >= PER_WAVE * step:
+            return None
+        rests = "the period that the machine file gives" if known else "the longest period that may be"
+        why = (
+            f"targets stand every {step:.4g} mm, and there a wave of {period:.4g} mm looks like one of "
+            f"{', '.join(f'{p:.4g}' for p in folded)} mm: the name rests on {rests}"
+        )
+    finest = period if known else min(folded)
     test = f"unequal steps along {axis}, or steps below {significant(finest / PER_WAVE)} mm"
     return Alike("cyclic_pole", effect.component, why, test, label=f"a wave of another period ({effect.component})")
