@@ -12,7 +12,9 @@ Rng = np.random.Generator
 
 FORMS = ("white", "memory", "wander", "warm_up", "zeros", "bursts", "quantised")
 """White; a first-order memory; a random walk; heat-up and cool-down of the instrument itself; each run's own zero;
-outliers in runs of up to five; a coarse display."""
+outliers in runs of up to five, apart from each other; a coarse display."""
+APART = 20
+"""Readings of which at most one burst is made."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ def draw(rng: Rng, form: str, time_s: Floats, run: Ints) -> DrawnNoise:
     elif form == "zeros":
         out += np.repeat(rng.uniform(0.2, 0.5) * rng.standard_normal(len(first)), np.diff([*first, n]))
     elif form == "bursts":
-        for at in rng.integers(0, n, max(n // 120, 2)):
+        for block in rng.permutation(n // APART)[: max(n // 120, 2)]:
+            at = APART * int(block) + int(rng.integers(0, APART // 2))
             burst = slice(at, at + int(rng.integers(1, 6)))
             out[burst] += rng.choice([-1.0, 1.0]) * rng.uniform(8.0, 60.0)
             wrong[burst] = True
