@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtec.characterise.coverage import followed, highest_degree, places_mm, several_speeds
-from rtec.effects import Effect, effect_class
+from rtec.effects import effect_class
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.estimation.candidates import library
@@ -172,20 +172,18 @@ def at_constant_temperature(one: TermCandidate, candidates: Sequence[TermCandida
     return next((c for c in alike if getattr(c.term.effect, "degrees", (degree,)) == (degree,)), None)
 
 
-def lasts(kind: type[Effect]) -> bool:
-    """Whether an effect says anything of another day: the clock of one record does not."""
-    return "time_s" not in kind.driven_by
-
-
 def catalogue(sources: Sequence[Source], allowed: Sequence[str] | None, there: set[str]) -> list[TermCandidate]:
-    """Effects of the registry that are no candidates otherwise.
+    """Effects of the registry that were named, or come from a plug-in, and that are no candidates otherwise.
 
     Args:
         sources: measurements.
-        allowed: names of the effects that may be candidates; None for a free choice, which takes all that last.
+        allowed: names of the effects that may be candidates; None for a free choice, which takes plug-ins along.
         there: names of effects that are candidates already.
     """
-    names = [n for n, k in all_effects().items() if lasts(k)] if allowed is None else allowed
+    kinds = all_effects()
+    names = (
+        [n for n, k in kinds.items() if not k.__module__.startswith("rtec.effects.")] if allowed is None else allowed
+    )
     wanted = [n for n in names if n not in there and n not in THERMAL]
     if not wanted:
         return []

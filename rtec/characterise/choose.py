@@ -278,12 +278,11 @@ def choose(
     candidates: Sequence[TermCandidate],
     forced: Sequence[int] = (),
     progress: Progress | None = None,
-    begin: Sequence[int] = (),
 ) -> TermChoice:
-    """Choose among candidates by their left-out errors, from those to begin with on; those that are forced stay."""
+    """Choose among candidates by their left-out errors; those that are forced stay."""
     table = HeldOutTable(normal, candidates)
     forced = independent(normal, [table.columns[i] for i in forced], forced)
-    path, steps = _forward(table, forced, begin, progress)
+    path, steps = _forward(table, forced, progress)
     chosen = _smallest_good(table, path)
     chosen = _drop(table, chosen, forced, table.errors(_best(table, path)))
     for _ in range(SWAPS):
@@ -317,14 +316,11 @@ def independent(normal: Normal, columns: Sequence[Ints], items: Sequence[int]) -
 
 
 def _forward(
-    table: HeldOutTable, forced: list[int], begin: Sequence[int], progress: Progress | None
+    table: HeldOutTable, forced: list[int], progress: Progress | None
 ) -> tuple[list[list[int]], list[ChoiceStep]]:
     path: list[list[int]] = [forced]
     steps = [_step(table, forced, "what was asked for" if forced else "nothing")]
-    for i in begin:
-        path.append([*path[-1], i])
-        steps.append(_step(table, path[-1], table.candidates[i].label))
-    best, vain = table.held_out(path[-1]), 0
+    best, vain = table.held_out(forced), 0
     while len(path) <= MOST_TERMS and vain < PATIENCE:
         tried = table.shortlist(path[-1])
         if not tried:

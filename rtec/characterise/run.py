@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.assemble import assemble
-from rtec.characterise.candidates import TermCandidate, at_constant_temperature
+from rtec.characterise.candidates import at_constant_temperature
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.grouping import tidied
@@ -94,34 +94,23 @@ def _characterise(
         screened = screen(scaled, names)
         choice = _choose(screened, wanted, tell)
         # Once more, with what was found taken out: what stood behind something larger shows now.
-        screened = screen(scaled, names, _taken(screened, choice))
+        screened = screen(scaled, names, [screened.candidates[i] for i in choice.chosen])
         choice = _choose(screened, wanted, tell)
-        if wanted is None:  # what the usual shapes leave, the rest of the catalogue and plug-ins may explain
-            begin = _taken(screened, choice)
-            screened = screen(scaled, names, begin, rest=True)
-            if screened.others:
-                choice = _choose(screened, wanted, tell, begin)
         chosen = tidied(_with_constant(screened, choice))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
-    fit = _sure(sources, fixed, chosen, _asked_terms(wanted), _tried(screened), tell)
+    tried = len(screened.candidates) if screened else 0
+    fit = _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell)
     return assemble(fit, screened, choice, measurements, name, margin, given)
 
 
-def _taken(screened: Screened, choice: TermChoice) -> list[TermCandidate]:
-    return [screened.candidates[i] for i in choice.chosen]
-
-
-def _choose(
-    screened: Screened, wanted: AskedEffects | None, tell: Stage, begin: Sequence[TermCandidate] = ()
-) -> TermChoice:
+def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> TermChoice:
     candidates = screened.candidates
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
     forced = [i for i, c in enumerate(candidates) if wanted is not None and _asked(c.term.effect, c.kind)]
-    first = [candidates.index(c) for c in begin]
-    return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t), first)
+    return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t))
 
 
 def _with_constant(screened: Screened, choice: TermChoice) -> list[Term]:
@@ -153,13 +142,13 @@ def _sure(
     fixed: list[Term],
     chosen: list[Term],
     asked: Callable[[Term], bool],
-    tried: Callable[[Term], int],
+    candidates: int,
     tell: Stage,
 ) -> Estimate:
     """Fit, and drop chosen terms that are neither sure nor spared, the least sure first."""
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
-        sure = surety(fit, [tried(t) for t in (*fixed, *chosen)])[kept:]
+        sure = surety(fit, candidates)[kept:]
         there = {_form(t) for t, s in zip(chosen, sure, strict=True) if s >= 1.0}
         # An effect that was asked for stays, but on one sensor: on another it must be sure as well.
         stays = [asked(t) and not (_sensed(t) and _form(t) in there) for t in chosen]
@@ -172,18 +161,6 @@ def _sure(
         "fit: no effect lowers the error on held-out runs significantly: the readings are noise, or show an error that "
         "no effect describes; name effects with --effects to fit them nonetheless"
     )
-
-
-def _tried(screened: Screened | None) -> Callable[[Term], int]:
-    """Among how many a term was chosen: the usual candidates, or all others of the registry, at 5 % each.
-
-    So the many waves and delays of the catalogue do not raise the bar for a scale or an expansion.
-    """
-    candidates = screened.candidates if screened else ()
-    usual = {c.effect for c in candidates if c.kind != "other"}
-    among = sum(c.kind != "other" for c in candidates)
-    others = screened.others if screened else 0
-    return lambda term: among if term.effect.effect in usual else others
 
 
 def _form(term: Term) -> tuple[str, str]:

@@ -58,7 +58,6 @@ class Screened:
         candidates: geometry of all, and what was kept.
         correlations: of each component with every candidate that depends on temperature or speed, best first.
         unused: sensors that are no candidates, and why, in words.
-        others: how many further candidates of the registry were looked at.
     """
 
     sources: tuple[Source, ...]
@@ -66,15 +65,10 @@ class Screened:
     candidates: tuple[TermCandidate, ...]
     correlations: tuple[Correlation, ...]
     unused: tuple[str, ...]
-    others: int
 
 
 def screen(
-    sources: Sequence[Source],
-    allowed: Sequence[str] | None = None,
-    known: Sequence[TermCandidate] = (),
-    *,
-    rest: bool = False,
+    sources: Sequence[Source], allowed: Sequence[str] | None = None, known: Sequence[TermCandidate] = ()
 ) -> Screened:
     """Find the candidates of every component error that the measurements can see.
 
@@ -83,7 +77,6 @@ def screen(
         allowed: names of the effects that may be candidates; None for all.
         known: what an earlier choice found; that of other components is taken out before a component is looked at,
             and all of it stays among the candidates.
-        rest: whether all else of the registry is a candidate of a free choice, too.
     """
     few = [thinned(s, READINGS) for s in sources]
     whole = [replace(s, blocks=s.blocks.one) for s in few]
@@ -105,7 +98,7 @@ def screen(
     budget = max(LEAST, (COLUMNS - len(shapes)) // max(len(seen), 1))
     kept: list[TermCandidate] = []
     table: list[Correlation] = []
-    others = known_direct(catalogue(few, allowed, {c.effect for c in shapes})) if allowed or rest else []
+    others = known_direct(catalogue(few, allowed, {c.effect for c in shapes}))
     for component in seen:
         hot = [c for c in warm if c.component == component.name]
         hot += [c for c in others if c.component == component.name and c not in hot]
@@ -113,14 +106,11 @@ def screen(
             base = [c for c in shapes if _simple(c)]
             base += [c for c in known if c.feature and c.component != component.name]
             found = _correlate([s for s in whole if reads(s, component.name)], base, hot)
-            best = {i for i, c in enumerate(found) if c.candidate in known}
-            for other, most in ((False, budget), (True, LEAST)):
-                part = [i for i, c in enumerate(found) if (c.candidate.kind == "other") is other]
-                best |= {part[i] for i in _best([found[j] for j in part], most)}
+            best = _best(found, budget) | {i for i, c in enumerate(found) if c.candidate in known}
             kept += [found[i].candidate for i in sorted(best)]
             marked = [replace(c, kept=i in best) for i, c in enumerate(found)]
             table += sorted(marked, key=lambda c: -abs(c.r))
-    return Screened(tuple(few), tuple(seen), (*shapes, *kept), tuple(table), tuple(unused), len(others))
+    return Screened(tuple(few), tuple(seen), (*shapes, *kept), tuple(table), tuple(unused))
 
 
 def _asked_components(
@@ -158,25 +148,14 @@ def _correlate(
     first = int(np.searchsorted(normal.owner, len(base)))
     shown = np.flatnonzero(normal.share_left()[:first] > VISIBLE)
     d, e, left = residual_parts(normal, shown)
-    raw = normal.raw[: normal.width]
-    share = d / np.where(raw > 0, raw, 1.0)
+    size = np.sqrt(np.maximum(d * left, 1e-300))
+    share = d / np.where(normal.raw[: normal.width] > 0, normal.raw[: normal.width], 1.0)
     out = []
     for i, candidate in enumerate(hot):
-        own = np.flatnonzero(normal.owner == len(base) + i)
-        seen = own[share[own] > VISIBLE]
-        if len(seen) == 1:
-            r = float(e[seen[0]] / np.sqrt(d[seen[0]] * left))
-        else:  # of several columns together
-            gram = _beside(normal, shown, seen)
-            r = float(np.sqrt(max(float(e[seen] @ np.linalg.pinv(gram, hermitian=True) @ e[seen]), 0.0) / left))
-        out.append(Correlation(candidate, float(np.clip(r, -1.0, 1.0)), float(share[own].min(initial=1.0))))
+        k = first + i
+        r = float(np.clip(e[k] / size[k], -1.0, 1.0)) if share[k] > VISIBLE else 0.0
+        out.append(Correlation(candidate, r, float(max(share[k], 0.0))))
     return out
-
-
-def _beside(normal: Normal, base: NDArray[np.int64], columns: NDArray[np.int64]) -> Floats:
-    """Products of some columns with each other once the base and explicit nuisances are taken out."""
-    gone = np.concatenate([base, np.arange(normal.width, len(normal.total) - 1)]).astype(np.int64)
-    return residual_of(normal.total, gone, columns)
 
 
 def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Floats, float]:
@@ -202,14 +181,12 @@ def residual_parts(normal: Normal, base: NDArray[np.int64]) -> tuple[Floats, Flo
 
 def residual_gram(normal: Normal, columns: NDArray[np.int64]) -> Floats:
     """Products of some columns with each other once explicit nuisances are taken out."""
-    return residual_of(normal.total, np.arange(normal.width, len(normal.total) - 1), columns)
-
-
-def residual_of(total: Floats, gone: NDArray[np.int64], columns: NDArray[np.int64]) -> Floats:
-    """Products of some columns with each other once others are taken out."""
-    cross = total[np.ix_(gone, columns)]
+    total, extra = normal.total, np.arange(normal.width, len(normal.total) - 1)
+    cross = total[np.ix_(extra, columns)]
     inner = total[np.ix_(columns, columns)]
-    return np.asarray(inner - cross.T @ np.linalg.pinv(total[np.ix_(gone, gone)], rcond=1e-11, hermitian=True) @ cross)
+    return np.asarray(
+        inner - cross.T @ np.linalg.pinv(total[np.ix_(extra, extra)], rcond=1e-11, hermitian=True) @ cross
+    )
 
 
 def _best(found: Sequence[Correlation], budget: int) -> set[int]:

@@ -5,8 +5,6 @@ the error on left-out runs falls for any temperature that resembles the drift. S
 with one block left out after another, and with the longer parts left out that the choice was made on.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from rtec.characterise.choose import NEAR
@@ -17,7 +15,7 @@ CHANCE = 0.05
 """A term that chance would bring forth among so many candidates with this probability, or more, is not sure."""
 
 
-def surety(fit: Estimate, candidates: Sequence[int]) -> list[float]:
+def surety(fit: Estimate, candidates: int) -> list[float]:
     """How sure each term is: its distance from zero over that which chance hardly reaches; below one it is not.
 
     The distance is the largest of its coefficients over their standard errors, non-linear parameters held; the smaller
@@ -25,10 +23,10 @@ def surety(fit: Estimate, candidates: Sequence[int]) -> list[float]:
 
     Args:
         fit: the terms, fitted.
-        candidates: among how many each term was chosen, (terms,).
+        candidates: among how many the terms were chosen.
     """
     ways = [fit.linear, fit.linear.by_part]
-    ratios = [_distances(w, fit) / [far_for_chance(n, len(w.gram)) for n in candidates] for w in ways]
+    ratios = [_distances(way, fit) / far_for_chance(candidates, len(way.gram)) for way in ways]
     return [float(r) for r in np.min(ratios, axis=0)]
 
 

@@ -68,21 +68,6 @@ def test_finds_what_is_there_and_nothing_else(seed: int) -> None:
     assert "left_over" not in codes(result)
 
 
-@pytest.mark.parametrize("what", ["backlash_load", "cyclic_pole"])
-def test_a_free_choice_knows_the_whole_catalogue(what: str) -> None:
-    """Oracle: 2 µm per 100 kg of reversal value, or a wave of 17 mm; of neither there is a usual shape."""
-    m = example()
-    load = np.repeat(np.random.default_rng(4).choice([0.0, 100.0, 300.0], 24), 40)
-    m = replace(m, channels={**m.channels, "load_kg": load})
-    wave = 2.0 * np.sin(2.0 * np.pi * m.channels["x"] / 17.0)
-    more = 0.5 * 2.0 * m.channels["d_x"] * load / 100.0 if what == "backlash_load" else wave
-    result = characterise([with_readings(m, warm(m) + more)])
-    assert {"scale", "backlash", "axis_expansion", "mount_expansion", what} == {
-        f.effect.effect for f in result.model.effects
-    }
-    assert result.held_out_rms < 1.15 * 0.2
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_gives_no_model(seed: int) -> None:
     """Oracle: readings that are nothing but noise."""
