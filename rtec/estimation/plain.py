@@ -75,23 +75,11 @@ def covariance(by: Whitener | Plain, columns: Floats, spread: Floats) -> Floats:
     """
     tight = 1.0 / spread
     white = by(columns)
-    if isinstance(by, Whitener):
-        return inverse(np.concatenate([white, np.diag(tight)]))
-    return sandwich(white, by.rows, by.noise, tight)
-
-
-def sandwich(white: Floats, rows: Floats, noise: Whitener, tight: Floats) -> Floats:
-    """Covariance of what ordinary least squares finds, (p, p): the one formula of every standard error.
-
-    Args:
-        white: columns, weighted and less the unknowns of each run, (m, p).
-        rows: weight of each reading, (m,).
-        noise: of the readings.
-        tight: one over the spread of the prior of each coefficient, (p,); zero for none.
-    """
     bread = inverse(np.concatenate([white, np.diag(tight)]))
-    pulled = without_nuisance(noise.readings, white * rows[:, None])
-    meat = pulled.T @ noise.covary(pulled) + np.diag(tight**2)
+    if isinstance(by, Whitener):
+        return bread
+    pulled = without_nuisance(by.readings, white * by.rows[:, None])
+    meat = pulled.T @ by.noise.covary(pulled) + np.diag(tight**2)
     return np.asarray(bread @ meat @ bread)
 
 

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ModelError
-from rtec.estimation.gram.errors import standard_errors
 from rtec.estimation.gram.identifiable import check_seen
 from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.projection import Polished, polish
 from rtec.estimation.gram.source import Source, flat, thinned
-from rtec.estimation.gram.stream import Progress, Slope, Term, gather, predict
+from rtec.estimation.gram.stream import Progress, Term, gather, predict
 from rtec.estimation.gram.weights import residuals_of, rough_noise
 from rtec.estimation.robust import huber, settled, sigmas
 
@@ -21,6 +20,9 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 6
 """At most so many fits, each with the weights that the one before found."""
+THREE = 0.00135
+"""What is beyond three standard deviations, on one side."""
+LEAST_FREEDOM = 4.0
 SAME = 0.2
 """Noise of columns that changed against each other by less than this share is not worth another fit."""
 FEWER = 10_000
@@ -60,9 +62,14 @@ class Estimate:
 
     @cached_property
     def errors(self) -> Floats:
-        """Standard errors of the coefficients, then of the parameters that are on no bound."""
-        terms: list[Term | Slope] = [*self.terms, *self.found.slopes]
-        return standard_errors(self.sources, terms, self.residuals)[: self.found.normal.width]
+        """Standard errors of the coefficients, then of the parameters that are on no bound.
+
+        Widened where few blocks tell of a number, by Student's quantile over the normal one, so that three of them
+        hold what three are believed to hold, 99.7 %.
+        """
+        normal, width = self.found.normal, self.found.normal.width
+        variance = np.diag(normal.covariance(normal.values()))[:width]
+        return np.sqrt(np.maximum(variance, 0.0)) * widening(normal.blocks_telling()[:width])
 
     @cached_property
     def cells(self) -> tuple[Floats, Floats]:
@@ -84,6 +91,14 @@ class Estimate:
         here = np.array([source is None or c.source == source for c in self.linear.cells])
         freedom = np.array([c.freedom for c in self.linear.cells])
         return float(np.sqrt(squares[here].sum() / max(freedom[here].sum(), 1.0)))
+
+
+def widening(blocks: Floats) -> Floats:
+    """How much wider a standard error is when it comes from so many blocks."""
+    from scipy.special import ndtri, stdtrit
+
+    freedom = np.maximum(blocks - 1.0, LEAST_FREEDOM)
+    return np.asarray(stdtrit(freedom, THREE) / ndtri(THREE), dtype=np.float64)
 
 
 def estimate(

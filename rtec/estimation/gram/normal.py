@@ -186,6 +186,12 @@ class Normal:
         blocks = len(self.gram)
         return np.asarray((blocks - 1) / blocks * (off.T @ off))
 
+    def blocks_telling(self) -> Floats:
+        """How many blocks each column's sum of squares comes from, (columns,); small ones count less."""
+        diagonal = np.maximum(np.diagonal(self.gram, axis1=1, axis2=2)[:, :-1], 0.0)
+        squares = (diagonal**2).sum(axis=0)
+        return np.asarray(diagonal.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0))
+
     def scaled(self) -> tuple[Floats, Floats]:
         """Correlation matrix of the columns, and their sizes."""
         gram = self.total[:-1, :-1]

@@ -195,15 +195,6 @@ def project(values: Floats, directions: tuple[Floats, ...], starts: NDArray[np.i
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
-def kept_rows(source: Source, most: int) -> NDArray[np.int64]:
-    """Rows that `thinned` keeps."""
-    n = len(source.measurement)
-    if n <= most:
-        return np.arange(n)
-    place = (np.arange(most) + (np.arange(most) * GOLDEN) % 1.0) * (n / most)
-    return np.unique(np.concatenate([np.minimum(place.astype(np.int64), n - 1), source.blocks.run_edges[:-1]]))
-
-
 def thinned(source: Source, most: int) -> Source:
     """At most so many instants, one from each of equal stretches at a place that never repeats.
 
@@ -214,7 +205,8 @@ def thinned(source: Source, most: int) -> Source:
     n = len(m)
     if n <= most:
         return source
-    rows = kept_rows(source, most)
+    place = (np.arange(most) + (np.arange(most) * GOLDEN) % 1.0) * (n / most)
+    rows = np.unique(np.concatenate([np.minimum(place.astype(np.int64), n - 1), source.blocks.run_edges[:-1]]))
     state = source.state
     moving = {a.direction_channel: state.value(a.direction_channel) for a in m.machine.axes if a.channel in m.channels}
     few = replace(

@@ -20,7 +20,7 @@ from rtec.effects import Effect, State
 from rtec.effects.derived import FAR_MM, lag_update
 from rtec.effects.state import Value
 from rtec.estimation.gram.normal import Normal
-from rtec.estimation.gram.source import Explicit, Source, flat, project, reads
+from rtec.estimation.gram.source import Explicit, Source, flat, reads
 from rtec.jit import njit
 from rtec.machine import Machine
 from rtec.parallel import one_blas_thread
@@ -293,15 +293,6 @@ def predict(source: Source, terms: Columns, values: Floats) -> Floats:
     return out
 
 
-def design(sources: Sequence[Source], terms: Columns) -> list[Floats]:
-    """All columns of few readings, weighted and less the unknowns of each run, a (n · readings, columns) each."""
-    made, out = _Gatherer(sources, terms, None), []
-    for s, source in enumerate(sources):
-        columns = made.whole(s)
-        out.append(np.stack([project(c, source.projected, source.run_starts) for c in columns], axis=1))
-    return out
-
-
 class _Gatherer:
     """Buffers and sums of one walk."""
 
@@ -328,10 +319,6 @@ class _Gatherer:
         """Walk through every source; columns of a chunk are worked out while those of the last are summed up."""
         keys = [(s, b) for s, source in enumerate(self.sources) for b in range(len(source.blocks.fold))]
         return self._gathered(keys, [self.sources[s].blocks.fold[b] for s, b in keys], [s for s, _ in keys])
-
-    def whole(self, s: int) -> Floats:
-        """Weighted columns of a whole source, (columns, n · readings)."""
-        return self._columns(s, Walk(self.sources[s].state), 0, len(self.sources[s].measurement))[:-1]
 
     def by_fold(self) -> Normal:
         """The same, blocks that are left out together made one."""
