@@ -1,6 +1,7 @@
 // A plot whose colours follow the theme, whose points light up in all plots beside it, and which moves from one state
 // to the next. Data come as plain numbers; texts are text: Plotly's own markup is taken out of them.
 const charts = new Set();
+const dark = () => document.body.classList.contains("body--dark");
 let turn = Promise.resolve();
 const shown = () => new Promise((done) => setTimeout(done));
 // Numbers of the readings that are marked in every plot of the page; and whether that is changing.
@@ -31,7 +32,9 @@ export default {
     this.listen();
     this.resized = new ResizeObserver(() => this.Plotly.Plots.resize(this.$el));
     this.resized.observe(this.$el);
-    this.themed = new MutationObserver(() => this.draw());
+    // Keys and pointers change the body's classes too.
+    let theme = dark();
+    this.themed = new MutationObserver(() => { if (theme !== (theme = dark())) this.draw(); });
     this.themed.observe(document.body, { attributes: true, attributeFilter: ["class"] });
     this.$el.dataset.drawn = "yes";
   },
