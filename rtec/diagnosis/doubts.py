@@ -217,12 +217,19 @@ def _means(readings: Readings, s: Series, values: Floats) -> Mapping[tuple[float
     return {tuple(map(float, row)): float(v) for row, v in zip(rows, mean, strict=True)}
 
 
+def _moves(readings: Readings, s: Series) -> bool:
+    """Whether the display of a series moved at all."""
+    return float(np.ptp(readings.values[s.part])) > 0.0
+
+
 def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[Doubt]:
-    """Series that are flat where the model says much: the loop was on while they were read."""
+    """Series that are flat where the model says much: the loop was on while they were read. A display that stands
+    still is none of them.
+    """
     out = []
     for s, noise in zip(judged.readings.series, judged.floors, strict=True):
         read, said = (float(np.sqrt(np.mean(v[s.part] ** 2))) for v in (measured, predicted))
-        if read < FLAT * noise.value and said > MUCH * max(noise.value, read):
+        if _moves(judged.readings, s) and read < FLAT * noise.value and said > MUCH * max(noise.value, read):
             message = (
                 f"{_name(judged.readings, s)} is flat ({read:.2g} µm) where the model says {said:.2g} µm: was the "
                 "correction on while it was measured?"
@@ -234,7 +241,8 @@ def _corrected(judged: Judgement, measured: Floats, predicted: Floats) -> list[D
 
 def _edited_records(judged: Judgement) -> "_Edit | None":
     """What could be wrong with the recorded channels: the edit of the record with which the model fits far better."""
-    if judged.residual < ABOVE * judged.noise_floor:
+    moves = any(_moves(judged.readings, s) for s in judged.readings.series)
+    if judged.residual < ABOVE * judged.noise_floor or not moves:
         return None
     few = judged.readings.without(~looked_at(judged.readings))
     edits = _Edits(judged.model, few, judged.scale)

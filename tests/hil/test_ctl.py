@@ -92,7 +92,7 @@ def test_every_order_by_the_command_line(daemon: Running) -> None:
     """Each says what came of it; the log has it at the row that the events name, and nowhere a jump."""
     said = {}
     for name in ("hold", "enable", "fade", "resume"):
-        done = here("ctl", name, daemon.config)
+        done = rtec("ctl", name, daemon.config)  # a process each: a fade has ended before the order to resume
         assert done.returncode == 0, done.stderr
         said[name] = done.stdout
     assert "stays where it is; applied now: X " in said["hold"]

@@ -130,7 +130,9 @@ class ModbusScanner:
             end_ns = self._clock.now_ns() + SLAVE_NS
             while todo and self._clock.now_ns() < end_ns:
                 request = todo.pop(0)
-                answer = self._ask(request, PATIENT_NS)
+                answer = self._ask(request, PATIENT_NS) or self._ask(
+                    request, PATIENT_NS
+                )  # a busy line loses one at times
                 if answer is None or answer.error == UNKNOWN_FUNCTION:
                     break
                 if not answer.error:
