@@ -174,7 +174,8 @@ def example(folder: Path) -> dict[str, dict[str, object]]:
 
 def dry_run(folder: Path, content: dict[str, dict[str, object]], *options: str) -> str:
     path = folder / "run.toml"
-    path.write_text(tomli_w.dumps(content), encoding="utf-8")
+    guard = {**content["guard"], "counts_max_age_s": 1.0}  # a busy PC reads late: that is not what is judged here
+    path.write_text(tomli_w.dumps({**content, "guard": guard}), encoding="utf-8")
     command = [sys.executable, "-m", "rtec.cli.main", "run", str(path), *options, "--dry-run"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr
