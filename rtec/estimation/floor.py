@@ -60,7 +60,7 @@ def repeats_floor(readings: Readings, series: Sequence[Series], left: Floats) ->
 
 
 def _kept(series: Sequence[Series]) -> float:
-    """Share of the noise that is left once what each run has anew is taken out of it."""
+    """Share of the noise that stays when the unknowns of each run (zero, slope) are fitted."""
     unknown = [np.minimum(np.bincount(s.run), s.nuisance.shape[1]).sum() for s in series]
     return max(1.0 - float(sum(unknown)) / sum(map(len, series)), SMALL)
 

@@ -189,7 +189,7 @@ class _HeldOutRuns:
         self.rights = np.stack([w.T @ self.target[r] for w, r in zip(self.parts, self.rows, strict=True)])
 
     def errors(self, width: int) -> tuple[Floats, Floats]:
-        """Sum of squares of the whitened errors of each fold, (folds,); errors less what each run has anew, (m,)."""
+        """Sums of squares of the whitened errors by fold, (folds,); errors less the unknowns of each run, (m,)."""
         grams, rights = self.grams[:, :width, :width], self.rights[:, :width]
         if len(self.rows) > 1:
             grams, rights = grams.sum(axis=0) - grams, rights.sum(axis=0) - rights
@@ -203,7 +203,7 @@ class _HeldOutRuns:
 
 
 def without_nuisance(readings: Readings, left: Floats) -> Floats:
-    """Residuals less what each run has anew (zero, slope), by least squares run by run, (m,) or (m, p)."""
+    """Residuals less what is unknown of each run (zero, slope), by least squares run by run, (m,) or (m, p)."""
     out = left.copy()
     for s in readings.series:
         if s.nuisance.shape[1]:
@@ -212,7 +212,7 @@ def without_nuisance(readings: Readings, left: Floats) -> Floats:
 
 
 def without_runs(series: Series, columns: Floats) -> Floats:
-    """Columns of one series less what each run has anew, (n,) or (n, p)."""
+    """Columns of one series less what is unknown of each run, (n,) or (n, p)."""
     if not series.nuisance.shape[1]:
         return columns.copy()
     edges = np.concatenate([[0], np.flatnonzero(np.diff(series.run)) + 1, [len(series)]])

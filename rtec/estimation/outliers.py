@@ -214,7 +214,7 @@ def _rough(readings: Readings, s: Series, values: Floats, linked: Ints) -> Float
 
 
 def _without_runs(s: Series, columns: Floats, weight: Floats) -> Floats:
-    """Columns less what each run has anew, by weighted least squares, (n, p); a constant where nothing is unknown."""
+    """Columns less the unknowns of each run, by weighted least squares, (n, p); without unknowns, less their mean."""
     if not s.nuisance.shape[1]:
         return np.asarray(columns - weight @ columns / weight.sum())
     out = columns.copy()

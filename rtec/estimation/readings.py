@@ -39,7 +39,7 @@ class Series:
         time_s: of them.
         run: their runs, counted from 0 in order, (n,).
         fold: which are left out together, (n,).
-        nuisance: values of what each run has anew (zero, slope …), (n, k).
+        nuisance: values of what is unknown of each run (zero, slope …), (n, k).
         start: place of the first reading among all.
     """
 

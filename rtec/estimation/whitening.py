@@ -1,7 +1,7 @@
 """Whitening in time proportional to the number of readings: a Kalman filter's innovations.
 
 The noise of a series is white, plus a drift that forgets (Ornstein-Uhlenbeck, variance d, time constant τ), plus an
-offset that each run has anew (variance r), plus what each run has anew and nobody knows (zero, slope: variance so
+offset of each run (variance r), plus what is unknown of each run (zero, slope: variance so
 large that only the readings decide). With white variance one, the filter's innovations over their standard deviations
 are `L⁻¹ y` with `L Lᵀ = Σ`, up to nothing: the same numbers as by a Cholesky factor, without the matrix.
 
@@ -43,7 +43,7 @@ def gains(  # noqa: PLR0912
     Args:
         time_s: (n,), not falling.
         run: (n,), another number where a run begins.
-        unknown: what each run has anew, (n, k).
+        unknown: what is unknown of each run, (n, k).
         drift: variance of the drift over that of the white noise.
         tau_s: its time constant.
         offset: variance of the runs' offsets over that of the white noise.

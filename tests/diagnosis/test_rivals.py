@@ -44,7 +44,7 @@ def test_every_pause_is_an_instant_that_is_tried() -> None:
 
 
 def test_counts_that_were_lost_between_two_runs_are_named() -> None:
-    """Oracle: the record was made so; an offset that each run has anew does not take a loss up that stays."""
+    """Oracle: the record was made so; an offset of each run does not take a loss up that stays."""
     trial = _short_line(3, loss_um=4.0)
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
     assert d.verdict in ("missing_effect", "ambiguous")

@@ -1,6 +1,6 @@
 """One measurement made ready for the fit: weights, blocks, and what the instrument cannot know.
 
-A nuisance that each run has anew is projected out of that run's readings and columns, run by run: the same
+A nuisance of each run is projected out of that run's readings and columns, run by run: the same
 coefficients as with one explicit column for each run, at the cost of none. Where a run lies in several blocks, and
 for what a whole set-up shares, the columns are explicit.
 

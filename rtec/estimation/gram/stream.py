@@ -5,7 +5,7 @@ them is one small square matrix a block.
 
 A state walked through window by window, so that a million readings never need their whole design in memory.
 
-Takes the nuisances that each run has anew out of the columns, chunk by chunk.
+Takes the nuisances of each run out of the columns, chunk by chunk.
 """
 
 from collections.abc import Callable, Mapping, Sequence
