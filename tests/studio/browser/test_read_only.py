@@ -90,12 +90,12 @@ def test_temperature_and_spindle_speed_move_the_tip_and_the_part(watched: Watche
     said = set()
     for key, name in (("T_x_nut", "T_x_nut, °C"), ("spindle_rpm", "spindle_rpm")):
         page.get_by_role("slider", name=name, exact=True).locator("[tabindex='0']").focus()
-        before = state[key]
-        for _ in range(2):
-            page.keyboard.press("PageUp")
-        # The slider's own number has one digit behind the point.
         field = page.get_by_label(f"{name}, number")
-        page.wait_for_function("([e, v]) => parseFloat(e.value) > v", arg=[field.element_handle(), before])
+        for _ in range(2):  # one key at a time: what is typed below must not meet a key on its way
+            before = float(field.input_value())
+            page.keyboard.press("PageUp")
+            page.wait_for_function("([e, v]) => parseFloat(e.value) > v", arg=[field.element_handle(), before])
+        # The slider's own number has one digit behind the point.
         state[key] = float(field.input_value())
         field.press("Enter")
         error = model.predict(state)
