@@ -104,8 +104,10 @@ def _said(first: Compared, c: Comparison) -> str:
 
 def _nowhere(i: Compared) -> str:
     """Where no place stands out."""
-    if i.left.rms <= SURELY * i.floor or i.noise.drift <= SLOW * i.floor:
+    if i.left.rms <= SURELY * i.floor:
         return "No place stands out from noise."
+    if i.noise.drift <= SLOW * i.floor:
+        return "No single place or line stands out, yet it is no noise: it follows the recorded channels."
     if i.drift_goes_with:
         return f"No single place stands out, but most of it {i.drift_goes_with}."
     return "No place stands out: it is slow drift that no recorded channel explains."

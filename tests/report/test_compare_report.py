@@ -1,9 +1,12 @@
 """What the report of a comparison shows: the stack of effects, several instruments at once, units kept apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.compare.result import Size
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
 from rtec.report.compare import compare_page
@@ -91,3 +94,15 @@ def test_effects_of_one_kind_have_labels_of_their_own() -> None:
     c = compare(model(SCALE, SCALE), [laser([SCALE], 43)])
     assert [p.label for p in c.items[0].parts] == ["scale(EXX, X) #1", "scale(EXX, X) #2"]
     assert effects(SCALE)[0].label == "scale(EXX, X)"
+
+
+def test_a_residual_of_many_shapes_is_not_called_noise() -> None:
+    """Oracle: forty times the noise, no place and no line; drift is not what it is either."""
+    c = compare(model(SCALE), [laser([SCALE], 3)])
+    (i,) = c.items
+    many = replace(
+        i, left=Size(40.0 * i.floor, 90.0 * i.floor), worst=(), shape=None, noise=replace(i.noise, drift=0.0)
+    )
+    said = str(compare_page(replace(c, items=(many,))).lead)
+    assert "No place stands out from noise" not in said
+    assert "yet it is no noise: it follows the recorded channels" in said
