@@ -12,8 +12,8 @@ from rtec.errors import MeasurementError
 
 VERDICTS = ("nothing_missing", "undecided", "missing_effect", "ambiguous", "unknown_effect")
 CLAIMS = ("missing_effect", "ambiguous")
-NEAR_NOISE = 1.1
-"""An error on held-out runs of at most so many times their noise is at the noise."""
+NEAR = 1.1
+"""An error on held-out runs of at most so many times what can be reached there is as good."""
 
 Floats = NDArray[np.float64]
 
@@ -82,20 +82,39 @@ def confidently_wrong(trial: Trial, answer: TrialAnswer) -> bool:
     return not any(is_right(answer.names[0], names) for names in trial.hidden)
 
 
-def over_noise(trial: Trial, answer: TrialAnswer) -> float:
-    """Error on held-out runs over their noise, outliers left out; infinite where nothing is predicted.
+def over_reachable(trial: Trial, answer: TrialAnswer) -> float:
+    """Error on held-out runs over what can be reached there, outliers left out; infinite where nothing is predicted.
 
     The zero of a column is unknown, so means are taken off.
     """
     (record,) = trial.records
     if set(answer.predicted) != set(record.held_back):
         return float("inf")
-    error = noise = 0.0
+    error = 0.0
     for name, readings in record.held_back.items():
         known = np.isfinite(readings) & np.isfinite(record.noise[name])
         error += float(np.var(readings[known] - answer.predicted[name][known]))
-        noise += float(np.var(record.noise[name][known]))
-    return float(np.sqrt(error / noise))
+    return float(np.sqrt(error) / reachable(trial))
+
+
+def reachable(trial: Trial) -> float:
+    """What is left of held-out readings when all is known that was recorded, outliers left out, root mean square.
+
+    That is the noise drawn there, and what the law of the recorded channels, fitted by least squares to the other runs
+    without their noise, leaves of a truth that is of bodies without a sensor.
+    """
+    (record,) = trial.records
+    total = 0.0
+    for name, readings in record.held_back.items():
+        noise = record.noise[name]
+        back = np.isfinite(readings) & np.isfinite(noise)
+        total += float(np.var(noise[back]))
+        if name in trial.law:
+            law = np.column_stack([np.ones(len(noise)), trial.law[name]])
+            rest = np.isfinite(record.readings[name]) & np.isfinite(noise)
+            numbers = np.linalg.lstsq(law[rest], (record.readings[name] - noise)[rest], rcond=None)[0]
+            total += float(np.var((readings - noise - law @ numbers)[back]))
+    return float(np.sqrt(total))
 
 
 def score(trials: Sequence[Trial], answers: Mapping[str, TrialAnswer]) -> list[ScoreRow]:
@@ -164,13 +183,13 @@ def _plates(pairs: Sequence[Pair]) -> list[ScoreRow]:
 
 
 def _predicted(pairs: Sequence[Pair]) -> list[ScoreRow]:
-    """Held-out runs are predicted as well as their noise lets them be, after the model was improved."""
+    """Held-out runs are predicted as well as their noise and what was recorded let them be, after improving."""
     mine = [(t, a) for t, a in pairs if any(r.held_back for r in t.records)]
-    what = f"held-out error at most {NEAR_NOISE} × the noise after improving"
-    out = [_row(what, mine, lambda t, a: over_noise(t, a) <= NEAR_NOISE, 0.95)]
+    what = f"held-out error at most {NEAR} × what can be reached, after improving"
+    out = [_row(what, mine, lambda t, a: over_reachable(t, a) <= NEAR, 0.95)]
     for form in ("bursts", "warm_up"):
         part = [(t, a) for t, a in mine if t.what.startswith(f"{form}_")]
-        out.append(_row(f"… {form.replace('_', ' ')}", part, lambda t, a: over_noise(t, a) <= NEAR_NOISE, 0.95))
+        out.append(_row(f"… {form.replace('_', ' ')}", part, lambda t, a: over_reachable(t, a) <= NEAR, 0.95))
     return out
 
 

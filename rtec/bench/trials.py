@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtec.bench.rig import campaign as c
 from rtec.bench.rig import noise
 from rtec.bench.rig.campaign import CampaignPlan, Errors, Record
-from rtec.bench.rig.heat import Day, day
+from rtec.bench.rig.heat import Day, day, growth_seen
 from rtec.bench.rig.machine import PITCH_MM, SENSORS, description, displaced
 
 Floats = NDArray[np.float64]
@@ -48,6 +48,7 @@ class Trial:
         variables: channels that an effect outside the catalogue depends on.
         doubt: what is wrong with the record or with the machine file; empty where nothing is.
         machine: as the machine file has it.
+        law: what recorded channels tell of a truth that is of bodies without a sensor: columns by reading, (n, k).
     """
 
     group: str
@@ -60,6 +61,7 @@ class Trial:
     variables: frozenset[str] = frozenset()
     doubt: str = ""
     machine: Mapping[str, Any] = field(default_factory=description)
+    law: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -208,10 +210,13 @@ def warm_screw(m: Maker) -> Parts:
     """The finite-element screw grows; a sensor is on the nut only."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
+    record = m.record(plan, _plus(known, {"EXX": m.sized(m.of.growth(plan.q, plan.time_s))}))
+    seen = growth_seen(plan.q, plan.time_s, record.channels)
     return {
-        "records": (m.record(plan, _plus(known, {"EXX": m.sized(m.of.growth(plan.q, plan.time_s))})),),
+        "records": (record,),
         "base": base,
         "hidden": ((Right("axis_expansion", "EXX"),),),
+        "law": {"reading_um": np.column_stack([plan.q, plan.direction["X"], seen])},
     }
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rtec.bench.folder import ANSWERS, BenchmarkRange, read_answers, read_range, write_answers, write_sets
-from rtec.bench.score import TrialAnswer, confidently_wrong, over_noise, score
+from rtec.bench.score import TrialAnswer, confidently_wrong, over_reachable, reachable, score
 from rtec.bench.sets import measurements_of
-from rtec.bench.trials import Right, build
+from rtec.bench.trials import Right, Trial, build
 from rtec.cli.main import status
 from rtec.errors import MeasurementError
 from rtec.machine import load_machine
@@ -75,20 +75,35 @@ def test_predictions_go_there_and_back_and_are_held_against_the_noise(tmp_path: 
         assert 0.2 < back.mean() < 0.3
         known = {n: np.nan_to_num(v - record.noise[n]) for n, v in record.held_back.items()}
         given[t.label] = TrialAnswer("missing_effect", predicted=known)
-        assert over_noise(t, given[t.label]) == pytest.approx(1.0)
-        assert over_noise(t, TrialAnswer("nothing_missing")) == np.inf
+        assert over_reachable(t, given[t.label]) == pytest.approx(noise_of(t) / reachable(t))
+        assert over_reachable(t, TrialAnswer("nothing_missing")) == np.inf
     write_answers(tmp_path, made, given)
     read = read_answers(tmp_path, made)
     for t in made:
-        assert over_noise(t, read[t.label]) == pytest.approx(1.0)
+        assert over_reachable(t, read[t.label]) == pytest.approx(noise_of(t) / reachable(t))
     rows = {r.what: (r.hits, r.total) for r in score(made, read)}
-    assert rows["held-out error at most 1.1 × the noise after improving"] == (12, 12)
+    assert rows["held-out error at most 1.1 × what can be reached, after improving"] == (12, 12)
     assert rows["… bursts"] == (5, 5)
     assert rows["… warm up"] == (2, 2)
     file = tmp_path / "sets" / "0001" / "predicted.csv"
     file.write_text("\n".join(file.read_text(encoding="utf-8").splitlines()[:-1]), encoding="utf-8")
     with pytest.raises(MeasurementError, match="the set has"):
         read_answers(tmp_path, made)
+
+
+def noise_of(trial: Trial) -> float:
+    """Root mean square of the noise drawn in held-back readings, outliers left out."""
+    (record,) = trial.records
+    drawn = [record.noise[n][np.isfinite(v)] for n, v in record.held_back.items()]
+    return float(np.sqrt(sum(np.nanvar(d) for d in drawn)))
+
+
+def test_what_nobody_recorded_is_not_asked_for() -> None:
+    """Oracles: the noise alone where the law needs no body without a sensor; else a little more."""
+    for seed in range(4):
+        bow, screw = (build("improve", f"any_{what}", seed) for what in ("plain_bow", "warm_screw"))
+        assert reachable(bow) == pytest.approx(noise_of(bow))
+        assert 1.0 < reachable(screw) / noise_of(screw) < 1.2
 
 
 def test_no_held_back_reading_is_in_the_files(tmp_path: Path) -> None:

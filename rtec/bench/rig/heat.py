@@ -142,3 +142,19 @@ def _blocks(rng: Rng, time: Floats, levels: tuple[float, ...], minutes: tuple[fl
 def sensors(of: Day, rng: Rng, time_s: Floats, names: tuple[str, ...] = SENSORS) -> dict[str, Floats]:
     """What sensors show, °C, (n,) each."""
     return {name: of.sensor(name, rng, time_s) for name in names}
+
+
+def growth_seen(q_mm: Floats, time_s: Floats, channels: Mapping[str, Floats]) -> Floats:
+    """What sensors tell of the growth of X's screw, (n, 8): whoever has only them can do no better.
+
+    The nut warms the screw now and as late as an element follows it, more in the middle than at the ends; bed and air
+    cool it.
+    """
+    nut, late = channels["T_nut"] - 20.0, np.empty(len(time_s))
+    tau_s = 1e3 * OF_ELEMENT / (AT_NUT / ELEMENTS * 4.0 + TO_AIR)
+    late[0] = nut[0]
+    for i, keep in enumerate(np.exp(-np.diff(time_s) / tau_s).tolist(), 1):
+        late[i] = keep * late[i - 1] + (1.0 - keep) * nut[i]
+    u = q_mm / TRAVEL_MM["X"][1]
+    others = [u * (channels[name] - 20.0) for name in ("T_bed", "T_air")]
+    return np.stack([*(u**k * t for k in (1, 2, 3) for t in (nut, late)), *others], axis=1)
