@@ -121,7 +121,7 @@ def serve(folder: Path, opened: OpenPort, attach: Path | None = None, role: "Rol
     """
 
     def load() -> "Starlette":
-        with _without("aiohttp", "tornado", "tornado.web", "pydantic.v1"):
+        with _without("aiohttp", "tornado", "tornado.web", "pydantic.v1"), _deferred():
             from rtec.studio.app import made
 
             return made(folder, attach, role)
@@ -192,3 +192,19 @@ def _without(*names: str) -> Iterator[None]:
     finally:
         for name in absent:
             del sys.modules[name]
+
+
+@contextmanager
+def _deferred() -> Iterator[None]:
+    """Import modules whose forms of data are built when they are first used.
+
+    FastAPI declares those of a whole description of the server, which nobody asks for here.
+    """
+    from pydantic import BaseModel, ConfigDict
+
+    before = BaseModel.model_config
+    BaseModel.model_config = ConfigDict(defer_build=True)
+    try:
+        yield
+    finally:
+        BaseModel.model_config = before

@@ -12,20 +12,10 @@ import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
-from typing import Any, Final, Protocol, TypeVar, TypeVarTuple
+from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 from rtec.errors import RtecError
 
-PRELOAD: Final = [
-    "rtec.diagnosis.extend.improve",
-    "rtec.diagnosis.compare.compare",
-    "rtec.characterise",
-    "rtec.metrology.files.load",
-    "rtec.report.additions",
-    "rtec.report.compare",
-    "rtec.report.diagnosis",
-    "rtec.sim.campaign.campaign",
-]
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
 
@@ -55,14 +45,17 @@ class _Line:
 
     def ask(self, question: object) -> Any:
         self._pipe.send(("ask", question))
-        return self._pipe.recv()
+        try:
+            return self._pipe.recv()
+        except EOFError as e:
+            raise ConnectionResetError("the studio has ended") from e
 
 
 def warm_up() -> None:
     """Start the server that processes are forked from; it loads on by itself."""
     from multiprocessing import forkserver
 
-    _context().set_forkserver_preload(PRELOAD)
+    _context().set_forkserver_preload(["rtec.studio.preload"])
     forkserver.ensure_running()
 
 
@@ -71,14 +64,14 @@ def _context() -> "multiprocessing.context.ForkServerContext":
 
 
 def _work(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[Any, ...]) -> None:
-    with contextlib.suppress(BrokenPipeError):  # nobody waits for it any more
+    with contextlib.suppress(ConnectionError):  # nobody waits for it any more
         _report(pipe, task, args)
 
 
 def _report(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[Any, ...]) -> None:
     try:
         pipe.send(("done", task(_Line(pipe), *args)))
-    except BrokenPipeError:
+    except ConnectionError:
         raise
     except RtecError as e:
         pipe.send(("failed", str(e)))

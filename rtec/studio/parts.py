@@ -4,9 +4,9 @@ import contextlib
 import re
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from nicegui import events, ui
+from nicegui import background_tasks, events, ui
 from nicegui.element import Element
 from nicegui.elements.mixins.text_element import TextElement
 from nicegui.elements.mixins.validation_element import ValidationElement
@@ -18,6 +18,7 @@ from rtec.text import clean_lines
 if TYPE_CHECKING:
     from rtec.report.page import Section, Table
 
+SENT_S: Final = 0.05
 POINTS_OF_THOUSANDS = re.compile(r"[+-]?\d{1,3}(\.\d{3})+,\d*|[+-]?\d{1,3}(\.\d{3}){2,}")
 COMMAS_OF_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*|[+-]?\d{1,3}(,\d{3}){2,}")
 
@@ -138,7 +139,16 @@ def waiting(session: TabSession, sentence: str, begin: Callable[[TabSession], Aw
         return
     Words("p", sentence, "lead")
     if session.job is None:
-        ui.timer(0.05, lambda: begin(session), once=True)
+        soon(lambda: begin(session))
+
+
+def soon(begin: Callable[[], Awaitable[Any]]) -> None:
+    """Begin work once the page is sent. It goes on where its part of the page is gone meanwhile."""
+
+    def start() -> None:
+        background_tasks.create(begin(), name="begun by a page")
+
+    ui.timer(SENT_S, start, once=True)
 
 
 def lacking(session: TabSession) -> bool:

@@ -1,6 +1,8 @@
 """Measurement files. Oracles: the tables as written by hand here; `hashlib` for the digest; bit-for-bit round trips."""
 
 import hashlib
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -564,3 +566,21 @@ def test_a_table_uses_one_decimal_mark(tmp_path: Path) -> None:
     assert "line 2: z_mm: '300.5' has a decimal point where decimal = ',' was said" in message
     whole = write(tmp_path, HEADER.replace(",", ";") + "\n1;0;0;1.234;1;0;20;20;1\n")
     assert "line 2: z_mm: '1.234' has a decimal point" in fault(whole, delimiter=";", decimal=",")
+
+
+READ = """import sys
+from pathlib import Path
+from rtec.metrology.files.load import load_measurement
+from tests.support.measurement_examples import machine
+for path in sys.argv[1:]:
+    load_measurement(Path(path), machine())
+sys.exit("pandas" in sys.modules)
+"""
+
+
+def test_reading_a_table_does_not_load_pandas(tmp_path: Path) -> None:
+    """It would take half a second of every command, where pandas is installed. Oracle: the modules of a process."""
+    (tmp_path / "other").mkdir()
+    paths = [str(write(tmp_path, text(rows()))), str(as_parquet(tmp_path / "other"))]
+    root = Path(__file__).parents[2]
+    assert subprocess.run([sys.executable, "-c", READ, *paths], cwd=root, check=False).returncode == 0

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from rtec.errors import RtecError
-from rtec.studio.jobs import Cancelled, Job, Reporter
+from rtec.studio.jobs import Cancelled, Job, Reporter, _work
 
 pytestmark = pytest.mark.xdist_group("studio")
 
@@ -86,3 +86,19 @@ def test_cancelled_work_ends_at_once_and_its_process_is_gone() -> None:
     assert process is not None
     process.join(10)
     assert not process.is_alive()
+
+
+class _StudioThatEnded:
+    """The end of a pipe whose other end is gone once something was asked."""
+
+    def send(self, _: object) -> None: ...
+
+    def recv(self) -> object:
+        raise EOFError
+
+
+def test_a_studio_that_ends_while_work_asks_is_no_fault_of_the_work(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: nothing on the terminal, where a traceback stood."""
+    pipe: Any = _StudioThatEnded()
+    _work(pipe, _asks, ())
+    assert capsys.readouterr().err == ""

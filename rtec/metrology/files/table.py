@@ -327,12 +327,28 @@ def _quick(
         with arrow_csv.open_csv(str(path), read_options=read, parse_options=parse, convert_options=cells) as reader:
             for batch in reader:
                 for name, key in keys.items():
-                    parts[name].append(batch.column(key).to_numpy(zero_copy_only=False))
+                    parts[name].append(_floats(batch.column(key)))
     except (pa.ArrowException, ValueError, OSError):
         return None
     columns = {name: np.concatenate([np.empty(0), *parts.pop(name)]) for name in used}
     # A blank line comes out as a row without anything; it is none.
     return None if np.logical_and.reduce([np.isnan(v) for v in columns.values()]).any() else columns
+
+
+def _floats(column: Any) -> Floats:
+    """The numbers of an Arrow array of float64, NaN where it has none.
+
+    Its own `to_numpy` would import pandas, where it is installed: half a second.
+    """
+    if not len(column):
+        return np.empty(0)
+    valid, content = column.buffers()
+    here = slice(column.offset, column.offset + len(column))
+    values = np.frombuffer(content, dtype=np.float64)[here]
+    if not column.null_count:
+        return values
+    there = np.unpackbits(np.frombuffer(valid, dtype=np.uint8), bitorder="little")[here]
+    return np.where(there == 1, values, np.nan)
 
 
 def _exact(
@@ -386,7 +402,8 @@ def read_parquet(path: Path, used: Sequence[str], faults: Faults) -> Raw:
             n = file.metadata.num_rows
             table = file.read(columns=_numeric(file.schema_arrow, used, faults))
         for name in table.column_names:
-            columns[name] = table.column(name).cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
+            chunks = table.column(name).cast(pa.float64(), safe=False).chunks
+            columns[name] = np.concatenate([np.empty(0), *map(_floats, chunks)])
     except (pa.ArrowException, ValueError, OSError, KeyError) as e:
         raise MeasurementError(f"{path}: cannot be read: {_first_line(e)}") from e
     return Raw(columns, np.arange(1, n + 1), "row", np.zeros(n, dtype=np.bool_))

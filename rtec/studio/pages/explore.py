@@ -123,9 +123,18 @@ class _Explorer:
             field = ui.input(value=said(value)).props("dense outlined")
             label(field, f"{name}, number")
 
+        written, focused = said(value), False
+
+        def focus(now: bool) -> None:
+            nonlocal focused
+            focused = now
+
         def moved(event: events.ValueChangeEventArguments[float | None]) -> None:
+            nonlocal written
             now = float(event.value or 0.0)
-            field.value = said(now)
+            if not (focused and field.value != written):  # else what is being typed would be lost
+                written = field.value = said(now)
+                field.error = None
             if key:
                 self._state[key] = now
             else:
@@ -133,6 +142,10 @@ class _Explorer:
             self._redraw()
 
         def typed() -> None:
+            nonlocal written
+            if field.value == written:  # rounded; what it stands for is not
+                field.error = None
+                return
             try:
                 given = number(field.value or "")
                 inner = given if key else float(np.log10(max(given, 1e-9)))
@@ -143,9 +156,11 @@ class _Explorer:
                 field.error = str(e)
                 return
             field.error = None
+            written = field.value or ""
             slider.value = inner
 
         slider.on_value_change(moved)
+        field.on("focus", lambda: focus(True)).on("blur", lambda: focus(False))
         field.on("keydown.enter", typed).on("blur", typed)
 
     def _set(self, key: str, event: events.ValueChangeEventArguments[Any]) -> None:

@@ -8,7 +8,7 @@ from rtec.errors import RtecError
 from rtec.studio import actions, figures, tasks
 from rtec.studio.chart import Chart
 from rtec.studio.jobs import Cancelled, Job
-from rtec.studio.parts import Words, at_fault, button, number, trouble
+from rtec.studio.parts import Words, at_fault, button, number, soon, trouble
 from rtec.studio.session import TabSession, blamed
 from rtec.studio.tasks import Wanted
 from rtec.wording import significant
@@ -84,7 +84,7 @@ class _Form:
             at_fault(s, key, field)
             field.on_value_change(self._changed)
         if view.get("own"):
-            ui.timer(0.05, self._changed, once=True)
+            soon(self._changed)
 
     def _wanted(self, theta: dict[str, float] | None = None) -> Wanted:
         params = []

@@ -11,7 +11,7 @@ from rtec.commission.example import SHIPPED
 from rtec.errors import RtecError
 from rtec.studio.folder import Summary
 from rtec.studio.jobs import Job
-from rtec.studio.parts import Area, Words, button, command, draft, heading, label, trouble
+from rtec.studio.parts import Area, Words, button, command, draft, heading, label, soon, trouble
 from rtec.studio.session import ForeignFile, TabSession
 from rtec.text import clean
 from rtec.wording import counted
@@ -35,7 +35,7 @@ def build(session: TabSession) -> None:
     with ui.element("div").classes("card"):
         Words("h2", "Model")
         model = _ModelCard(session)
-    ui.timer(0.05, lambda: _look(session, listed), once=True)
+    soon(lambda: _look(session, listed))
 
 
 def _empty(session: TabSession) -> None:

@@ -41,6 +41,8 @@ PLACE = """([chart, trace, k]) => {
 POINTS = (
     "(chart) => document.querySelectorAll('.chart')[chart].data.flatMap((t, i) => (t.ids ?? []).map((_, k) => [i, k]))"
 )
+LATE = "([id, value]) => getElement(Number(id.slice(1))).$emit('update:model-value', value)"
+"""What a slider reports once its pause of 0.15 s is over."""
 MIDDLE = "(e) => { const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }"
 MARKED = """(chart) => document.querySelectorAll(".chart")[chart].data.filter((t) => t.ids && t.selectedpoints)
   .flatMap((t) => t.selectedpoints.map((k) => Number(t.ids[k]))).sort((a, b) => a - b)"""
@@ -203,7 +205,10 @@ def test_the_staircase_falls_on_a_log_axis_to_the_noise_floor(page: "Page", bett
 
 
 def test_explore_moves_vector_and_bars_as_the_model_says(page: "Page", better: "tuple[Model, Comparison]") -> None:
-    """Oracle: `Model.predict` at the position typed in German, with and without an effect; 1000 times magnified."""
+    """Oracle: `Model.predict` at the position typed in German, with and without an effect; 1234 times magnified.
+
+    A slider that reports late, while a number is typed, does not take it away.
+    """
     show(page, "Explore")
     model, _ = better
     at = {"X": 12.5, "Z": 200.0, "dir_X": 1.0, "dir_Z": 1.0, "T_x_nut": 20.0}
@@ -215,15 +220,26 @@ def test_explore_moves_vector_and_bars_as_the_model_says(page: "Page", better: "
         ends = {t["name"]: np.array([t[c][-1] for c in "xyz"], dtype=float) for t in sides if t["name"] != "nominal"}
         still = [np.array([t[c][-1] for c in "xyz"], dtype=float) for t in sides if t["name"] == "nominal"]
         shift = ends["tool side, with its errors"] - ends["work side, with its errors"] - (still[0] - still[1])
-        assert shift == pytest.approx(error * 1e-3 * 1000.0, abs=0.02)
+        assert shift == pytest.approx(error * 1e-3 * 1234.0, abs=0.02)
         bars = figure(page, "Component errors at this place")["data"]
         total = sum(abs(v) for trace in bars for v in trace["x"])
         assert (total > 0.0) == (len(m.effects) > 0)
 
-    page.get_by_label("magnified, times, number").fill("1.000,0")
+    page.get_by_label("magnified, times, number").fill("1.234,0")  # it is then shown with two digits
     page.get_by_label("magnified, times, number").press("Enter")
-    page.get_by_label("X, mm, number").fill("12,5")
-    page.get_by_label("X, mm, number").press("Enter")
+    field = page.get_by_label("X, mm, number")
+    field.fill("12,5")
+    field.press("Enter")
+    says(model, at)
+    slider = page.get_by_role("slider", name="X, mm", exact=True).get_attribute("id")
+    field.fill("17")
+    page.evaluate(LATE, [slider, 150.0])
+    says(model, at | {"X": 150.0})
+    assert field.input_value() == "17"
+    field.press("Enter")
+    says(model, at | {"X": 17.0})
+    field.fill("12,5")
+    field.press("Tab")
     says(model, at)
     page.get_by_label("direction of X").get_by_role("button", name="−").click()
     says(model, at | {"dir_X": -1.0})

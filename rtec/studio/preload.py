@@ -1,0 +1,21 @@
+"""What work needs, loaded once in the process that those of all work are forked from."""
+
+import numpy as np
+import pyarrow.csv
+import scipy.optimize
+import scipy.sparse.linalg
+
+import rtec.characterise
+import rtec.diagnosis.compare.compare
+import rtec.diagnosis.extend.improve
+import rtec.metrology.files.load
+import rtec.report.additions
+import rtec.report.compare
+import rtec.report.diagnosis
+import rtec.sim.campaign.campaign
+from rtec.effects.derived import direction_track
+
+__all__ = ["np", "pyarrow", "rtec", "scipy"]
+
+# The first compiled function that is called has numba load all that it knows: longer than all the rest.
+direction_track(np.zeros(2), 0.0)
