@@ -6,7 +6,7 @@ the layouts as their makers document them, written by hand here.
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rtec.errors import MeasurementError
-from rtec.metrology.readers import READERS, ForeignTable, SourceOptions, detect, read_tables
+from rtec.metrology.readers import READERS, ForeignTable, SourceOptions, delimited, detect, read_tables
 from rtec.metrology.readers.isg_csv import unit, write
 from tests.support.real_data import real_file
 
@@ -490,3 +490,29 @@ def test_mutated_files(tmp_path: Path, name: str, at: float, removed: int, new: 
         read_tables(path, SourceOptions(reader=name))
     except MeasurementError as e:
         assert str(path) in str(e)  # noqa: PT017
+
+
+ODD = ("7", " 3 ", "+2", "1,5", "1.5", "", '""', "nan", "-nan", "NaN", "inf", "infinity", "1e999", "-7e-2", ".5", "5.",
+       "0x10", "1_0", "−3", "n/a", "x", '"4"', "1.234,5", " ")  # fmt: skip
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_numbers_come_out_alike_however_many_rows_there_are(
+    tmp_path: Path, decimal: Literal[".", ","], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cells that are no plain numbers, behind many that are. Oracle: the way that looks at every cell."""
+    for odd in ODD:
+        lines = ["a;b;c", *(f"{k};{k}{decimal}5;{k}" for k in range(8)), f"8;{odd};n/a", "", " ", f"9;3{decimal}25;"]
+        path = tmp_path / "t.csv"
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        source = SourceOptions(delimiter=";", decimal=decimal, missing=("n/a",))
+        tables = []
+        for few in (3, 1000):
+            monkeypatch.setattr(delimited, "FEW", few)
+            tables.append(delimited.read(path, source)[0])
+        quick, slow = tables
+        assert quick.wrong == slow.wrong
+        assert quick.lines.tolist() == slow.lines.tolist() == [*range(2, 11), 13]
+        for name in "abc":
+            assert quick.columns[name].dtype == slow.columns[name].dtype
+            np.testing.assert_array_equal(quick.columns[name], slow.columns[name])

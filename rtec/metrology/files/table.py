@@ -327,7 +327,7 @@ def _quick(
         with arrow_csv.open_csv(str(path), read_options=read, parse_options=parse, convert_options=cells) as reader:
             for batch in reader:
                 for name, key in keys.items():
-                    parts[name].append(_floats(batch.column(key)))
+                    parts[name].append(_of_chunk(batch.column(key)))
     except (pa.ArrowException, ValueError, OSError):
         return None
     columns = {name: np.concatenate([np.empty(0), *parts.pop(name)]) for name in used}
@@ -335,11 +335,15 @@ def _quick(
     return None if np.logical_and.reduce([np.isnan(v) for v in columns.values()]).any() else columns
 
 
-def _floats(column: Any) -> Floats:
-    """The numbers of an Arrow array of float64, NaN where it has none.
+def floats(column: Any) -> Floats:
+    """The numbers of an Arrow column of float64, NaN where it has none.
 
     Its own `to_numpy` would import pandas, where it is installed: half a second.
     """
+    return np.concatenate([np.empty(0), *map(_of_chunk, getattr(column, "chunks", [column]))])
+
+
+def _of_chunk(column: Any) -> Floats:
     if not len(column):
         return np.empty(0)
     valid, content = column.buffers()
@@ -402,8 +406,7 @@ def read_parquet(path: Path, used: Sequence[str], faults: Faults) -> Raw:
             n = file.metadata.num_rows
             table = file.read(columns=_numeric(file.schema_arrow, used, faults))
         for name in table.column_names:
-            chunks = table.column(name).cast(pa.float64(), safe=False).chunks
-            columns[name] = np.concatenate([np.empty(0), *map(_floats, chunks)])
+            columns[name] = floats(table.column(name).cast(pa.float64(), safe=False))
     except (pa.ArrowException, ValueError, OSError, KeyError) as e:
         raise MeasurementError(f"{path}: cannot be read: {_first_line(e)}") from e
     return Raw(columns, np.arange(1, n + 1), "row", np.zeros(n, dtype=np.bool_))

@@ -112,9 +112,9 @@ def _put_in_order(time_s: Floats, epoch: datetime | None, table: ForeignTable, t
             "else put the rows in order"
         )
     if len(falls):
-        time_s = time_s.copy()
-        for i in falls:
-            time_s[i:] += time_s[i - 1] + time.restart_gap_s - time_s[i]
+        later = np.zeros(len(time_s))
+        later[falls] = time_s[falls - 1] + time.restart_gap_s - time_s[falls]
+        time_s = time_s + np.cumsum(later)
         notes.append(f"the clock starts again {len(falls)} times; {time.restart_gap_s:g} s are put between")
     began = None
     if epoch is not None and len(time_s):

@@ -5,6 +5,7 @@ question. A question with a usual answer takes that one until it is answered, an
 was assumed; a question without one must be answered first.
 """
 
+import itertools
 import re
 import tomllib
 import typing
@@ -456,10 +457,11 @@ def _columns(table: ForeignTable, roles: ColumnRoles) -> tuple[ForeignColumn, ..
     for name, values in table.columns.items():
         texts = values.dtype == np.object_
         empty = int((values == "").sum() if texts else np.isnan(values.astype(np.float64)).sum())
-        shown = [clean(str(v)) if texts else f"{v:.10g}" for v in values if v not in ("", None) and v == v]  # noqa: PLR0124
+        first = itertools.islice((v for v in values if v not in ("", None) and v == v), FIRST)  # noqa: PLR0124
+        shown = tuple(clean(str(v)) if texts else f"{v:.10g}" for v in first)
         becomes, reason = roles.use.get(name, ("", ""))
         unit = roles.units.get(name, "")
-        out.append(ForeignColumn(name, unit, tuple(shown[:FIRST]), empty, becomes, reason))
+        out.append(ForeignColumn(name, unit, shown, empty, becomes, reason))
     return tuple(out)
 
 

@@ -152,8 +152,9 @@ class ColumnRoles:
         """Texts that are date and time; date and time of day in two columns; time of day alone."""
         clock = None
         dates: list[tuple[str, tuple[str, ...]]] = []
-        whole = self._is_row()
-        for name in self._free(texts=True):
+        texts = self._free(texts=True)
+        whole = self._is_row() if texts else np.zeros(0, dtype=np.bool_)
+        for name in texts:
             cells = [str(v) for v, row in zip(self.table.columns[name], whole, strict=True) if v and row]
             cells = cells[:TRIED]
             if not cells:
@@ -180,9 +181,12 @@ class ColumnRoles:
 
     def _is_row(self) -> NDArray[np.bool_]:
         """Lines with more than one cell; `End of test;;;` is none."""
-        columns = self.table.columns.values()
-        filled = sum(np.array([_filled(v) for v in column], dtype=np.int64) for column in columns)
-        return np.asarray(filled > 1) if len(self.table.columns) > 2 else np.ones(len(self.table), dtype=np.bool_)
+        if len(self.table.columns) <= 2:
+            return np.ones(len(self.table), dtype=np.bool_)
+        filled = np.zeros(len(self.table), dtype=np.int64)
+        for column in self.table.columns.values():
+            filled += _filled(column)
+        return np.asarray(filled > 1)
 
     def _which(self, name: str, forms: list[str]) -> str:
         """Day before month, or month before day: asked where the cells allow both."""
@@ -522,15 +526,19 @@ class ColumnRoles:
             return {"require": readings} if readings else {}
         if clock is None:
             return {}
-        without = sum(not _filled(v) for v in self.table.columns[clock])
+        without = int((~_filled(self.table.columns[clock])).sum())
         if not 0 < without <= FEW_LINES:
             return {}
         self.guesses.append(Guess("rows.require", [clock], f"{counted(without, 'line')} without a time: no row"))
         return {"require": [clock]}
 
 
-def _filled(value: object) -> bool:
-    return value is not None and value != "" and value == value  # noqa: PLR0124 - NaN is not equal to itself
+def _filled(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which cells of a column have a value, (n,)."""
+    if values.dtype != np.object_:
+        return np.asarray(~np.isnan(values))
+    # NaN is not equal to itself.
+    return np.array([v is not None and v != "" and v == v for v in values], dtype=np.bool_)  # noqa: PLR0124
 
 
 def _fit(cells: Sequence[str], form: str) -> bool:

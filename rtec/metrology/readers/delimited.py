@@ -1,9 +1,9 @@
 """Any text table: a header or none, then rows of cells between delimiters, blanks, or in fixed places."""
 
 import csv
-import io
 import itertools
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,14 @@ import numpy as np
 
 from rtec.errors import MeasurementError
 from rtec.metrology.files.faults import Faults
+from rtec.metrology.files.table import floats
 from rtec.metrology.readers.base import WHERE, Floats, ForeignTable, Ints, SourceOptions, Texts, decoded
 from rtec.metrology.units import UNITS, canonical
 
 DELIMITERS = (";", "\t", ",", "|")
+BEYOND_ASCII = 0x80
+FEW = 1000
+"""Rows that say which columns are numbers; a table of no more is looked at cell by cell."""
 NANS = ("nan", "NaN", "NAN")
 NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 
@@ -33,32 +37,76 @@ def table_of(
     path: Path, text: str, source: SourceOptions, notes: tuple[str, ...] = (), where: str = WHERE
 ) -> ForeignTable:
     """Give the table that a text holds; see `read`."""
-    lines = text.split("\n")
-    kept = [
-        i
-        for i in range(source.skip_rows, len(lines))
-        if lines[i].strip() and not (source.comment and lines[i].startswith(source.comment))
-    ]
-    if not kept:
+    lines = _Lines.of(text, source)
+    if not len(lines.at):
         raise MeasurementError(
             f"{path}: no rows" + (f" after the first {source.skip_rows}" if source.skip_rows else "")
         )
     if source.delimiter is None and source.widths is None:
-        source = source.model_copy(update={"delimiter": _delimiter([lines[i] for i in kept[:20]])})
+        source = source.model_copy(update={"delimiter": _delimiter(lines.part(0, 20).texts())})
         notes = (*notes, f"cells are divided by {source.delimiter!r}, as it seems")
-    names, units, first = _header(path, [lines[i] for i in kept[:2]], source, where)
-    rows = kept[first:]
-    if not rows:
+    names, units, first = _header(path, lines.part(0, 2).texts(), source, where)
+    rows = lines.part(first)
+    if not len(rows.at):
         raise MeasurementError(f"{path}: no rows under the header")
-    at = np.array(rows, dtype=np.int64) + 1
-    table = _cells(path, [lines[i] for i in rows], at, names, source, where)
     columns: dict[str, Floats | Texts] = {}
     wrong = {}
+    table = _quick(path, rows, names, source, where) or _cells(path, rows, names, source, where)
     for name in names:
         columns[name], bad = _numbers_or_texts(table.column(name), source)
         if bad is not None:
-            wrong[name] = (int(at[bad]), str(columns[name][bad]))
-    return ForeignTable(path.stem, columns, units, at, notes, wrong, where, source.decimal)
+            wrong[name] = (int(rows.at[bad]), str(columns[name][bad]))
+    return ForeignTable(path.stem, columns, units, rows.at, notes, wrong, where, source.decimal)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Lines of a text: those that are not blank, not a comment, and not skipped.
+
+    Attributes:
+        data: the whole text.
+        at: numbers of the lines in it, from 1, rising, (n,).
+        first, last: where each begins in the data, and ends, (n,).
+    """
+
+    data: bytes
+    at: Ints
+    first: Ints
+    last: Ints
+
+    @classmethod
+    def of(cls, text: str, source: SourceOptions) -> "_Lines":
+        """Those of a text."""
+        data = text.encode()
+        there = np.frombuffer(data, dtype=np.uint8)
+        ends = np.flatnonzero(there == ord("\n")).astype(np.int64)
+        first, last = np.append(0, ends + 1), np.append(ends, len(data))
+        keep = last > first
+        keep[: source.skip_rows] = False
+        head = there[np.minimum(first, len(data) - 1)] if len(data) else np.zeros(1, dtype=np.uint8)
+        for i in np.flatnonzero(keep & ((head <= ord(" ")) | (head >= BEYOND_ASCII))):
+            keep[i] = bool(data[first[i] : last[i]].decode().strip())
+        if mark := (source.comment or "").encode():
+            for i in np.flatnonzero(keep & (head == mark[0])):
+                keep[i] = not data.startswith(mark, first[i])
+        at = np.flatnonzero(keep).astype(np.int64)
+        return cls(data, at + 1, first[at], last[at])
+
+    def part(self, start: int, stop: int | None = None) -> "_Lines":
+        """Some of them."""
+        here = slice(start, stop)
+        return _Lines(self.data, self.at[here], self.first[here], self.last[here])
+
+    def texts(self) -> list[str]:
+        """Each as a text."""
+        return [self.data[a:b].decode() for a, b in zip(self.first.tolist(), self.last.tolist(), strict=True)]
+
+    def content(self) -> memoryview | bytes:
+        """All of them, one under the other."""
+        gaps = np.flatnonzero(np.diff(self.at) != 1) + 1
+        ends = [0, *gaps.tolist(), len(self.at)]
+        parts = [memoryview(self.data)[self.first[a] : self.last[b - 1]] for a, b in itertools.pairwise(ends)]
+        return parts[0] if len(parts) == 1 else b"\n".join(parts)
 
 
 def split(line: str, source: SourceOptions) -> list[str]:
@@ -126,36 +174,71 @@ def unit_named(text: str) -> str:
         return ""
 
 
-def _cells(path: Path, lines: list[str], at: Ints, names: list[str], source: SourceOptions, where: str) -> Any:
+def _cells(path: Path, rows: _Lines, names: list[str], source: SourceOptions, where: str) -> Any:
     """All cells as texts."""
     import pyarrow as pa
-    from pyarrow import csv as arrow_csv
 
     if source.widths is not None or source.delimiter == " ":
-        rows = [split(line, source) for line in lines]
-        if any(len(row) != len(names) for row in rows):
-            _tell_widths(path, lines, at, len(names), source, where)
+        cells = [split(line, source) for line in rows.texts()]
+        if any(len(row) != len(names) for row in cells):
+            _tell_widths(path, rows, len(names), source, where)
         return pa.table(
-            {n: pa.array(cells, pa.string()) for n, cells in zip(names, zip(*rows, strict=True), strict=True)}
+            {n: pa.array(column, pa.string()) for n, column in zip(names, zip(*cells, strict=True), strict=True)}
         )
     try:
-        table = arrow_csv.read_csv(
-            io.BytesIO("\n".join(lines).encode()),
-            read_options=arrow_csv.ReadOptions(column_names=names, block_size=64 << 20),
-            parse_options=arrow_csv.ParseOptions(delimiter=source.delimiter or ","),
-            convert_options=arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string())),
-        )
+        table = _parsed(rows, names, source, dict.fromkeys(names, pa.string()))
     except (pa.ArrowException, ValueError) as e:
-        _tell_widths(path, lines, at, len(names), source, where)
+        _tell_widths(path, rows, len(names), source, where)
         raise MeasurementError(f"{path}: not a table divided by {source.delimiter!r}: {str(e).splitlines()[0]}") from e
-    if table.num_rows != len(lines):
-        raise MeasurementError(f"{path}: {len(lines)} lines and {table.num_rows} rows: a quote is not closed?")
+    if table.num_rows != len(rows.at):
+        raise MeasurementError(f"{path}: {len(rows.at)} lines and {table.num_rows} rows: a quote is not closed?")
     return table
 
 
-def _tell_widths(path: Path, lines: list[str], at: Ints, width: int, source: SourceOptions, where: str) -> None:
+def _parsed(rows: _Lines, names: list[str], source: SourceOptions, types: dict[str, Any]) -> Any:
+    """The table as Arrow reads it, each column as a type."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    file: Any = pa.BufferReader(pa.py_buffer(rows.content()))
+    return arrow_csv.read_csv(
+        file,
+        read_options=arrow_csv.ReadOptions(column_names=names, block_size=64 << 20),
+        parse_options=arrow_csv.ParseOptions(delimiter=source.delimiter or ","),
+        convert_options=arrow_csv.ConvertOptions(
+            column_types=types, null_values=["", *NANS, *source.missing], decimal_point=source.decimal
+        ),
+    )
+
+
+def _quick(path: Path, rows: _Lines, names: list[str], source: SourceOptions, where: str) -> Any:
+    """The table, its columns of numbers as numbers; None where anything in one is out of the ordinary.
+
+    Which they are is seen in the first rows.
+    """
+    import pyarrow as pa
+
+    if len(rows.at) <= FEW or source.widths is not None or source.delimiter == " " or source.thousands:
+        return None
+    try:
+        head = _cells(path, rows.part(0, FEW), names, source, where)
+        numbers = {name for name in names if _numbers_or_texts(head.column(name), source)[1] is None}
+        types = {name: pa.float64() if name in numbers else pa.string() for name in names}
+        table = _parsed(rows, names, source, types)
+    except (pa.ArrowException, ValueError, MeasurementError):
+        return None
+    return table if table.num_rows == len(rows.at) and all(_is_plain(table.column(n)) for n in numbers) else None
+
+
+def _is_plain(column: Any) -> bool:
+    """Whether a column of numbers has only such as `NUMBER` takes: Arrow knows words for infinity and for none."""
+    values = floats(column)
+    return not np.isinf(values).any() and int(np.isnan(values).sum()) == column.null_count
+
+
+def _tell_widths(path: Path, rows: _Lines, width: int, source: SourceOptions, where: str) -> None:
     faults = Faults(str(path))
-    for line, number in zip(lines, at.tolist(), strict=True):
+    for line, number in zip(rows.texts(), rows.at.tolist(), strict=True):
         try:
             n = len(split(line, source))
         except csv.Error as e:
@@ -181,6 +264,8 @@ def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Text
     import pyarrow as pa
     from pyarrow import compute
 
+    if pa.types.is_floating(column.type):
+        return floats(column), None
     texts = compute.utf8_trim_whitespace(column)
     blank = compute.is_in(texts, value_set=pa.array(["", *NANS, *source.missing]))
     plain = texts
@@ -195,7 +280,7 @@ def _numbers_or_texts(column: Any, source: SourceOptions) -> tuple[Floats | Text
     number = compute.fill_null(compute.match_substring_regex(plain, NUMBER), True)
     first = compute.index(number, False).as_py()
     if first < 0:
-        values = np.asarray(plain.cast(pa.float64()).to_numpy(), dtype=np.float64)
+        values = floats(plain.cast(pa.float64()))
         infinite = np.isinf(values)
         if not infinite.any():
             return values, None

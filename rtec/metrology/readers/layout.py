@@ -178,8 +178,7 @@ def _comment(lines: Sequence[str], told: Mapping[str, Any]) -> Guess | None:
         return None
     for mark in COMMENTS:
         marked = [i + 1 for i, line in enumerate(lines) if line.startswith(mark)]
-        others = sum(1 for line in lines if line.strip() and not line.startswith(mark))
-        if marked and others > 1:
+        if marked and sum(1 for line in lines if line.strip() and not line.startswith(mark)) > 1:
             which = f"line {marked[0]}" if len(marked) == 1 else f"{len(marked)} lines, the first line {marked[0]},"
             return Guess("source.comment", mark, f"{which} begin{'s' if len(marked) == 1 else ''} with it")
     return None

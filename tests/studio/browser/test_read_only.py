@@ -91,8 +91,13 @@ def test_temperature_and_spindle_speed_move_the_tip_and_the_part(watched: Watche
     for key, name in (("T_x_nut", "T_x_nut, °C"), ("spindle_rpm", "spindle_rpm")):
         slider = page.get_by_role("slider", name=name, exact=True)
         slider.locator("[tabindex='0']").focus()
-        for _ in range(2):
+        field = page.get_by_label(f"{name}, number").element_handle()
+        for _ in range(2):  # one key at a time, until the server has it
+            before = slider.get_attribute("aria-valuenow")
+            shown = field.input_value()
             page.keyboard.press("PageUp")
+            page.wait_for_function("([e, v]) => e.value !== v", arg=[field, shown])
+            assert slider.get_attribute("aria-valuenow") != before
         state[key] = float(str(slider.get_attribute("aria-valuenow")))
         error = model.predict(state)
         part = cylinder(model, state)
