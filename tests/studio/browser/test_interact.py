@@ -61,6 +61,7 @@ STILL = "selected => [...document.querySelectorAll('.chart')].every((c) => c.dat
 def figure(page: "Page", title: str) -> dict[str, Any]:
     """Data and layout of a plot as it is on the screen."""
     plot = page.locator(f".chart[aria-label^={json.dumps(title)}]").first
+    page.wait_for_function("(e) => e.data?.length", arg=plot.element_handle())  # a text beside it may be there first
     found: dict[str, Any] = json.loads(
         plot.evaluate(
             "(e) => JSON.stringify({ data: e.data, layout: e.layout }, (k, v) => ArrayBuffer.isView(v) ? [...v] : v)"
