@@ -30,7 +30,7 @@ MACHINE = ROOT / "configs" / "machines" / "turning-centre.toml"
 CHROMIUM = shutil.which("chromium")
 TOKEN = "a-token-for-tests-only"  # noqa: S105
 WAIT_MS = 90_000
-START_NS = 60_000_000_000
+START_NS = 180_000_000_000
 HIDDEN = ("scale,component=EXX,axis=X,k=12", "backlash,component=EXX,axis=X,B=4")
 
 needs_browser = pytest.mark.skipif(
