@@ -75,13 +75,18 @@ def _next(d: Diagnosis) -> list[str]:
         return []
     model, *data = d.files
     better = f"{model.with_suffix('')}-more.toml"
-    if d.verdict == "missing_effect" and d.findings[0].partner is None:
-        return [typed("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
+    sure = d.verdict == "missing_effect"
     if d.verdict == "ambiguous" and d.findings[0].confused_with:
         first = d.findings[0]
-        rivals = [f"{first.effect.effect}:{first.effect.component}"]
-        rivals += [f"{a.effect}:{a.component}" for a in first.confused_with if not a.apart][: BRIEF - 1]
-        return [typed("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", ",".join(rivals))]
+        names = [(first.effect.effect, first.effect.component)]
+        names += [(a.effect, a.component) for a in first.confused_with if not a.apart]
+        rivals = [":".join(name) for name in dict.fromkeys(names)]
+        if len(rivals) > 1:
+            chosen = ",".join(rivals[:BRIEF])
+            return [typed("rtec", "plan", d.machine_file or "MACHINE", *data, "--rivals", chosen)]
+        sure = not d.together  # forms of one effect, which is missing in any case
+    if sure and d.findings[0].partner is None:
+        return [typed("rtec", "add", model, *as_typed(d.findings[0].effect), "--data", *data, "-o", better)]
     if d.verdict == "unknown_effect":
         return [line for section in _to_type(d) for line in section.text if line.startswith("rtec ")]
     if d.verdict == "undecided" or (d.verdict == "nothing_missing" and not d.out_of_date):

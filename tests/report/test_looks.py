@@ -7,6 +7,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from rtec.cli.main import status
 from rtec.cli.screen import Console
 from rtec.diagnosis import words
 from rtec.diagnosis.compare.compare import compare
+from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.diagnosis.words import named, spoken, titled
 from rtec.machine import load_machine
@@ -147,6 +149,18 @@ TRUE = {
     "hump": lambda x: 8.0 * np.exp(-(((x - 120.0) / 20.0) ** 2)),
     "wave": lambda x: 4.0 * np.sin(2.0 * np.pi * x / 63.0 + 0.7) * (x / 100.0),
 }
+
+
+@pytest.mark.parametrize(("others", "command"), [((), "add"), (("backlash",), "plan")])
+def test_forms_of_one_effect_are_no_rivals_to_plan_for(others: tuple[str, ...], command: str) -> None:
+    """Oracle: a plan separates effects of different names; where there is one, the sentence says to add it."""
+    (scale,) = model(SCALE).effects
+    alikes = [Alike(name, "EXX", "the same shape", "") for name in ("scale", "scale", *others)]
+    first = Finding(1, scale.effect, {}, {}, ("x",), 0.9, 0.99, 50.0, 0.001, 3.0, True, True, tuple(alikes))
+    made = Diagnosis("ambiguous", "said", "um", 3.0, 0.3, 1.0, (first,), None, (), (), (), ())
+    (line,) = diagnosis_page(replace(made, files=(Path("m.toml"), Path("x.csv"))), figures=False).next
+    assert line.startswith(f"rtec {command} ")
+    assert not others or line.endswith("--rivals scale:EXX,backlash:EXX")
 
 
 @pytest.mark.parametrize("kind", list(TRUE))
