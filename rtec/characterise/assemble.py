@@ -38,7 +38,7 @@ def assemble(
     """Give the result of a fit and of the choice before it, judged as by every command."""
     rivals = choice.rivals if choice else ()
     unused = screened.unused if screened else ()
-    judged = Judgement(_model(fit, measurements, name, margin), given)
+    judged = Judgement(model_of(fit, measurements, name, margin), given)
     met = judged.by_measurement
     table = tuple(_measurement(s, e) for s, e in zip(fit.sources, met, strict=True))
     model = _with_history(judged, fit)
@@ -122,7 +122,8 @@ def fitted_effects(fit: Estimate) -> list[FittedEffect]:
     return out
 
 
-def _model(fit: Estimate, measurements: Sequence[Measurement], name: str, margin: Margin) -> Model:
+def model_of(fit: Estimate, measurements: Sequence[Measurement], name: str, margin: Margin) -> Model:
+    """The model of a fit, without a history."""
     sources = fit.sources
     read = [(s.state, np.flatnonzero(s.weight.reshape(-1, s.count).any(axis=1)).astype(np.int64)) for s in sources]
     effects = fitted_effects(fit)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rtec.characterise.candidates import TermCandidate
 from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
-from rtec.estimation.gram.normal import NOTHING, Normal, solve, squares_left
+from rtec.estimation.gram.normal import NOTHING, Normal, ridged, solve, squares_left
 from rtec.estimation.gram.stream import Progress
 
 Floats = NDArray[np.float64]
@@ -40,11 +40,9 @@ def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedT
             continue
         rest = [j for j in chosen if j != i]
         best: dict[tuple[str, ...], UndecidedTerm] = {}
-        for k in table.shortlist(rest, TRIED):
+        others = [k for k in table.shortlist(rest, TRIED) if _may_stand_for(table.candidates[k], mine)]
+        for k, there in zip(others, np.sqrt(table.held_out_beside(rest, others)).tolist(), strict=True):
             other = table.candidates[k]
-            if not other.feature or other.channels == mine.channels or other.component != mine.component:
-                continue
-            there = float(np.sqrt(table.held_out([*rest, k])))
             if there > here * (1 + NEAR) or (other.channels in best and best[other.channels].held_out <= there):
                 continue
             apart = _difference_um(table, chosen, [*rest, k])
@@ -54,6 +52,11 @@ def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedT
                 )
         out += sorted(best.values(), key=lambda r: r.held_out)
     return out
+
+
+def _may_stand_for(other: TermCandidate, mine: TermCandidate) -> bool:
+    """Whether another sensor or speed drives it, in the same component."""
+    return bool(other.feature) and other.channels != mine.channels and other.component == mine.component
 
 
 def _difference_um(table: "HeldOutTable", one: Sequence[int], other: Sequence[int]) -> float:
@@ -127,6 +130,35 @@ class HeldOutTable:
     def held_out(self, chosen: Sequence[int]) -> float:
         """Mean square on left-out blocks."""
         return float(self.errors(chosen).sum())
+
+    def held_out_beside(self, chosen: Sequence[int], tried: Sequence[int]) -> Floats:
+        """Mean squares on left-out blocks of a choice with one more candidate, for each of those tried, (tried,).
+
+        The choice is solved once for all of them; a candidate then takes its share of what the choice leaves.
+        """
+        if self.normal.alone.any() or not tried:
+            return np.array([self.held_out([*chosen, i]) for i in tried])
+        last = self.normal.gram.shape[1] - 1
+        base = np.concatenate([self._index(chosen), np.arange(self.normal.width, last)])
+        index, p = np.concatenate([base, *(self.columns[i] for i in tried), [last]]), len(base)
+        parts = self.normal.by_fold[:, index[:, None], index[None, :]]
+        rest, scale = ridged(parts.sum(axis=0) - parts, NOTHING * self.normal.raw[index[:-1]])
+        by_choice = np.linalg.solve(rest[:, :p, :p], rest[:, :p, p:])
+        left = rest[:, p:, p:] - rest[:, p:, :p] @ by_choice
+        # Each new column, and the readings, less what the choice makes of them; then their products in the fold itself.
+        own = np.broadcast_to(np.eye(len(index) - p), (len(parts), len(index) - p, len(index) - p))
+        beside = np.concatenate([-by_choice, own], axis=1)
+        seen = beside.transpose(0, 2, 1) @ (parts * scale[:, :, None] * scale[:, None, :]) @ beside
+        out, first = np.empty(len(tried)), 0
+        for k, i in enumerate(tried):
+            mine = np.arange(first, first + len(self.columns[i]))
+            inner = left[:, mine[:, None], mine[None, :]]
+            values = np.asarray(np.linalg.solve(inner, left[:, mine, -1:])[:, :, 0], dtype=np.float64)
+            there = np.append(mine, -1)
+            squares = squares_left(seen[:, there[:, None], there[None, :]], values)
+            out[k] = np.maximum(squares, 0.0).sum() / self.freedom
+            first += len(mine)
+        return out
 
     def shortlist(self, chosen: Sequence[int], most: int = SHORTLIST) -> list[int]:
         """Candidates that would explain most of what a choice leaves in sample."""
@@ -325,7 +357,7 @@ def _forward(
         tried = table.shortlist(path[-1])
         if not tried:
             break
-        errors = np.array([table.held_out([*path[-1], i]) for i in tried])
+        errors = table.held_out_beside(path[-1], tried)
         pick = _simplest(table, tried, errors)
         path.append([*path[-1], pick])
         steps.append(_step(table, path[-1], table.candidates[pick].label))
@@ -386,7 +418,7 @@ def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[
             continue
         rest, here = [j for j in now if j != i], table.held_out(now)
         tried = table.shortlist(rest)
-        errors = np.array([table.held_out([*rest, other]) for other in tried])
+        errors = table.held_out_beside(rest, tried)
         if len(errors) and errors.min() < here * (1 - PAYS):
             pick = _simplest(table, tried, errors)
             if errors[tried.index(pick)] < here:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.assemble import assemble
+from rtec.characterise.assemble import assemble, model_of
 from rtec.characterise.candidates import at_constant_temperature
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
@@ -25,6 +25,7 @@ from rtec.estimation.gram.weights import rough_noise
 from rtec.estimation.held_out import cuts
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
+from rtec.model import Model
 from rtec.model.fit import Margin
 from rtec.parallel import one_blas_thread
 
@@ -65,17 +66,25 @@ def characterise(
         ModelError: nothing can be fitted, or what was asked for is not shown by the readings.
     """
     with one_blas_thread():
-        return _characterise(measurements, wanted, leave_out_h, name, margin or Margin(), stage)
+        fit, screened, choice, given = _fit(measurements, wanted, leave_out_h, stage)
+        return assemble(fit, screened, choice, measurements, name, margin or Margin(), given)
 
 
-def _characterise(
-    measurements: Sequence[Measurement],
-    wanted: AskedEffects | None,
-    leave_out_h: float | None,
-    name: str,
-    margin: Margin,
-    stage: Stage | None,
-) -> Characterisation:
+def fitted_model(
+    measurements: Sequence[Measurement], *, wanted: AskedEffects | None = None, name: str = "model"
+) -> Model:
+    """Fit as `characterise` does, for predictions only: it judges nothing, which takes longer than the fit.
+
+    Raises:
+        MeasurementError, ModelError: as `characterise` does.
+    """
+    with one_blas_thread():
+        return model_of(_fit(measurements, wanted, None, None)[0], measurements, name, Margin())
+
+
+def _fit(
+    measurements: Sequence[Measurement], wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
+) -> tuple[Estimate, Screened | None, TermChoice | None, Clean]:
     tell = stage or (lambda _what, _done, _total: None)
     _check(measurements)
     given = clean(measurements, leave_out_h=leave_out_h)
@@ -100,8 +109,7 @@ def _characterise(
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     tried = len(screened.candidates) if screened else 0
-    fit = _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell)
-    return assemble(fit, screened, choice, measurements, name, margin, given)
+    return _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell), screened, choice, given
 
 
 def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> TermChoice:

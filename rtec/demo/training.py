@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.effect_list import AskedEffects
-from rtec.characterise.run import characterise
+from rtec.characterise.run import characterise, fitted_model
 from rtec.demo.hidden import Fault, with_fault
 from rtec.effects import Effect, State, effect_class
 from rtec.machine import Machine
@@ -175,11 +175,13 @@ def fit_day(day: MeasuringDay, tip_um: Floats | None = None, name: str = "turnin
 
     Args:
         day: what was read.
-        tip_um: other readings at the same instants.
+        tip_um: other readings at the same instants; their model is for predictions only, and is not judged.
         name: of the model.
     """
-    readings = measurement_of(day, day.tip_um if tip_um is None else tip_um)
-    return characterise([readings], wanted=AskedEffects((), tuple(effects())), name=name).model
+    wanted = AskedEffects((), tuple(effects()))
+    if tip_um is not None:
+        return fitted_model([measurement_of(day, tip_um)], wanted=wanted, name=name)
+    return characterise([measurement_of(day, day.tip_um)], wanted=wanted, name=name).model
 
 
 def held_out_rms_um(day: MeasuringDay) -> tuple[float, float]:

@@ -1,16 +1,18 @@
 """The choice: what is found, what is not, what is called undecided, and what each warning wants."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation, characterise, read_wanted
-from rtec.characterise.choose import one_standard_error
+from rtec.characterise.choose import HeldOutTable, one_standard_error
 from rtec.characterise.grouping import tidied
 from rtec.diagnosis.extend.add import add
 from rtec.errors import MeasurementError, ModelError
+from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.stream import Term
 from rtec.metrology.instruments.registry import make_instrument
 from rtec.metrology.measurement import Measurement
@@ -73,6 +75,30 @@ def test_noise_gives_no_model(seed: int) -> None:
     """Oracle: readings that are nothing but noise."""
     with pytest.raises(ModelError, match="no effect lowers the error"):
         characterise([example(seed=seed)])
+
+
+def test_one_more_candidate_is_judged_as_if_all_were_solved_anew() -> None:
+    """Oracle: ordinary least squares on the readings of the other folds; one column is zero, one candidate has two."""
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=(6, 40, 9)) @ np.diag([1.0, 50.0, 1e-3, 1.0, 2.0, 1.0, 0.0, 7.0, 1.0])
+    x[..., 3] += x[..., 1]
+    y = x @ rng.normal(size=9) + rng.normal(size=(6, 40))
+    columns = np.concatenate([x, y[..., None]], axis=2)
+    gram = columns.transpose(0, 2, 1) @ columns
+    owner = np.array([0, 1, 2, 3, 4, 4, 5, 6])  # the ninth is a nuisance that every fold knows
+    fold, square = np.arange(6), np.einsum("fij,fij->j", columns, columns)
+    few: dict[str, Any] = {"readings": np.full(6, 40), "lost": np.zeros(6), "extra": ("height",)}
+    table = HeldOutTable(Normal(gram, fold, fold, owner=owner, raw=square, **few), [cast("Any", None)] * 7)
+    chosen, tried = [1, 2], [0, 3, 4, 5, 6]
+    wanted = []
+    for i in tried:
+        use, left = np.append(np.flatnonzero(np.isin(owner, [*chosen, i])), 8), 0.0
+        for f in range(6):
+            there, out = (columns[fold != f].reshape(-1, 10), columns[f])
+            left += float(np.sum((out[:, 9] - out[:, use] @ np.linalg.lstsq(there[:, use], there[:, 9])[0]) ** 2))
+        wanted.append(left / 240.0)
+    assert table.held_out_beside(chosen, tried) == pytest.approx(wanted, rel=1e-7)
+    assert [table.held_out([*chosen, i]) for i in tried] == pytest.approx(wanted, rel=1e-7)
 
 
 def test_drift_of_minutes_is_no_temperature() -> None:

@@ -197,7 +197,7 @@ def test_drift_of_the_leftover(told: Story, truth: Truth) -> None:
 
 def test_model_is_of_the_measuring_day_only(told: Story, day: training.MeasuringDay) -> None:
     """Oracle: the fit made here from the measuring day alone is the same model."""
-    assert training.fit_day(day).hash == told.model.hash
+    assert training.fit_day(day, day.tip_um).hash == told.model.hash
     assert told.measuring_seed != told.seed
     assert day.readings == told.readings
 

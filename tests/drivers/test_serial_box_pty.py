@@ -232,7 +232,8 @@ def test_wrong_bits_and_garbage_on_a_real_port(tmp_path: Path) -> None:
                 assert counts.tolist() in [[n, -n] for n in range(first, k + 1)]
             except DriverTimeout:
                 failed += 1
-            driver.apply(np.array([k // 30, 0]))
+            with suppress(DriverTimeout):  # the loop orders it again, too
+                driver.apply(np.array([k // 30, 0]))
         assert 0 < peer.faults.garbled <= failed < 400
         assert soon(CLOCK, lambda: carried_out(driver, 13, 0))
 

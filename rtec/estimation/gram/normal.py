@@ -221,18 +221,34 @@ def solve(gram: Floats, floor: Floats | float = 0.0, *, refine: bool = True) -> 
         floor: a column with a smaller sum of squares is nothing but rounding, and gets a zero, (columns,).
         refine: take the little ridge out again by a step of refinement.
     """
-    inner, right = gram[:, :-1, :-1], gram[:, :-1, -1]
-    p = inner.shape[1]
-    diagonal = np.diagonal(inner, axis1=1, axis2=2)
-    dead = diagonal <= floor
-    scale = np.where(dead, 0.0, 1.0 / np.sqrt(np.where(dead, 1.0, diagonal)))
-    scaled = inner * scale[:, :, None] * scale[:, None, :]
-    ridged = scaled + np.eye(p) * (RIDGE + dead)[:, None, :]
-    target = (right * scale)[:, :, None]
-    found = np.linalg.solve(ridged, target)
+    scaled, scale = ridged(gram, floor)
+    inner, target = scaled[:, :-1, :-1], scaled[:, :-1, -1:]
+    found = np.linalg.solve(inner, target)
     if refine:
-        found += np.linalg.solve(ridged, target - scaled @ found)
-    return np.asarray(found[:, :, 0] * scale)
+        dead = scale[:, :-1] == 0.0
+        there = inner - np.eye(inner.shape[1]) * (RIDGE + dead)[:, None, :]
+        found += np.linalg.solve(inner, target - there @ found)
+    return np.asarray(found[:, :, 0] * scale[:, :-1])
+
+
+def ridged(gram: Floats, floor: Floats | float = 0.0) -> tuple[Floats, Floats]:
+    """Stacked normal equations of columns of size one, with a little ridge; a column that is nothing is left alone.
+
+    Args:
+        gram: the readings are the last column, (n, columns + 1, columns + 1).
+        floor: as for `solve`.
+
+    Returns:
+        The equations, and by what each column was multiplied, (n, columns + 1): 0 where it is nothing, 1 the readings.
+    """
+    diagonal = np.diagonal(gram, axis1=1, axis2=2)[:, :-1]
+    dead = diagonal <= floor
+    own = np.where(dead, 0.0, 1.0 / np.sqrt(np.where(dead, 1.0, diagonal)))
+    scale = np.concatenate([own, np.ones((len(own), 1))], axis=1)
+    scaled = gram * scale[:, :, None] * scale[:, None, :]
+    place = np.arange(dead.shape[1])
+    scaled[:, place, place] += RIDGE + dead
+    return scaled, scale
 
 
 def squares_left(gram: Floats, values: Floats) -> Floats:
