@@ -19,13 +19,14 @@ from typing import Any, Final
 import numpy as np
 import tomli_w
 
+from rtec.correction.flags import MODE_ON
 from rtec.correction.sinks import UNLIMITED
 from rtec.errors import RtecError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import make_device, make_devices, open_ports
 from rtec.loop.driver_info import installed
 from rtec.loop.loop import Loop, bind_rows
-from rtec.loop.records import MODE_ON, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import load_setup
 from rtec.loop.step import Step
 from rtec.machine import Machine, load_machine

@@ -89,7 +89,7 @@ def _headings(layout: "Layout", *, degc: bool) -> list[str]:
 
 
 def _cells(samples: "Samples", commands: "Commands", *, degc: bool) -> Iterator[list[str]]:
-    from rtec.correction.guard import MODE_HOLD, MODE_OFF, MODE_ON, MODE_TAKEN_OVER, ORDER_MASK
+    from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON, MODE_TAKEN_OVER, ORDER_MASK
 
     modes = {MODE_OFF: "off", MODE_ON: "on", MODE_HOLD: "hold", MODE_TAKEN_OVER: "taken over"}
     for i in range(len(samples)):
@@ -104,7 +104,7 @@ def _cells(samples: "Samples", commands: "Commands", *, degc: bool) -> Iterator[
 
 
 def _flags(bits: int) -> str:
-    from rtec.correction.guard import Flag
+    from rtec.correction.flags import Flag
 
     return ",".join(f.name.lower() for f in Flag if bits & f and f.name) or "-"
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from rtec.correction.guard import Limits
+from rtec.correction.flags import Limits
 from rtec.errors import ConfigError
 from rtec.loop.run_file import Roles
 from rtec.quantities import (

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from http import HTTPStatus
 from typing import Any, Final
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.text import clean
 
 CONTENT: Final = "text/plain; version=0.0.4; charset=utf-8"

@@ -12,10 +12,8 @@ Sign: inserted counts make the controller believe the axis is further on, so the
 
 import math
 
+from rtec.correction.sinks import DEAD_BAND
 from rtec.jit import njit
-
-DEAD_BAND = 0.75
-"""In quanta: the ledger moves only when it is further off than this, so that noise does not make it chatter."""
 
 
 @njit

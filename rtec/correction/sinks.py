@@ -26,6 +26,8 @@ from rtec.quantities import (
 )
 from rtec.tomlfile import Strict
 
+DEAD_BAND = 0.75
+"""In quanta: the ledger moves only when it is further off than this, so that noise does not make it chatter."""
 UNLIMITED = float(2**52)
 """Units that no correction reaches; still exact in a float."""
 

@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtec.correction.guard import HOLD_REASONS, REASONS, Flag
+from rtec.correction.flags import HOLD_REASONS, MODE_ON, REASONS, Flag
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
-from rtec.loop.records import MODE_ON, Samples
+from rtec.loop.records import Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 

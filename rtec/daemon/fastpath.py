@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.flags import MODE_HOLD
 from rtec.daemon.process import prepare_process, starter
 from rtec.daemon.published import Published
 from rtec.daemon.recover import Found, Start, allowed, recover
@@ -34,7 +35,7 @@ from rtec.loop.clock import RealClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.ports import IntArray, OneWay
-from rtec.loop.records import MODE_HOLD, MODES_BY_NAME, Commands, Samples
+from rtec.loop.records import MODES_BY_NAME, Commands, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
 from rtec.loop.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory

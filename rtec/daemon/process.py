@@ -24,7 +24,7 @@ from multiprocessing import parent_process, resource_tracker
 from types import FrameType
 from typing import Final, Self
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.daemon.status import Status
 from rtec.loop.clock import Clock
 from rtec.loop.run_file import Realtime

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.loop.output import HOLDS, lost
-from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.loop.state import Saved, structure_of, units_of
 from rtec.loop.step import Step
 

@@ -20,13 +20,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.flags import MODE_ON
 from rtec.daemon.disk import DiskThread
 from rtec.daemon.ring import Ring
 from rtec.daemon.supervision import DaemonPart, fault
 from rtec.errors import RtecError
 from rtec.log.recording import Begin
 from rtec.loop.orders import YES, OrderRefused
-from rtec.loop.records import MODE_ON, Samples
+from rtec.loop.records import Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import IMAGE_BYTES, Saved, StateWriter, structure_of
 from rtec.loop.state_files import MemoryState

@@ -12,12 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from rtec.correction.flags import MODE_OFF, MODE_ON
 from rtec.daemon.status import Status
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
 from rtec.loop.clock import Clock
 from rtec.loop.orders import OrderWords
-from rtec.loop.records import MODE_OFF, MODE_ON
 from rtec.loop.run_file import Setup, load_setup
 from rtec.model import FittedEffect, Model
 from rtec.tomlfile import nearest

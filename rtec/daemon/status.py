@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtec.correction.guard import REASONS, Flag
+from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.ring import Ring
 from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from rtec.correction.guard import HOLD_REASONS, GuardSettings, Limits
+from rtec.correction.flags import HOLD_REASONS, MODE_ON, GuardSettings, Limits
 from rtec.demo.day import EVERY_NS, NS, OTHER, WAIT_S, Cut, Floats, Ints, Plan, Track, Work, surface_of
 from rtec.demo.hidden import Fault, with_fault
 from rtec.loop.devices import Ports, driver_class
 from rtec.loop.loop import Loop, Row, bind_rows
-from rtec.loop.records import MODE_ON, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.step import Step, StepSettings
 from rtec.machine import Machine
 from rtec.model import Model

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtec.correction.guard import MODE_HOLD, MODE_TAKEN_OVER, ORDER_MASK
+from rtec.correction.flags import MODE_HOLD, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import DriverError
 from rtec.loop.clock import Clock
 from rtec.loop.devices import Ports

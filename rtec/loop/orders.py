@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.errors import RtecError
-from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON
 
 
 class Order(StrEnum):

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from rtec.correction.guard import MODE_OFF, MODE_TAKEN_OVER, OUTPUT_TROUBLE, OUTPUT_UNCONFIRMED
+from rtec.correction.flags import MODE_OFF, MODE_TAKEN_OVER, OUTPUT_TROUBLE, OUTPUT_UNCONFIRMED
 from rtec.errors import DriverError
 from rtec.loop.ports import Actuator, IntArray, NoActuator, Resumable
 from rtec.loop.stats import Trouble

@@ -11,19 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.correction.guard import MODE_HOLD, MODE_OFF, MODE_ON, MODE_TAKEN_OVER
-
-__all__ = [
-    "MODES_BY_NAME",
-    "MODE_HOLD",
-    "MODE_OFF",
-    "MODE_ON",
-    "MODE_TAKEN_OVER",
-    "Commands",
-    "Field",
-    "Layout",
-    "Samples",
-]
+from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 
 MODES_BY_NAME = {"off": MODE_OFF, "on": MODE_ON, "hold": MODE_HOLD}
 
@@ -127,7 +115,7 @@ class Commands(_Block):
         requested_um: correction that the model asks for, µm along each axis, (n, axes).
         applied_um: correction after the guard, µm, (n, axes).
         output: absolute output in the sink's integer units (for pulses: inserted counts), (n, axes).
-        flags: bits of `rtec.correction.guard.Flag`.
+        flags: bits of `rtec.correction.flags.Flag`.
     """
 
     requested_um: NDArray[np.float64]
@@ -150,3 +138,15 @@ class Commands(_Block):
     def empty(cls, layout: Layout, n: int) -> Self:
         """N rows of zeros."""
         return cls(**{f.name: np.zeros(f.shape(n), f.dtype) for f in cls.fields_of(layout)})
+
+
+@dataclass(frozen=True)
+class StepState:
+    """Memory of a step: plain numbers, safe to copy and to keep."""
+
+    floats: NDArray[np.float64]
+    ints: NDArray[np.int64]
+
+    def copy(self) -> "StepState":
+        """Give a state with memory of its own."""
+        return StepState(self.floats.copy(), self.ints.copy())

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from rtec.correction.guard import GuardSettings, Limits
+from rtec.correction.flags import GuardSettings, Limits
 from rtec.correction.sinks import PulseSink, Sink
 from rtec.correction.tables import FORMATS
 from rtec.correction.tables.predict import grids_mm, table_axes

@@ -9,14 +9,16 @@ the command goes out: after a kill the ledger is what the actuator was told last
 import hashlib
 import zlib
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ModelError
-from rtec.loop.records import Samples
-from rtec.loop.step import Step, StepState
+from rtec.loop.records import Samples, StepState
+
+if TYPE_CHECKING:
+    from rtec.loop.step import Step
 
 SLOT_BYTES: Final = 32_768
 SLOTS: Final = 3
@@ -66,14 +68,14 @@ class Saved:
     words: bytes
 
 
-def structure_of(step: Step) -> bytes:
+def structure_of(step: "Step") -> bytes:
     """32 bytes that tell whether memory of one step means the same to another: model, places, names, units."""
     told = hashlib.sha256(step.source.memory.encode())
     told.update(units_of(step))
     return told.digest()
 
 
-def units_of(step: Step) -> bytes:
+def units_of(step: "Step") -> bytes:
     """24 bytes that tell whether ledger and counts of one step mean the same to another."""
     told = hashlib.sha256(repr(step.layout.axes).encode())
     for name in ("counts_per_mm", "per_um", "quantum"):
@@ -100,7 +102,7 @@ class StateWriter:
         ModelError: the step's memory does not fit.
     """
 
-    def __init__(self, image: NDArray[np.uint8], step: Step, start_mode: int, sequence: int = 0) -> None:
+    def __init__(self, image: NDArray[np.uint8], step: "Step", start_mode: int, sequence: int = 0) -> None:
         self.sequence, self.start_mode, self.order, self.waits = sequence, start_mode, start_mode, False
         axes, state = len(step.layout.axes), step.state
         words = _HEAD + 2 * axes + state.ints.size + state.floats.size

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rtec.correction import guard, ledger
-from rtec.correction.guard import GuardSettings, Limits
-from rtec.correction.sinks import PulseSink, SinkScale
+from rtec.correction.flags import GuardSettings, Limits
+from rtec.correction.sinks import DEAD_BAND, PulseSink, SinkScale
 from rtec.effects import derived
 from rtec.errors import ConfigError, ModelError
-from rtec.loop.records import Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples, StepState
 from rtec.loop.step_source import StepSource, write_step
 from rtec.machine import Machine
 from rtec.machine.machine import CONSTANT_CHANNELS
@@ -74,18 +74,6 @@ class StepSettings:
     guard: GuardSettings = field(default_factory=GuardSettings)
     longest_cycle_s: float = 0.05
     inputs: Inputs = field(default_factory=Inputs)
-
-
-@dataclass(frozen=True)
-class StepState:
-    """Memory of a step: plain numbers, safe to copy and to keep."""
-
-    floats: NDArray[np.float64]
-    ints: NDArray[np.int64]
-
-    def copy(self) -> "StepState":
-        """Give a state with memory of its own."""
-        return StepState(self.floats.copy(), self.ints.copy())
 
 
 class Step:
@@ -158,7 +146,7 @@ class Step:
         span = np.maximum(span_s, self._times[self.source.times.at["period"]] / NS)
         quantum = self.constants("quantum")
         units = np.abs(self.constants("per_um")) * self.constants("slew") * span
-        steps = np.floor(units / quantum + (0.5 + ledger.DEAD_BAND + 1e-9))
+        steps = np.floor(units / quantum + (0.5 + DEAD_BAND + 1e-9))
         return np.asarray(steps * quantum, np.int64)
 
     def resume(self, output: NDArray[np.int64]) -> None:

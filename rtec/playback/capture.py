@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.correction.insertion import InsertionSettings, correct_capture
 from rtec.correction.quadrature import Edges, counts_at, decode_edges, pack
 from rtec.correction.sinks import PulseSink

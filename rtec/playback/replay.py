@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.correction.guard import MODE_TAKEN_OVER, ORDER_MASK
+from rtec.correction.flags import MODE_TAKEN_OVER, ORDER_MASK
 from rtec.errors import LogError
 from rtec.log.folder import log_files
 from rtec.log.format import Log

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Final, Literal
 
-from rtec.correction.guard import HOLD_REASONS, REASONS, Flag
+from rtec.correction.flags import HOLD_REASONS, REASONS, Flag
 from rtec.loop.clock import wall_clock_ns
 from rtec.text import clean
 

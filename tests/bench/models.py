@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from rtec.correction.guard import Limits
+from rtec.correction.flags import MODE_ON, Limits
 from rtec.effects import EFFECTS
-from rtec.loop.records import MODE_ON, Samples
+from rtec.loop.records import Samples
 from rtec.loop.step import Step, StepSettings
 from rtec.machine import Machine, machine_from
 from rtec.model import FittedEffect, Model

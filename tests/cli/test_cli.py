@@ -52,6 +52,18 @@ def test_import_and_help_load_nothing_heavy() -> None:
     assert done.stderr.strip() == "[]"
 
 
+@pytest.mark.parametrize("command", [["status"], ["ctl", "hold"]], ids=" ".join)
+def test_who_asks_a_running_loop_does_not_wait_for_a_compiler(command: list[str], tmp_path: Path) -> None:
+    """An order to hold is urgent; numba and scipy take longer to import than all else."""
+    code = (
+        f"import sys, rtec.cli.main as m; m.status({[*command, str(tmp_path / 'run.toml')]}); "
+        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model') if h in sys.modules])"
+    )
+    (tmp_path / "run.toml").write_text("")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [

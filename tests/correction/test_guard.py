@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rtec.correction import guard
-from rtec.correction.guard import (
+from rtec.correction.flags import (
     MODE_HOLD,
     MODE_OFF,
     MODE_ON,
@@ -19,8 +19,8 @@ from rtec.correction.guard import (
     OUTPUT_UNCONFIRMED,
     Flag,
     Limits,
-    guard_update,
 )
+from rtec.correction.guard import guard_update
 
 DT = 0.001
 limits = st.tuples(

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtec.correction.ledger import DEAD_BAND, ledger_update
-from rtec.correction.sinks import FollowingErrorSink, PhaseSink, PulseSink
+from rtec.correction.ledger import ledger_update
+from rtec.correction.sinks import DEAD_BAND, FollowingErrorSink, PhaseSink, PulseSink
 from rtec.machine import Axis
 
 DT = 0.001

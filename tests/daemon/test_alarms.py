@@ -2,7 +2,7 @@
 
 import threading
 
-from rtec.correction.guard import REASONS, Flag
+from rtec.correction.flags import REASONS, Flag
 from rtec.daemon.process import WAITING, LinePrinter
 from rtec.daemon.status import QUIET_NS, START_NS, Alarms
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtec.correction.flags import MODE_HOLD, MODE_ON
 from rtec.daemon.disk import DiskThread
 from rtec.errors import LogError
 from rtec.log.events import Event, Events
@@ -20,7 +21,7 @@ from rtec.log.reader import LogReader
 from rtec.log.recording import RETRY_NS, Begin, Recording
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
-from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.state import IMAGE_BYTES, Saved, StateWriter, newest
 from rtec.loop.state_files import DiskState, read_disk
 from rtec.loop.step import Step

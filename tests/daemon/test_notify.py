@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.daemon.process import STATUS_NS, Notifier
 from rtec.daemon.status import Status
 from rtec.loop.clock import VirtualClock

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 import tomli_w
 
-from rtec.correction.guard import Flag, Limits
+from rtec.correction.flags import MODE_HOLD, MODE_ON, Flag, Limits
 from rtec.daemon.reload import MOST_BYTES, Now, ReloadReader, read_again
 from rtec.effects import EFFECTS
 from rtec.errors import RtecError
 from rtec.loop.orders import OrderRefused
-from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import Setup, load_setup
 from rtec.loop.state import IMAGE_BYTES, StateWriter, newest
 from rtec.loop.step import Step, StepSettings, lags_of, slots_to_carry

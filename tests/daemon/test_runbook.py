@@ -14,7 +14,7 @@ import tomli_w
 from typer.testing import CliRunner
 
 from rtec.cli.main import app
-from rtec.correction.guard import REASONS, Flag
+from rtec.correction.flags import REASONS, Flag
 from rtec.loop.orders import Order
 from rtec.loop.run_file import LogTable
 from rtec.tomlfile import read_toml

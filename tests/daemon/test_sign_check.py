@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.correction.guard import Limits
+from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON, Limits
 from rtec.daemon.dry_run import dry_run
 from rtec.daemon.reload import read_again
 from rtec.daemon.sign_check import StepOrders, step_of, with_step
@@ -19,7 +19,7 @@ from rtec.daemon.status import Status
 from rtec.errors import ConfigError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.orders import OrderRefused, OrderWords
-from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, Samples
+from rtec.loop.records import Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 from rtec.machine import Machine

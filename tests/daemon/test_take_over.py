@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.correction.guard import OUTPUT_TROUBLE, Flag
+from rtec.correction.flags import MODE_HOLD, MODE_ON, MODE_TAKEN_OVER, OUTPUT_TROUBLE, Flag
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverUnavailable
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports
 from rtec.loop.loop import Loop, bind_rows
-from rtec.loop.records import MODE_HOLD, MODE_ON, MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.step import Step
 from tests.support import setups
 

@@ -13,12 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.cli import main
+from rtec.correction.flags import MODE_OFF
 from rtec.demo import figures, page, story, training
 from rtec.demo.day import CYLINDER, FACE, SHOULDER, Plan, Track
 from rtec.demo.live import RATE_HZ, corrected, uncorrected
 from rtec.demo.story import TRUTH_FILE, Story, config_folder, tell_story
 from rtec.errors import ConfigError, RtecError
-from rtec.loop.records import MODE_OFF
 from rtec.model import Model, load_model
 from rtec.report import page as report_page
 from rtec.report.page import Page

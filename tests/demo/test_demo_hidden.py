@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.cli.main import status
+from rtec.correction.flags import MODE_OFF
 from rtec.demo import second_story as later_story
 from rtec.demo.day import Plan
 from rtec.demo.hidden import FAULTS, Here, draw, with_fault, with_play
@@ -18,7 +19,6 @@ from rtec.demo.live import corrected
 from rtec.demo.second_story import Later, by_part_um, later_sections, later_words, tell_later, tip_rms_um
 from rtec.demo.story import MACHINE_FILE, TRUTH_FILE, config_folder
 from rtec.errors import ConfigError
-from rtec.loop.records import MODE_OFF
 from rtec.machine import load_machine
 from rtec.model import Model, load_model
 from rtec.report.page import Page, render

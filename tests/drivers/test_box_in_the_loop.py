@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import MODE_ON, MODE_TAKEN_OVER, Flag
 from rtec.errors import DriverFault
 from rtec.loop.devices import Ports
 from rtec.loop.loop import Loop, Row, bind_rows
-from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.stats import LoopStats, Trouble
 from rtec.loop.step import Step
 from tests.support import box_rig, setups

@@ -18,13 +18,13 @@ import pytest
 import tomli_w
 from numpy.typing import NDArray
 
-from rtec.correction.guard import Limits
+from rtec.correction.flags import MODE_ON, Limits
 from rtec.effects import Effect, State, effect_class
 from rtec.effects.base import DRIVES, Kind, Surroundings
 from rtec.effects.derived import since_reversal_track
 from rtec.effects.expression import expression_from_text
 from rtec.errors import ModelError
-from rtec.loop.records import MODE_ON, Samples
+from rtec.loop.records import Samples
 from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.model import Model, load_model, save_model
 from rtec.model.file import tables

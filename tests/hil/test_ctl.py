@@ -20,7 +20,7 @@ import tomli_w
 
 from rtec.control.client import Client, find
 from rtec.control.places import answers, socket_path
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.log.reader import LogReader
 from rtec.loop.clock import RealClock
 from tests.hil.test_run import rtec

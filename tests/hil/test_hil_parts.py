@@ -13,13 +13,13 @@ import can
 import numpy as np
 import pytest
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import MODE_ON, MODE_TAKEN_OVER, Flag
 from rtec.daemon.status import Status
 from rtec.errors import ConfigError
 from rtec.hil import Accuracy, FaultOrder, OffAndOn, load_bench, parse_fault
 from rtec.log.writer import LogWriter
 from rtec.loop.clock import VirtualClock
-from rtec.loop.records import MODE_ON, MODE_TAKEN_OVER, Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
 from rtec.tomlfile import validated
 from rtec_drivers.can.driver import CanTemperatureOptions

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.loop.records import MODE_HOLD, MODE_ON
+from rtec.correction.flags import MODE_HOLD, MODE_ON
 from tests.hil.test_run import faulty_run, only_log
 from tests.support import faulty, setups
 

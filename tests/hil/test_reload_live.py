@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.daemon.status import Report, Status
 from rtec.daemon.supervisor import Supervisor
 from rtec.log.reader import LogReader

@@ -86,7 +86,7 @@ def test_a_correction_does_not_chase_its_own_reversal(tmp_path: Path, reversal_u
 
 def run_without(tmp_path: Path, content: dict[str, Any]) -> tuple[Any, Any, Any, Any]:
     """The same with the correction off: where the servo leaves the axes by themselves, µm."""
-    from rtec.loop.records import MODE_OFF
+    from rtec.correction.flags import MODE_OFF
 
     folder = tmp_path / "off"
     folder.mkdir()

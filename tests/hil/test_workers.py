@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.daemon.status import Report, Status
 from rtec.daemon.supervisor import Supervisor
 from rtec.errors import RtecError

@@ -14,14 +14,14 @@ import pytest
 import tomli_w
 
 from rtec import jit
-from rtec.correction.guard import Flag, Limits
+from rtec.correction.flags import MODE_ON, Flag, Limits
 from rtec.daemon.dry_run import input_rows
 from rtec.effects.derived import motion_track
 from rtec.effects.expression import Expression
 from rtec.errors import ConfigError, ModelError
 from rtec.log.reader import LogReader
 from rtec.log.writer import LogWriter
-from rtec.loop.records import MODE_ON, Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import load_setup
 from rtec.loop.step import Inputs, Step, StepSettings
 from rtec.machine import load_machine

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
+from rtec.correction.flags import MODE_ON
 from rtec.correction.sinks import Sink
 from rtec.errors import DriverTimeout
 from rtec.loop.clock import VirtualClock
 from rtec.loop.devices import Ports, make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.ports import IntArray
-from rtec.loop.records import MODE_ON, Commands, Layout, Samples
+from rtec.loop.records import Commands, Layout, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.step import Step
 from rtec_drivers.sim import SimDriver

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtec.correction.guard import (
+from rtec.correction.flags import (
     MODE_OFF,
     MODE_ON,
     MODE_TAKEN_OVER,

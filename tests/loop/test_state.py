@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
 from rtec.daemon.recover import Found, recover
 from rtec.errors import RtecError
 from rtec.loop.clock import VirtualClock
-from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, Samples
+from rtec.loop.records import Samples
 from rtec.loop.state import (
     IMAGE_BYTES,
     SLOT_BYTES,

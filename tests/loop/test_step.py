@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from rtec import jit
-from rtec.correction.guard import Flag, GuardSettings, Limits
+from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON, Flag, GuardSettings, Limits
 from rtec.correction.sinks import FollowingErrorSink, PhaseSink, PulseSink
 from rtec.effects import EFFECTS
 from rtec.errors import ConfigError
-from rtec.loop.records import MODE_HOLD, MODE_OFF, MODE_ON, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.step import Step, StepSettings
 from rtec.machine import machine_from
 from rtec.model import FittedEffect, Model

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rtec.cli.main import status
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.errors import ConfigError, LogError
 from rtec.log.reader import LogReader, open_log
 from rtec.log.writer import LogWriter

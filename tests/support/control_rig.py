@@ -8,7 +8,7 @@ from typing import Any
 
 from rtec.control.messages import SCHEMA
 from rtec.control.places import socket_path
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.daemon.status import Status
 from rtec.daemon.supervision import DaemonParts
 from rtec.log.events import Event, Events

@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.flags import MODE_HOLD, MODE_ON
 from rtec.correction.sinks import Sink
 from rtec.daemon.recover import Found, recover
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec.loop.devices import Ports
 from rtec.loop.loop import Loop, Row, bind_rows
-from rtec.loop.records import MODE_HOLD, MODE_ON, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import Setup
 from rtec.loop.state import StateWriter, newest
 from rtec.loop.state_files import state_memory

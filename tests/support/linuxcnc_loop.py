@@ -13,10 +13,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.correction.flags import MODE_ON
 from rtec.loop.clock import RealClock
 from rtec.loop.devices import make_devices, open_ports
 from rtec.loop.loop import Loop, Row, bind_rows
-from rtec.loop.records import MODE_ON, Commands, Samples
+from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import load_setup
 from rtec.loop.step import Step
 from tests.support.conformance import soon

@@ -14,7 +14,7 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.control.server import Control
-from rtec.correction.guard import REASONS, Flag
+from rtec.correction.flags import REASONS, Flag
 from rtec.errors import ConfigError
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup, load_setup

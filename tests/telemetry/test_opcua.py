@@ -24,7 +24,7 @@ from asyncua.server.internal_session import InternalSession
 from asyncua.server.internal_subscription import InternalSubscription
 
 from rtec.control.server import Control
-from rtec.correction.guard import Flag
+from rtec.correction.flags import Flag
 from rtec.errors import ConfigError
 from rtec.loop.clock import RealClock
 from rtec.loop.run_file import Setup

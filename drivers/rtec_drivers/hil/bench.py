@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from rtec.correction.flags import MODE_OFF, MODE_ON
 from rtec.errors import ConfigError
 from rtec.hil import Course, FaultOrder, HilOrder, HilResult, OffAndOn, SoakOrder, SoakResult, Tell
-from rtec.loop.records import MODE_OFF, MODE_ON
 from rtec_drivers.hil.bus_run import BusRun
 from rtec_drivers.hil.catalogue import FAULTS, Bus
 from rtec_drivers.hil.daemon import ends_politely, every_ms_of, run_on_buses

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.correction.guard import HOLD_REASONS, MODE_TAKEN_OVER, ORDER_MASK
+from rtec.correction.flags import HOLD_REASONS, MODE_TAKEN_OVER, ORDER_MASK
 from rtec.log.reader import LogReader
 from rtec.loop.records import Commands, Samples
 from rtec.loop.run_file import Setup
