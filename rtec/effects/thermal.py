@@ -101,10 +101,15 @@ class AxisExpansion(OneSensor, AxisEffect):
 
     @classmethod
     def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
-        """Every sensor; fixed at zero, and at the ends and the middle of the travel where those are others."""
+        """Every sensor; fixed at zero, and at the ends and the middle of the travel where those are others; and late.
+
+        A sensor on the nut or in the coolant is warm before the screw is.
+        """
         low, high = around.moved.travel_mm
         for sensor, fixed in itertools.product(around.sensors, dict.fromkeys((0.0, low, 0.5 * (low + high), high))):
             yield {"axis": around.moved.name, "sensor": sensor, "fixed_mm": fixed}
+        for sensor in around.sensors:
+            yield {"axis": around.moved.name, "sensor": sensor, "lag": True}
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`(q - q_fix)` in m times `ΔT`."""

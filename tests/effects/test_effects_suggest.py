@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtec.effects import EFFECTS, Effect, State
 from rtec.effects.base import Surroundings, component_kind
 from rtec.effects.cyclic import CyclicScrew, widest_phase_gap
+from rtec.effects.thermal import AxisExpansion
 from rtec.machine import Machine
 from rtec.machine.machine import Sensor
 from tests.support.machines import turning_centre, vertical_mill
@@ -59,6 +60,13 @@ def test_what_is_proposed_stands_and_reads_what_varies(machine: Machine, compone
         assert component_kind(component, machine) in type(effect).feeds
         assert set(effect.channels(machine)) <= set(around.channels)
         assert all(p.grid or np.isfinite([p.low, p.high]).all() for p in effect.nonlinear(machine))
+
+
+def test_a_screw_may_be_warm_later_than_its_sensor() -> None:
+    """Oracle: a sensor on the nut is warm before the screw is; each sensor is proposed at once and late."""
+    found = [e for e in proposed(offered(MILL, "EXX")) if isinstance(e, AxisExpansion)]
+    for late in (False, True):
+        assert {e.sensor for e in found if e.lag is late} == set(SENSORS)
 
 
 def test_every_effect_is_proposed_somewhere() -> None:
