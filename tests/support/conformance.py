@@ -32,7 +32,7 @@ from rtec_drivers.registry import DRIVERS
 CONFIGS = Path(__file__).parents[2] / "configs"
 MACHINE = load_machine(CONFIGS / "machines" / "turning-centre.toml")
 MS = 1_000_000
-PATIENCE_NS = 10_000 * MS
+PATIENCE_NS = 60_000 * MS
 T = TypeVar("T")
 
 
@@ -91,7 +91,7 @@ def soon(clock: Clock, action: Callable[[], T]) -> T:
     """Do something every millisecond until it neither fails nor gives None; give what it gives.
 
     Raises:
-        DriverError: its last one, after ten seconds.
+        DriverError: its last one, after a minute.
         AssertionError: it still gave None or False.
     """
     end_ns = clock.now_ns() + PATIENCE_NS
@@ -105,7 +105,7 @@ def soon(clock: Clock, action: Callable[[], T]) -> T:
         else:
             if result is not None and result is not False:
                 return result
-            assert not late, "nothing within ten seconds"
+            assert not late, "nothing within a minute"
         clock.sleep_until_ns(clock.now_ns() + MS)
 
 

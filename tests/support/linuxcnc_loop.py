@@ -107,13 +107,6 @@ def dwell_means(rows: Floats, still: int) -> list[Floats]:
     return [rows[(a + b) // 2 : b].mean(axis=0) for a, b in zip(begins, ends, strict=True) if b - a >= still]
 
 
-def until_pins(session: Session, pins: Sequence[str], met: Callable[[list[float]], bool], looks: int = 6) -> None:
+def until_pins(session: Session, pins: Sequence[str], met: Callable[[list[float]], bool]) -> None:
     """Wait, a minute at most, until the values of some pins are as they should be."""
-    for left in range(looks, 0, -1):
-        try:
-            session.until(lambda: met([session.gets(p) for p in pins]))
-        except AssertionError:
-            if left == 1:
-                raise
-        else:
-            return
+    session.until(lambda: met([session.gets(p) for p in pins]))

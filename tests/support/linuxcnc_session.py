@@ -120,7 +120,7 @@ class Session:
         return float(self._ask("hal", "gets", pin))
 
     def until(self, met: Any) -> Any:
-        """Wait, ten seconds at most, until something holds."""
+        """Wait, a minute at most, until something holds."""
         return soon(self._clock, met)
 
     def rest(self, seconds: float) -> None:

@@ -35,7 +35,7 @@ def crc(data: bytes) -> bytes:
     return value.to_bytes(2, "little")
 
 
-def until(condition: Callable[[], bool], timeout_s: float = 10.0, period_ms: float = 2.0) -> bool:
+def until(condition: Callable[[], bool], timeout_s: float = 60.0, period_ms: float = 2.0) -> bool:
     """Look again and again until something is so, or the time is over; say which."""
     deadline_ns = CLOCK.now_ns() + round(timeout_s * 1e9)
     while not condition():
