@@ -7,9 +7,9 @@ reading is wrong where it is far from what
 - the other visits to the same place show, going the same way, and
 - its neighbours in time show,
 
-and where it does not come again. Single readings count, and bursts of up to three where other visits to the place, or
-a machine that stands still, show that nothing was there; of up to five where visits near the place show it. More than a
-few in a hundred are what the machine does.
+and where it does not come again. Single readings count, and bursts of up to five where other visits near the place, or
+a machine that stands still, show that nothing was there. At an end of the record, or of a run that has unknowns of its
+own, the neighbours of one side decide. More than a few in a hundred are what the machine does.
 """
 
 import itertools
@@ -153,26 +153,17 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     rough = rough - _of_visits(rough, place)
     spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
     off, wrong = np.zeros(n), np.zeros(n, dtype=bool)
-    for _ in range(ROUNDS):
-        middle, least = neighbours(np.where(wrong, np.nan, rough), rough, linked)
-        off = rough - middle
-        sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
-        found = _bursts(off, least, sigma, linked, place, still)
-        if not still:
-            found &= ~_again_anywhere(off, (place, *near), found)
-        if not (found & ~wrong).any():
-            break
-        wrong |= found
-    for _ in range(ROUNDS):
-        middle, least = neighbours(np.where(wrong, np.nan, rough), rough, linked, LONG_REACH)
-        off = rough - middle
-        sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
-        found = _long_bursts(np.where(wrong, 0.0, off), least, sigma, linked, near[0], still)
-        if not still:
-            found &= ~_again_anywhere(off, (place, *near), found)
-        if not (found & ~wrong).any():
-            break
-        wrong |= found
+    for reach, long in ((REACH, (1, BURST)), (LONG_REACH, (2, LONG_BURST))):
+        for _ in range(ROUNDS):
+            known = np.where(wrong, np.nan, rough)
+            off = rough - neighbours(known, rough, linked, reach)
+            sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
+            found = _bursts(off, known, sigma, linked, near[0], still, reach, long)
+            if not still:
+                found &= ~_again_anywhere(off, (place, *near), found)
+            if not found.any():
+                break
+            wrong |= found
     return np.where(wrong & (wrong.sum() <= max(MOST * n, FEW)), off, np.nan)
 
 
@@ -197,7 +188,7 @@ def _rough(readings: Readings, s: Series, values: Floats, linked: Ints) -> Float
 
     Of very many readings only what their neighbours do not explain counts: they are close enough to each other.
     """
-    off = values - neighbours(values, values, linked)[0]
+    off = values - neighbours(values, values, linked)
     columns = np.zeros((len(s), 0))
     if len(s) <= MANY:
         columns = smooth_columns(readings, s)
@@ -255,7 +246,9 @@ def _sigmas(off: Floats, sigma: float, run: Ints) -> Floats:
     far by the standard deviation of all does it matter.
     """
     n, out = len(off), np.full(len(off), sigma)
-    far = np.flatnonzero(np.abs(off) > FAR * sigma)
+    kind = np.where(np.abs(off) > FAR * sigma, np.sign(off), 0.0)
+    far, row = np.flatnonzero(kind), np.cumsum(np.diff(kind, prepend=0.0) != 0)
+    long = np.isin(np.bincount(row)[row], range(BURST + 1, LONG_BURST + 1))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [n]])
     mine = np.searchsorted(edges, far, side="right")
     begin, end = edges[mine - 1], edges[mine]
@@ -264,51 +257,54 @@ def _sigmas(off: Floats, sigma: float, run: Ints) -> Floats:
     first = np.maximum(np.minimum(far - AROUND // 2, end - AROUND), begin)
     for part in np.array_split(np.arange(len(far)), 1 + len(far) // MANY):
         near = first[part, None] + np.arange(AROUND)
-        mine = near < end[part, None]
-        size = np.sort(np.where(mine, np.abs(off[np.minimum(near, n - 1)]), np.inf), axis=1)
+        mine, near = near < end[part, None], np.minimum(near, n - 1)
+        # A long burst would be a third of a short run, and tell that the run is loud.
+        mine &= ~(long[near] & (row[near] == row[far[part], None]))
+        size = np.sort(np.where(mine, np.abs(off[near]), np.inf), axis=1)
         place = np.rint(QUARTILE * (mine.sum(axis=1) - 1)).astype(np.int64)
         out[far[part]] = np.maximum(sigma, size[np.arange(len(part)), place] / QUARTILE_SIGMA)
     return out
 
 
-def _bursts(off: Floats, least: Floats, sigma: Floats, linked: Ints, place: Ints, still: bool) -> Bools:
-    """Far readings, single or few in a row, whose neighbours on both sides are not, (n,)."""
-    size = np.abs(off)
-    far = (size > FAR * sigma) & (least * np.sign(off) > HALF * size)
-    out = np.zeros(len(off), dtype=bool)
-    edge = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(np.int8), [0]])))
-    visits = np.bincount(place)
-    for a, b in zip(edge[::2], edge[1::2], strict=True):
-        if b - a > BURST or linked[a] != linked[b - 1]:
-            continue
-        if b - a > 1 and not still and visits[place[a:b]].min() < VISITS:
-            continue
-        limit = max(NEAR * float(sigma[a:b].max()), COMPANY * float(size[a:b].min()))
-        before = size[a - 1] if a and linked[a - 1] == linked[a] else 0.0
-        after = size[b] if b < len(off) and linked[b] == linked[a] else 0.0
-        out[a:b] = max(before, after) < limit
-    return out
+def _bursts(
+    off: Floats, known: Floats, sigma: Floats, linked: Ints, near: Ints, still: bool, reach: int, long: tuple[int, int]
+) -> Bools:
+    """Far readings, single or a few in a row, whose neighbours on both sides are not, (n,).
 
+    Several in a row count only in a stretch that is much longer, where others have visited the place or nearby.
 
-def _long_bursts(off: Floats, least: Floats, sigma: Floats, linked: Ints, near: Ints, still: bool) -> Bools:
-    """Far readings, two to `LONG_BURST` in a row, of a stretch that is much longer, visited nearby by others, (n,)."""
-    size = np.abs(off)
-    far = (size > FAR * sigma) & (least * np.sign(off) > HALF * size)
-    out = np.zeros(len(off), dtype=bool)
-    edge = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(np.int8), [0]])))
+    Args:
+        off: from the neighbours, (n,).
+        known: readings, NaN where they are known to be wrong, (n,).
+        sigma, linked, near: as of `_sigmas`, `_linked`, `_near_places`, (n,).
+        still: nothing moves.
+        reach: neighbours on either side that a reading is compared with.
+        long: so many in a row, at least and at most.
+    """
+    size, out = np.where(np.isfinite(known), np.abs(off), 0.0), np.zeros(len(off), dtype=bool)
+    # Of one sign and one stretch: 0 where a reading is not far.
+    kind = np.where(size > FAR * sigma, np.sign(off), 0.0)
+    edge = np.flatnonzero(np.concatenate([[True], (np.diff(kind) != 0) | (np.diff(linked) != 0), [True]]))
     visits, stretch = np.bincount(near), np.bincount(linked)
-    for a, b in zip(edge[::2], edge[1::2], strict=True):
-        long = b - a
-        if not 2 <= long <= LONG_BURST or linked[a] != linked[b - 1] or stretch[linked[a]] < 3 * long:
+    for a, b in itertools.pairwise(edge.tolist()):
+        if not kind[a] or not long[0] <= b - a <= long[1] or stretch[linked[a]] < 3 * (b - a):
             continue
-        mine = near[a:b]
-        if not still and (visits[mine] - (mine[:, None] == mine).sum(axis=1)).min() < VISITS:
+        if b - a > 1 and not still and (visits[near[a:b]] - _own(near[a:b])).min() < VISITS:
+            continue
+        before, after = known[max(a - reach, 0) : a], known[b : b + reach]
+        sides = before[linked[max(a - reach, 0) : a] == linked[a]], after[linked[b : b + reach] == linked[a]]
+        middles = [float(np.nanmedian(v)) for v in sides if np.isfinite(v).any()]
+        if any((kind[a] * (known[a:b] - m) <= HALF * size[a:b]).any() for m in middles):
             continue
         limit = max(NEAR * float(sigma[a:b].max()), COMPANY * float(size[a:b].min()))
-        before = size[a - 1] if a and linked[a - 1] == linked[a] else 0.0
-        after = size[b] if b < len(off) and linked[b] == linked[a] else 0.0
-        out[a:b] = max(before, after) < limit
+        here = [i for i in (a - 1, b) if 0 <= i < len(off) and linked[i] == linked[a]]
+        out[a:b] = max((float(size[i]) for i in here), default=0.0) < limit
     return out
+
+
+def _own(near: Ints) -> Ints:
+    """How many of these readings are at the place of each, (k,)."""
+    return np.asarray((near[:, None] == near).sum(axis=1))
 
 
 def _near_places(readings: Readings, s: Series) -> tuple[Ints, Ints]:
@@ -351,56 +347,34 @@ def _again(off: Floats, place: Ints, found: Bools) -> Bools:
     return out
 
 
-def neighbours(values: Floats, own: Floats, linked: Ints, reach: int = REACH) -> tuple[Floats, Floats]:
-    """Median of the nearest readings on either side, the reading itself left out, (n,), and how near a side is.
+def neighbours(values: Floats, own: Floats, linked: Ints, reach: int = REACH) -> Floats:
+    """Median of the nearest readings on both sides, the reading itself left out, (n,).
 
     Args:
         values: NaN where a reading is known to be wrong, (n,).
         own: each reading, (n,); given back where it has no neighbours.
         linked: stretches that neighbours do not reach across, (n,).
         reach: so many on either side.
-
-    Returns:
-        The median of both sides; and how far a reading is at least from the median of one side, with its sign, zero
-        where it lies between both: at a step it is near to one of them.
     """
-    middle, least = np.empty(len(values)), np.empty(len(values))
-    _medians(values, own, linked, reach, middle, least)
-    return middle, least
+    out = np.empty(len(values))
+    _medians(values, own, linked, reach, out)
+    return out
 
 
 @njit
-def _medians(values: Floats, own: Floats, linked: Ints, reach: int, middle: Floats, least: Floats) -> None:
+def _medians(values: Floats, own: Floats, linked: Ints, reach: int, out: Floats) -> None:
     n = len(values)
     near = np.empty(2 * reach)
     for i in range(n):
-        sides = np.zeros(2)
-        there = np.zeros(2)
-        for part in range(3):
-            low = i - reach if part != 1 else i + 1
-            high = i + reach if part != 0 else i - 1
-            count = 0
-            for k in range(max(low, 0), min(high + 1, n)):
-                if k != i and linked[k] == linked[i] and not np.isnan(values[k]):
-                    at = count
-                    while at > 0 and near[at - 1] > values[k]:
-                        near[at] = near[at - 1]
-                        at -= 1
-                    near[at] = values[k]
-                    count += 1
-            found = own[i]
-            if count:
-                found = 0.5 * (near[(count - 1) // 2] + near[count // 2])
-            if part < 2:
-                sides[part] = own[i] - found
-                there[part] = count
-            else:
-                middle[i] = found
-        if there[0] == 0.0:
-            least[i] = sides[1]
-        elif there[1] == 0.0:
-            least[i] = sides[0]
-        elif sides[0] * sides[1] <= 0.0:
-            least[i] = 0.0
-        else:
-            least[i] = sides[0] if abs(sides[0]) < abs(sides[1]) else sides[1]
+        count = 0
+        for k in range(max(i - reach, 0), min(i + reach + 1, n)):
+            if k != i and linked[k] == linked[i] and not np.isnan(values[k]):
+                at = count
+                while at > 0 and near[at - 1] > values[k]:
+                    near[at] = near[at - 1]
+                    at -= 1
+                near[at] = values[k]
+                count += 1
+        out[i] = own[i]
+        if count:
+            out[i] = 0.5 * (near[(count - 1) // 2] + near[count // 2])

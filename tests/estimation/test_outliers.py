@@ -90,6 +90,24 @@ def test_bursts_at_places_of_their_own_are_wrong_where_other_runs_pass_nearby(se
     assert not found(spoilt(m, hump, [15.0] * len(hump)))
 
 
+@pytest.mark.parametrize("first", [87, 1, 250])
+def test_bursts_of_a_machine_at_rest_are_wrong_in_short_runs_and_at_the_ends(first: int) -> None:
+    """Oracle: what was added. Five in a row of runs of seventeen, behind the first reading of all, and the last of all.
+
+    A jump that lasts longer is the machine, and kept.
+    """
+    rng = np.random.default_rng(first)
+    heat = 6.0 * (1.0 - np.exp(-np.arange(255) / 60.0)) + 0.3 * rng.standard_normal(255)
+    probe = Probe(ProbeSetup(zero="setup"), component="EXX")
+    m = replace(measurement(runs([17] * 15), noise_um=0.0), readings={"reading_um": heat}, instrument=probe)
+    m = replace(m, channels={k: np.zeros(255) for k in m.channels})
+    assert not found(m)
+    rows = list(range(first, first + 5))
+    assert found(spoilt(m, rows, [30.0] * 5)) == rows
+    longer = list(range(120, 255))
+    assert not found(spoilt(m, longer, [30.0] * len(longer)))
+
+
 def test_peaks_that_come_again_are_the_machine() -> None:
     """Nine targets of ninety stand out by 40 noises in each of five runs: the pitch, not the reader."""
     rng = np.random.default_rng(3)
