@@ -6,7 +6,8 @@ contradiction.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -47,6 +48,8 @@ COMMON, OPPOSITE = 5, -0.8
 DISAGREE, MUCH_OF, UNLIKE = 4.0, 0.5, 3.0
 """Or so many times what the noise lets them differ by, and this share of what they read; where channels that were
 recorded differ by less than so many times what counts as a change."""
+CLEARLY = 1.2
+"""Of two files that contradict each other, the odd one differs by so many times more from the others."""
 ELSEWHERE = 0.25
 """Or whose medians differ by less than this share of its range."""
 MIRROR = 0.25
@@ -118,6 +121,7 @@ def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
     readings, left = judged.readings, judged.left
     turned: list[tuple[Series, Series]] = []
     apart: list[tuple[Series, Series]] = []
+    compared: list[tuple[Series, Series]] = []
     worst = 0.0
     for (i, one), (j, two) in itertools.combinations(enumerate(readings.series), 2):
         # Set up otherwise, as a beam at another offset, an instrument reads something else at the same place.
@@ -127,6 +131,7 @@ def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
         common = _common(readings, one, two, left) if same and one.source != two.source else None
         if common is None:
             continue
+        compared.append((one, two))
         a, b, counts = common
         size = math.sqrt(float(a @ a) * float(b @ b))
         expected = judged.floors[i].value ** 2 / counts[0] + judged.floors[j].value ** 2 / counts[1]
@@ -140,27 +145,56 @@ def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
             apart.append((one, two))
             worst = max(worst, off)
     if turned:
-        return [_contradiction(readings, turned, "its readings go the other way")]
+        return [
+            _contradiction(readings, turned, _odd(readings, turned, compared, measured), "readings go the other way")
+        ]
     if apart:
         unit = "µrad" if apart[0][0].unit == "urad" else "µm"
-        what = f"its readings differ by {worst:.2g} {unit}, and no recorded channel does"
-        return [_contradiction(readings, apart, what)]
+        what = f"readings differ by {worst:.2g} {unit}, and no recorded channel does"
+        return [_contradiction(readings, apart, _odd(readings, apart, compared, measured), what)]
     return []
 
 
-def _contradiction(readings: Readings, pairs: Sequence[tuple[Series, Series]], how: str) -> Doubt:
-    """The file that contradicts most of the others is the odd one."""
-    count: dict[int, int] = {}
-    for pair in pairs:
-        for s in pair:
-            count[s.source] = count.get(s.source, 0) + 1
-    odd = max(count, key=lambda k: (count[k], k))
-    others = sorted({s.source for pair in pairs for s in pair if any(t.source == odd for t in pair)} - {odd})
-    names = ", ".join(readings.measurements[i].name for i in others)
-    message = f"{readings.measurements[odd].name} contradicts {names}: at the same places {how}."
-    step = (
-        "Look at its sign, its set-up and whether it is of the same machine; without it or with it turned, try again."
-    )
+def _odd(
+    readings: Readings,
+    pairs: Sequence[tuple[Series, Series]],
+    compared: Sequence[tuple[Series, Series]],
+    measured: Floats,
+) -> int | None:
+    """The source that contradicts most of the others, or is clearly farther from those that contradict none."""
+    count = Counter(s.source for pair in pairs for s in pair)
+    most = [i for i, n in count.items() if n == max(count.values())]
+    if len(most) == 1:
+        return most[0]
+    far = dict.fromkeys(most, 0.0)
+    for one, two in compared:
+        common = _common(readings, one, two, measured)
+        tied = [s.source for s in (one, two) if s.source in far]
+        if common is not None and len(tied) == 1:
+            far[tied[0]] += float(np.sqrt(np.mean((common[0] - common[1]) ** 2)))
+    first, second, *_ = sorted(most, key=lambda i: -far[i])
+    return first if far[first] > CLEARLY * far[second] > 0.0 else None
+
+
+def _contradiction(readings: Readings, pairs: Sequence[tuple[Series, Series]], odd: int | None, how: str) -> Doubt:
+    """Words on files that contradict each other; the odd one of them, where it is known."""
+
+    def names(sources: Iterable[int]) -> str:
+        return ", ".join(readings.measurements[i].name for i in sorted(set(sources)))
+
+    sources = [[s.source for s in pair] for pair in pairs]
+    if odd is None:
+        message = f"{names(i for pair in sources for i in pair)} contradict each other: at the same places {how}."
+        step = (
+            "Look at their signs, their set-ups and whether they are of one machine; without the wrong one, try again."
+        )
+    else:
+        others = names(i for pair in sources if odd in pair for i in pair if i != odd)
+        message = f"{names([odd])} contradicts {others}: at the same places its {how}."
+        step = (
+            "Look at its sign, its set-up and whether it is of the same machine; without it or with it turned, try "
+            "again."
+        )
     return Doubt("contradiction", message, step, fatal=True)
 
 

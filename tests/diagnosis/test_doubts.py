@@ -51,6 +51,23 @@ def test_files_that_contradict_each_other_blame_no_effect() -> None:
     assert not d.findings[0].accepted
 
 
+@pytest.mark.parametrize("cold", [True, False])
+def test_the_turned_file_is_named_though_one_of_the_others_is_cooler(cold: bool) -> None:
+    """Oracle: what was done. Only the warm files are each other's mirror image; without the cool one, nobody knows."""
+    known = {"cool": ([*BENT], 41, 1.0), "turned": (["scale,component=EXX,axis=X,k=90"], 42, -1.0)}
+    known |= {"warm": (["scale,component=EXX,axis=X,k=90"], 43, 1.0)}
+    made = [
+        replace(m, name=name, readings={k: sign * v for k, v in m.readings.items()})
+        for name, (truth, seed, sign) in known.items()
+        if cold or name != "cool"
+        for m in [laser(truth, seed)]
+    ]
+    said = [d.message for d in compare(model(), made).doubts if d.kind == "contradiction"]
+    first = "turned contradicts warm:" if cold else "turned, warm contradict each other:"
+    assert said
+    assert said[0].startswith(first)
+
+
 def test_a_cold_day_and_a_hot_one_do_not_contradict_each_other() -> None:
     """Oracle: the truth. Below the reference X is short, above it long: one day's line falls, the other's rises."""
     heat = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11"
