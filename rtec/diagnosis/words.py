@@ -8,6 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
+from rtec.model import FittedEffect
 from rtec.wording import number, percent, significant
 
 WORDS = {
@@ -257,12 +258,12 @@ def notes(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def labels(findings: Sequence[Finding]) -> list[str]:
+def labels(effects: Sequence[Finding | FittedEffect]) -> list[str]:
     """Short names that all differ: two of one name are given with what they differ in."""
-    return [_distinct(f, [g for g in findings if g.label == f.label]) for f in findings]
+    return [_distinct(f, [g for g in effects if g.label == f.label]) for f in effects]
 
 
-def _distinct(f: Finding, same: Sequence[Finding]) -> str:
+def _distinct(f: Finding | FittedEffect, same: Sequence[Finding | FittedEffect]) -> str:
     """The name, with the arguments that others of its name differ in, or else the non-linear parameters."""
     if len(same) < 2:
         return f.label

@@ -52,12 +52,15 @@ class Untried:
     why: str
 
 
-def library(readings: Readings, only: Sequence[str] | None = None) -> tuple[list[EffectCandidate], list[Untried]]:
+def library(
+    readings: Readings, only: Sequence[str] | None = None, there: Sequence[Effect] = ()
+) -> tuple[list[EffectCandidate], list[Untried]]:
     """Give every candidate, and what could not be one.
 
     Args:
         readings: what was measured.
         only: names of effects; None for all.
+        there: effects of the model; what follows a temperature at once there may follow it late.
     """
     out: list[EffectCandidate] = []
     untried: list[Untried] = []
@@ -67,7 +70,9 @@ def library(readings: Readings, only: Sequence[str] | None = None) -> tuple[list
         for name, kind in kinds.items():
             if only is not None and name not in only:
                 continue
-            found = [_candidate(e, readings) for e in instances(kind, around)]
+            usual = instances(kind, around)
+            late = [e for e in map(_late, there) if e is not None and e.component == seen.name and type(e) is kind]
+            found = [_candidate(e, readings) for e in [*usual, *(e for e in late if e not in usual)]]
             out += [c for c in found if c is not None]
             why = lacking(kind, around)
             if not any(found) and why:
@@ -143,6 +148,11 @@ def _span(states: Sequence[State], name: str) -> tuple[float, float] | None:
     if not values:
         return None
     return min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+
+
+def _late(effect: Effect) -> Effect | None:
+    """The same effect behind its temperature; None where it has no delay, or has it already."""
+    return effect.model_copy(update={"lag": True}) if getattr(effect, "lag", None) is False else None
 
 
 def _candidate(effect: Effect, readings: Readings) -> EffectCandidate | None:

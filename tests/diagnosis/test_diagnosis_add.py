@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.diagnosis.extend.add import add, new_effect
+from rtec.diagnosis.search.diagnose import diagnose
 from rtec.errors import ModelError
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
@@ -194,3 +195,27 @@ def test_a_number_that_it_does_not_have() -> None:
     model = model_of(SCALE)
     with pytest.raises(ModelError, match="no number 'thickness'"):
         new_effect(effects(BACKLASH)[0].effect, model, values={"thickness": 1.0})
+
+
+def test_what_follows_a_temperature_late_is_added_beside_the_same_at_once() -> None:
+    """A screw 40 min behind its sensor. Oracle: Euler steps of a second written down here."""
+    at_once = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11"
+    m, tau_s = laser([SCALE], 5), 2400.0
+    seconds = np.arange(m.time_s[0], m.time_s[-1] + 1.0)
+    sensor, late = np.interp(seconds, m.time_s, m.channels["T_bed"] - 20.0), np.empty(len(seconds))
+    late[0] = sensor[0]
+    for i in range(1, len(seconds)):
+        late[i] = late[i - 1] + (sensor[i] - late[i - 1]) / tau_s
+    grown = 11e-3 * m.channels["x"] * np.interp(m.time_s, seconds, late)
+    m = dataclasses.replace(m, readings={"reading_um": m.readings["reading_um"] + grown})
+    d = diagnose(model_of(SCALE, at_once), [m], draws=20, only=["axis_expansion", "mount_expansion"])
+    first = d.findings[0]
+    assert d.verdict == "missing_effect"
+    assert (first.effect.effect, getattr(first.effect, "lag", None)) == ("axis_expansion", True)
+    made = add(model_of(SCALE, at_once), [new_effect(first.effect, model_of(SCALE), first.theta)], [m])
+    assert made.labels == ("axis_expansion(EXX, X, T_bed), lag",)
+    found = made.model.effects[-1]
+    assert abs(found.theta["tau"] - tau_s) < 3.0 * found.errors["tau"]
+    assert abs(found.values["k"] - 11.0) < 3.0 * found.errors["k"]
+    assert found.errors["tau"] < 0.5 * tau_s
+    assert made.after.inside < 1.1 * NOISE_UM

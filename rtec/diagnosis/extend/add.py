@@ -334,9 +334,9 @@ def _judged(
     held = min(was.held_out, was.residual) if fresh else was.held_out
     before = Errors(was.residual, was.residual, held if new else was.residual)
     after_it = Errors(None, now.residual, now.held_out)
-    noise, labels = now.noise_floor, tuple(f.label for f in new)
+    noise, added = now.noise_floor, tuple(labels([*model.effects, *new])[len(model.effects) :])
     entry = entry_of(
-        labels, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model
+        added, before, after_it, (noise, now.floor_from), now.unit, measurements, len(given.readings), model
     )
     made = replace(
         grown,
@@ -347,7 +347,7 @@ def _judged(
     better = now.held_out < (1.0 - WORTH) * before.held_out
     smooth = _with_smooth(after, now.scale)
     notes = (*after.disputed, *unsure(effects[len(model.effects) :]), *notes_of(model, measurements))
-    return Added(made, labels, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from)
+    return Added(made, added, before, after_it, noise, now.unit, better, smooth, notes, now.floor_from)
 
 
 def refused(added: Added) -> str:

@@ -129,7 +129,7 @@ class _Search:
         self.doubts = doubts(self.judged)
         self.readings = self.prepared.readings
         known = [f.effect for f in model.effects]
-        candidates, self.untried = library(self.readings, only)
+        candidates, self.untried = library(self.readings, only, known)
         # A wave may be there twice: with its harmonic.
         self.candidates = [
             c for c in (_beside(c, model) if c.effect in known else c for c in candidates) if c is not None
