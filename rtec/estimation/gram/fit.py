@@ -20,9 +20,9 @@ Floats = NDArray[np.float64]
 
 ROUNDS = 6
 """At most so many fits, each with the weights that the one before found."""
-THREE = 0.00135
-"""What is beyond three standard deviations, on one side."""
-LEAST_FREEDOM = 4.0
+BEYOND = 0.025
+"""What is to lie beyond twice a standard error, on one side."""
+LEAST_FREEDOM = 3.0
 SAME = 0.2
 """Noise of columns that changed against each other by less than this share is not worth another fit."""
 FEWER = 10_000
@@ -64,8 +64,8 @@ class Estimate:
     def errors(self) -> Floats:
         """Standard errors of the coefficients, then of the parameters that are on no bound.
 
-        Widened where few blocks tell of a number, by Student's quantile over the normal one, so that three of them
-        hold what three are believed to hold, 99.7 %.
+        Widened where few blocks tell of a number, by Student's quantile over the normal one, so that twice an error
+        holds what it is believed to hold, 95 %.
         """
         normal, width = self.found.normal, self.found.normal.width
         variance = np.diag(normal.covariance(normal.values()))[:width]
@@ -98,7 +98,7 @@ def widening(blocks: Floats) -> Floats:
     from scipy.special import ndtri, stdtrit
 
     freedom = np.maximum(blocks - 1.0, LEAST_FREEDOM)
-    return np.asarray(stdtrit(freedom, THREE) / ndtri(THREE), dtype=np.float64)
+    return np.asarray(stdtrit(freedom, BEYOND) / ndtri(BEYOND), dtype=np.float64)
 
 
 def estimate(

@@ -187,10 +187,14 @@ class Normal:
         return np.asarray((blocks - 1) / blocks * (off.T @ off))
 
     def blocks_telling(self) -> Floats:
-        """How many blocks each column's sum of squares comes from, (columns,); small ones count less."""
-        diagonal = np.maximum(np.diagonal(self.gram, axis1=1, axis2=2)[:, :-1], 0.0)
-        squares = (diagonal**2).sum(axis=0)
-        return np.asarray(diagonal.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0))
+        """How many blocks each number comes from beside the others, (columns,); small ones count less.
+
+        `(Σ w_b)² / Σ w_b²`, where `w_b`, the diagonal of `N⁻¹ G_b N⁻¹`, is what a block adds to the number's variance.
+        """
+        inverse = self.inverse()
+        share = np.maximum(np.einsum("ij,bjk,ki->bi", inverse, self.gram[:, :-1, :-1], inverse, optimize=True), 0.0)
+        squares = (share**2).sum(axis=0)
+        return np.asarray(share.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0))
 
     def scaled(self) -> tuple[Floats, Floats]:
         """Correlation matrix of the columns, and their sizes."""
