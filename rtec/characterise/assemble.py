@@ -8,7 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.choose import TermChoice
-from rtec.characterise.result import Characterisation, Coefficient, Correlated, MeasurementFit, SearchStep
+from rtec.characterise.result import (
+    Characterisation,
+    Coefficient,
+    Correlated,
+    MeasurementFit,
+    SearchStep,
+    UndecidedTerm,
+)
 from rtec.characterise.screen import Screened
 from rtec.characterise.warnings import all_warnings
 from rtec.estimation.gram.fit import Estimate
@@ -36,7 +43,7 @@ def assemble(
     given: Clean,
 ) -> Characterisation:
     """Give the result of a fit and of the choice before it, judged as by every command."""
-    rivals = choice.rivals if choice else ()
+    rivals = _rivals(fit, screened, choice)
     unused = screened.unused if screened else ()
     judged = Judgement(model_of(fit, measurements, name, margin), given)
     met = judged.by_measurement
@@ -62,6 +69,15 @@ def assemble(
             for s, r in zip(fit.sources, fit.residuals, strict=True)
         },
     )
+
+
+def _rivals(fit: Estimate, screened: Screened | None, choice: TermChoice | None) -> tuple[UndecidedTerm, ...]:
+    """What does as well as terms that the fit kept."""
+    if screened is None or choice is None:
+        return ()
+    effects = [t.effect for t in fit.terms]
+    kept = {c.label for c in (screened.candidates[i] for i in choice.chosen) if c.term.effect in effects}
+    return tuple(r for r in choice.rivals if r.instead_of in kept)
 
 
 def _same_readings(

@@ -2,12 +2,12 @@
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from rtec.characterise.coverage import followed, highest_degree, places_mm, several_speeds
+from rtec.characterise.coverage import accelerated, followed, highest_degree, places_mm, several_speeds
 from rtec.effects import effect_class
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
@@ -20,6 +20,8 @@ from rtec.machine.chain import component_unit
 
 DEGREES = (0, 1, 2, 3, 4, 5, 6)
 """Quadratics are typically enough [G 3.6]; higher degrees where they pay on held-out runs."""
+BEND = 2
+"""Degree of a straight deviation that is no squareness."""
 REGIONS = (5, 9)
 """Knots of the split of an axis into regions."""
 LIFTS = (0.5, 0.75, 1.0)
@@ -42,11 +44,12 @@ class TermCandidate:
 
     Attributes:
         term: effect with fixed non-linear parameters, and the columns that it stands for.
-        kind: "position", "direction", "velocity", "region", "cross", "cyclic", "temperature", "difference", "speed",
-            "other".
+        kind: "position", "direction", "velocity", "acceleration", "region", "cross", "cyclic", "temperature",
+            "difference", "speed", "other".
         feature: what drives it: sensors or speed, and how they are lagged; empty for geometry.
         channels: sensors, or the speed, or the axis, that drive it.
         direct: the readings show its component as it is, not only through a lever arm.
+        offered: whether it may be chosen; else it only says what makes the readings of something that was.
     """
 
     term: Term
@@ -54,6 +57,7 @@ class TermCandidate:
     feature: str = ""
     channels: tuple[str, ...] = ()
     direct: bool = True
+    offered: bool = True
 
     @property
     def component(self) -> str:
@@ -95,9 +99,13 @@ def geometry(seen: VisibleComponent, sources: Sequence[Source]) -> list[TermCand
         return out
     named = any(s.measurement.instrument.component == name for s in sources)
     # A straight deviation across an axis is its squareness, unless a file names the component.
-    least = 2 if component_kind(name, sources[0].measurement.machine) == "straightness" and not named else 0
+    least = BEND if component_kind(name, sources[0].measurement.machine) == "straightness" and not named else 0
     degrees = [k for k in DEGREES if least <= k <= highest_degree(places, axis)]
     out += [_candidate("position", "polynomial_position", name, degrees=(k,), **along) for k in degrees]
+    if least == BEND and not degrees and len(places) > BEND:
+        # Too few of the travel to correct a bend, but a turn that grows along the axis makes the same readings.
+        bend = _candidate("position", "polynomial_position", name, degrees=(BEND,), **along)
+        out.append(replace(bend, offered=False))
     mine = [s for s in sources if reads(s, name)]
     if both_ways(axis, mine):
         out.append(_candidate("direction", "backlash", name, **along))
@@ -129,6 +137,8 @@ def extended(seen: VisibleComponent, sources: Sequence[Source]) -> Iterator[Term
         if kind in ("straightness", "tilt"):
             for q in LIFTS:
                 yield _candidate("velocity", "guide_lift", name, {"q": q}, axis=axis.name)
+    if kind == "positioning" and accelerated(sources, name, axis):
+        yield _candidate("acceleration", "inertia", name, axis=axis.name)
     for other in (a for a in machine.axes if a.name != axis.name and followed(sources, name, axis, a)):
         whole = _candidate("cross", "cross_talk", name, axis=axis.name, other=other.name)
         for k in range(len(whole.term.effect.coefficients(machine))):
@@ -168,7 +178,7 @@ def at_constant_temperature(one: TermCandidate, candidates: Sequence[TermCandida
         return None
     degree = DEGREE.get(one.effect, 0)
     names = {"squareness"} if one.component[2] == "0" else {"polynomial_position", *(["scale"] if degree == 1 else [])}
-    alike = (c for c in candidates if c.component == one.component and c.effect in names)
+    alike = (c for c in candidates if c.offered and c.component == one.component and c.effect in names)
     return next((c for c in alike if getattr(c.term.effect, "degrees", (degree,)) == (degree,)), None)
 
 

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.candidates import TermCandidate
+from rtec.characterise.candidates import BEND, TermCandidate
 from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
 from rtec.estimation.gram.normal import NOTHING, Normal, ridged, solve, squares_left
 from rtec.estimation.gram.stream import Progress
+from rtec.machine.chain import component_unit
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +31,8 @@ TRIED = 80
 def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedTerm]:
     """Exchange each temperature, difference or speed of a choice for every other, and list what is as good.
 
-    Another lag of the same sensor is no rival, nor is what predicts the same.
+    Another lag of the same sensor is no rival. Of each sensor, and of each effect of another component, the best is
+    given: what predicts something else first, then what predicts the same and is another cause.
     """
     out: list[UndecidedTerm] = []
     here = float(np.sqrt(table.held_out(chosen)))
@@ -40,23 +42,24 @@ def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedT
             continue
         rest = [j for j in chosen if j != i]
         best: dict[tuple[str, ...], UndecidedTerm] = {}
-        others = [k for k in table.shortlist(rest, TRIED) if _may_stand_for(table.candidates[k], mine)]
-        for k, there in zip(others, np.sqrt(table.held_out_beside(rest, others)).tolist(), strict=True):
+        copies = table.copies.get(i, [])
+        tried = [k for k in table.shortlist(rest, TRIED, rivals=True) if _may_stand_for(table.candidates[k], mine)]
+        others = [*(k for k in copies if _may_stand_for(table.candidates[k], mine)), *tried]
+        errors = [here] * (len(others) - len(tried)) + np.sqrt(table.held_out_beside(rest, tried)).tolist()
+        for k, there in zip(others, errors, strict=True):
             other = table.candidates[k]
-            if there > here * (1 + NEAR) or (other.channels in best and best[other.channels].held_out <= there):
+            which = (other.component, other.effect) if other.component != mine.component else other.channels
+            if there > here * (1 + NEAR) or (which in best and best[which].held_out <= there):
                 continue
             apart = _difference_um(table, chosen, [*rest, k])
-            if apart > SAME * here:
-                best[other.channels] = UndecidedTerm(
-                    mine.label, other.label, mine.component, other.channels, there, here, apart
-                )
-        out += sorted(best.values(), key=lambda r: r.held_out)
+            best[which] = UndecidedTerm(mine.label, other.label, mine.component, other.channels, there, here, apart)
+        out += sorted(best.values(), key=lambda r: (r.apart <= SAME * here, r.held_out))
     return out
 
 
 def _may_stand_for(other: TermCandidate, mine: TermCandidate) -> bool:
-    """Whether another sensor or speed drives it, in the same component."""
-    return bool(other.feature) and other.channels != mine.channels and other.component == mine.component
+    """Whether another sensor or speed drives it, or it is in another component."""
+    return bool(other.feature) and (other.channels != mine.channels or other.component != mine.component)
 
 
 def _difference_um(table: "HeldOutTable", one: Sequence[int], other: Sequence[int]) -> float:
@@ -86,8 +89,10 @@ MOST_FEATURES = 4
 """Temperatures, differences and speeds that one component error may depend on; one or two is usual [G 3.6]."""
 BLOCKS_EACH = 2
 """And no more of them than one for so many left-out blocks: each must be seen to come and go more than once."""
-PLAIN = ("scale", "squareness", "backlash", "servo_lag")
+PLAIN = ("scale", "squareness", "backlash", "servo_lag", "inertia")
 """Effects that every machine has more or less of: where one was not chosen, that says nothing if nothing shows it."""
+TWIST = 1
+"""Degree of a turn that grows along the axis; every machine has it more or less, and bends."""
 HIDDEN = 1e-4
 """A candidate of which a choice leaves less than this share makes the same readings as the choice."""
 
@@ -100,7 +105,9 @@ class HeldOutTable:
         self.columns = [np.flatnonzero(normal.owner == i) for i in range(len(candidates))]
         self.most_features = max(1, min(MOST_FEATURES, len(normal.fold_numbers) // BLOCKS_EACH))
         self.freedom = float(np.sum([c.freedom for c in normal.cells]))
-        self.usable = _usable(normal, self.columns)
+        offered = np.array([c.offered for c in candidates])
+        self.shown, self.copies = _shown(normal, self.columns, offered)
+        self.usable = self.shown & offered
         self._known: dict[tuple[int, ...], Floats] = {}
 
     def errors(self, chosen: Sequence[int]) -> Floats:
@@ -160,14 +167,14 @@ class HeldOutTable:
             first += len(mine)
         return out
 
-    def shortlist(self, chosen: Sequence[int], most: int = SHORTLIST) -> list[int]:
-        """Candidates that would explain most of what a choice leaves in sample."""
+    def shortlist(self, chosen: Sequence[int], most: int = SHORTLIST, *, rivals: bool = False) -> list[int]:
+        """Candidates that would explain most of what a choice leaves in sample; with rivals those not offered, too."""
         d, e, _ = residual_parts(self.normal, self._index(chosen))
         raw = self.normal.raw[: self.normal.width]
         gain = np.where(d > VISIBLE * raw, e * e / np.where(d > 0, d, 1.0), 0.0)
         total = np.array([gain[c].sum() if np.all(gain[c] > 0) else 0.0 for c in self.columns])
         total[list(chosen)] = 0.0
-        total[~self.usable] = 0.0
+        total[~(self.shown if rivals else self.usable)] = 0.0
         order = [int(i) for i in np.argsort(-total, kind="stable") if total[i] > 0]
         features = self._features(chosen)
         room = [i for i in order if self._room(i, features)]
@@ -189,7 +196,7 @@ class HeldOutTable:
         for k, own in enumerate(self.columns):
             j = int(own[0])
             shown = len(own) == 1 and alone[j] > VISIBLE * raw[j]
-            if k in chosen or not shown or self.candidates[k].effect not in PLAIN or beside[j] > HIDDEN * alone[j]:
+            if k in chosen or not shown or not _plain(self.candidates[k]) or beside[j] > HIDDEN * alone[j]:
                 continue
             gram = residual_gram(self.normal, np.append(index, j))
             size = np.sqrt(np.diag(gram))
@@ -205,7 +212,8 @@ class HeldOutTable:
         """Whether a candidate is another fact than a chosen one: no other name for it, nor behind a lever arm."""
         mine, other = self.candidates[i], self.candidates[k]
         same_angle = mine.effect == other.effect == "squareness" and mine.component[:2] == other.component[:2]
-        return not same_angle and (other.direct or not mine.direct)
+        same_shape = mine.component == other.component and {mine.kind, other.kind} <= {"position", "region"}
+        return not same_angle and not same_shape and (other.direct or not mine.direct)
 
     def _of_speed(self, i: int) -> tuple[str, str] | None:
         """Component and kind of a candidate that goes with a power of a speed; None of others."""
@@ -230,19 +238,33 @@ class HeldOutTable:
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
 
-def _usable(normal: Normal, columns: Sequence[Ints]) -> NDArray[np.bool_]:
-    """Candidates that the readings show and that are not the very column of one before them."""
+def _plain(candidate: TermCandidate) -> bool:
+    turns = component_unit(candidate.component) == "urad"
+    bent = getattr(candidate.term.effect, "degrees", None) == ((TWIST if turns else BEND),)
+    return candidate.effect in PLAIN or bent
+
+
+def _shown(
+    normal: Normal, columns: Sequence[Ints], offered: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], dict[int, list[int]]]:
+    """Candidates that the readings show and that are not the very column of one before them, offered ones first.
+
+    And for each of which that is so, those that are its column.
+    """
     d, _, _ = residual_parts(normal, np.zeros(0, dtype=np.int64))
     seen = d > VISIBLE * normal.raw[: normal.width]
     out = np.array([bool(seen[c].all()) and _apart(normal, c) for c in columns])
-    single = np.array([int(c[0]) for i, c in enumerate(columns) if len(c) == 1 and out[i]], dtype=np.int64)
+    single = np.array([i for i, c in enumerate(columns) if len(c) == 1 and out[i]], dtype=np.int64)
+    copies: dict[int, list[int]] = {}
     if len(single) < 2:
-        return out
-    left = residual_gram(normal, single)
+        return out, copies
+    single = single[np.argsort(~offered[single], kind="stable")]
+    left = residual_gram(normal, np.concatenate([columns[i] for i in single]))
     size = np.sqrt(np.diag(left))
-    alike = np.abs(np.triu(left / np.outer(size, size), 1)) > 1 - ALIKE
-    copies = set(single[alike.any(axis=0)].tolist())
-    return np.array([ok and not (len(c) == 1 and int(c[0]) in copies) for ok, c in zip(out, columns, strict=True)])
+    for first, later in np.argwhere(np.abs(np.triu(left / np.outer(size, size), 1)) > 1 - ALIKE):
+        copies.setdefault(int(single[first]), []).append(int(single[later]))
+        out[single[later]] = False
+    return out, copies
 
 
 def _apart(normal: Normal, own: Ints) -> bool:
@@ -267,6 +289,7 @@ KINDS = (
     "position",
     "direction",
     "velocity",
+    "acceleration",
     "temperature",
     "speed",
     "difference",

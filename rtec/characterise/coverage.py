@@ -81,12 +81,20 @@ def followed(sources: Sequence[Source], component: str, axis: Axis, other: Axis)
 def several_speeds(sources: Sequence[Source], component: str, axis: Axis) -> bool:
     """Whether an axis moved at several speeds, and all measurements that read its component say how fast it was."""
     mine = [s for s in sources if reads(s, component)]
-    known = [s.speeds(axis) for s in mine]
-    if any(v is None for v in known):
-        return False
-    whole = np.abs(np.concatenate([v for v in known if v is not None])) if known else np.zeros(0)
-    going = whole[whole > 0.0]
+    going = _known_rate(mine, axis, axis.velocity_channel)
     return bool(len(going)) and float(np.quantile(going, 0.98)) > SPEEDS * float(np.quantile(going, 0.02))
+
+
+def accelerated(sources: Sequence[Source], component: str, axis: Axis) -> bool:
+    """Whether an axis was read under acceleration, and all measurements that read its component say under which."""
+    return bool(len(_known_rate([s for s in sources if reads(s, component)], axis, axis.acceleration_channel)))
+
+
+def _known_rate(sources: Sequence[Source], axis: Axis, channel: str) -> NDArray[np.float64]:
+    """Sizes of a velocity or acceleration that are not zero; none where a measurement does not say."""
+    known = [s.rate(axis, channel) for s in sources]
+    whole = np.abs(np.concatenate([v for v in known if v is not None] or [np.zeros(0)]))
+    return whole[whole > 0.0] if all(v is not None for v in known) else np.zeros(0)
 
 
 def cover_warnings(sources: Sequence[Source]) -> list[Warn]:

@@ -108,7 +108,7 @@ def _fit(
         chosen = tidied(_with_constant(screened, choice))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
-    tried = len(screened.candidates) if screened else 0
+    tried = sum(c.offered for c in screened.candidates) if screened else 0
     return _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell), screened, choice, given
 
 
@@ -117,7 +117,7 @@ def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> Ter
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
-    forced = [i for i, c in enumerate(candidates) if wanted is not None and _asked(c.term.effect, c.kind)]
+    forced = [i for i, c in enumerate(candidates) if wanted is not None and c.offered and _asked(c.term.effect, c.kind)]
     return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t))
 
 
@@ -241,7 +241,8 @@ def _check_channels(sources: Sequence[Source], effects: Sequence[Effect]) -> Non
             if not reads(source, effect.component):
                 continue
             moving = {c for a in m.machine.axes for c in (a.channel, a.direction_channel)}
-            moving |= {a.velocity_channel for a in m.machine.axes if source.speeds(a) is not None}
+            rates = {c: a for a in m.machine.axes for c in (a.velocity_channel, a.acceleration_channel)}
+            moving |= {c for c, a in rates.items() if source.rate(a, c) is not None}
             for channel in effect.channels(m.machine):
                 if channel not in m.channels and channel not in moving:
                     faults.append(

@@ -76,7 +76,8 @@ def screen(
         sources: measurements.
         allowed: names of the effects that may be candidates; None for all.
         known: what an earlier choice found; that of other components is taken out before a component is looked at,
-            and all of it stays among the candidates.
+            and all of it stays among the candidates; what else goes with its temperatures is not offered, but may be
+            a rival.
     """
     few = [thinned(s, READINGS) for s in sources]
     whole = [replace(s, blocks=s.blocks.one) for s in few]
@@ -108,6 +109,10 @@ def screen(
             found = _correlate([s for s in whole if reads(s, component.name)], base, hot)
             best = _best(found, budget) | {i for i, c in enumerate(found) if c.candidate in known}
             kept += [found[i].candidate for i in sorted(best)]
+            # What goes with the temperature of something known may be another name for it.
+            drives = {c.feature for c in known if c.feature}
+            also = [c.candidate for i, c in enumerate(found) if i not in best and c.candidate.feature in drives]
+            kept += [replace(c, offered=False) for c in also]
             marked = [replace(c, kept=i in best) for i, c in enumerate(found)]
             table += sorted(marked, key=lambda c: -abs(c.r))
     return Screened(tuple(few), tuple(seen), (*shapes, *kept), tuple(table), tuple(unused))
@@ -138,7 +143,7 @@ def _asked_components(
 
 def _simple(candidate: TermCandidate) -> bool:
     degrees = getattr(candidate.term.effect, "degrees", (0,))
-    return candidate.kind in ("position", "direction") and max(degrees) <= BASE_DEGREE
+    return candidate.offered and candidate.kind in ("position", "direction") and max(degrees) <= BASE_DEGREE
 
 
 def _correlate(

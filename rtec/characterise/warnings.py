@@ -21,7 +21,7 @@ from rtec.estimation.visible import axis_of, moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
-from rtec.wording import significant
+from rtec.wording import counted, significant
 
 Floats = NDArray[np.float64]
 
@@ -99,6 +99,8 @@ NARROW_K = 3.0
 FEW_BLOCKS = 8
 LITTLE_INFORMATION = 0.05
 OPPOSITE = 0.5
+RIVALS = 6
+"""So many effects that do as well are named."""
 
 
 def all_warnings(
@@ -114,7 +116,7 @@ def all_warnings(
         *_over_fitted(fit, judged),
         *_left_over(judged),
         *_uneven(fit),
-        *_undecided(fit, undecided),
+        *_undecided(undecided),
         *_ill_conditioned(fit),
         *_collinear(fit),
         *_sign_changes(fit),
@@ -200,24 +202,32 @@ def _uneven(fit: Estimate) -> list[Warn]:
     return out
 
 
-def _undecided(fit: Estimate, rivals: Sequence[UndecidedTerm]) -> list[Warn]:
-    del fit
+def _undecided(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
+    """For each term what does as well, the best of each effect: causes are named, whatever sensor they go with."""
     out = []
-    for component in dict.fromkeys(r.component for r in rivals):
-        mine = [r for r in rivals if r.component == component]
-        said = "; ".join(
-            f"{r.candidate} in place of {r.instead_of} ({100 * (r.held_out / r.chosen_held_out - 1):+.1f} % held out)"
-            for r in mine[:4]
-        )
-        more = f"; and {len(mine) - 4} more" if len(mine) > 4 else ""
+    for mine in dict.fromkeys(r.instead_of for r in rivals):
+        kinds: dict[str, list[UndecidedTerm]] = {}
+        for r in rivals:
+            if r.instead_of == mine:
+                kinds.setdefault(r.candidate.split(" of ")[0], []).append(r)
+        said = "; ".join(_as_well(alike) for alike in list(kinds.values())[:RIVALS])
+        more = f"; and {counted(len(kinds) - RIVALS, 'more effect')}" if len(kinds) > RIVALS else ""
+        component = next(r.component for r in rivals if r.instead_of == mine)
         out.append(
             Warn(
                 "undecided",
-                f"undecided for {component}: these readings do not decide between near-equal choices: {said}{more}",
+                f"undecided for {component}: these readings do not decide between near-equal choices: in place of "
+                f"{mine} as well {said}{more}",
                 "measure through another cycle in which these temperatures part (another speed, a rest, a warm start)",
             )
         )
     return out
+
+
+def _as_well(alike: Sequence[UndecidedTerm]) -> str:
+    best = alike[0]
+    others = f", {len(alike) - 1} more of this effect" if len(alike) > 1 else ""
+    return f"{best.candidate} ({100 * (best.held_out / best.chosen_held_out - 1):+.1f} % held out{others})"
 
 
 def _ill_conditioned(fit: Estimate) -> list[Warn]:

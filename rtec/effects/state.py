@@ -1,7 +1,7 @@
 """The state: every channel at n instants, and what effects may ask of it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -47,9 +47,10 @@ class State:
         time_s: (n,), not falling.
         channels: arrays (n,) by channel name: `x`, `T_spindle`, `spindle_rpm`; a direction `d_x` and a distance
             since reversal `s_x` that are not given follow from the order of the positions. Velocities and
-            accelerations are given or are not there: a reading may have been taken at rest.
+            accelerations are given, or zero where `at_rest`, or are not there.
         reference_degc: temperature at which a temperature effect is nothing.
         dead_band_mm: by axis name, where it is another than the machine's own.
+        at_rest: the axes stood still at all instants; velocities and accelerations that are not given are zero.
     """
 
     machine: Machine
@@ -57,6 +58,7 @@ class State:
     channels: Mapping[str, Floats]
     reference_degc: float = 20.0
     dead_band_mm: Mapping[str, float] = field(default_factory=dict)
+    at_rest: bool = False
     _cache: dict[str, Floats] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -76,14 +78,22 @@ class State:
         if axis is None or not self.has(name):
             raise ModelError(f"channel {name!r} is not in this data{self._way_on(name, axis)}")
         if name not in self._cache:
-            self._cache[name] = self._direction(axis) if name == axis.direction_channel else self._since(axis)
+            self._cache[name] = self._following(axis, name)
         return self._cache[name]
 
     def has(self, name: str) -> bool:
         """Whether a channel is given or follows from those that are."""
-        axis = next((a for a in self.machine.axes if name in (a.direction_channel, a.since_reversal_channel)), None)
-        follows = axis is not None and axis.channel in self.channels
-        return name in self.channels or name == "time_s" or follows
+        axis = next((a for a in self.machine.axes if name in a.moving_channels), None)
+        if name in self.channels or name == "time_s" or axis is None:
+            return name in self.channels or name == "time_s"
+        if name in (axis.velocity_channel, axis.acceleration_channel):
+            return self.at_rest
+        return name != axis.channel and axis.channel in self.channels
+
+    def _following(self, axis: Axis, name: str) -> Floats:
+        if name in (axis.velocity_channel, axis.acceleration_channel):
+            return np.zeros(len(self))
+        return self._direction(axis) if name == axis.direction_channel else self._since(axis)
 
     def _way_on(self, name: str, axis: Axis | None) -> str:
         if axis is not None and name in (axis.velocity_channel, axis.acceleration_channel):
@@ -128,4 +138,4 @@ class State:
         """Give the state at some instants; what has memory of the motion is kept as it was in the whole."""
         names = {*self.channels, *self.remembered()}
         channels = {n: self.value(n)[index] for n in names}
-        return State(self.machine, self.time_s[index], channels, self.reference_degc, self.dead_band_mm)
+        return replace(self, time_s=self.time_s[index], channels=channels, _cache={})

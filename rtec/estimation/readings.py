@@ -266,7 +266,7 @@ def _state(m: Measurement, reference_degc: float, *, smooth: bool) -> State:
         windows = Windows(m.time_s)
         curves = each(lambda s: smoothed(windows, channels[s]), sensors, len(m))
         channels |= dict(zip(sensors, curves, strict=True))
-    return State(m.machine, m.time_s, channels, reference_degc)
+    return State(m.machine, m.time_s, channels, reference_degc, at_rest=m.instrument.at_rest)
 
 
 def _shared(nuisances: Sequence[Nuisance], m: Measurement, lane: int, row: Ints) -> list[tuple[str, Floats]]:

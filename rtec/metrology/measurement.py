@@ -77,8 +77,12 @@ class Measurement(Shown):
         return frame({"run": self.run, "time_s": self.time_s, **channels, **self.readings}, kind)
 
     def state(self, reference_degc: float = 20.0, dead_band_mm: Mapping[str, float] | None = None) -> State:
-        """The channels as a state; directions that were not recorded follow from the order of positions."""
-        return State(self.machine, self.time_s, self.channels, reference_degc, dead_band_mm or {})
+        """The channels as a state; directions that were not recorded follow from the order of positions.
+
+        Velocities and accelerations that were not recorded are zero where the instrument reads at rest.
+        """
+        at_rest = self.instrument.at_rest
+        return State(self.machine, self.time_s, self.channels, reference_degc, dead_band_mm or {}, at_rest)
 
     def matrix(self) -> Floats:
         """The readings, (readings of the instrument, n), in the order of `instrument.columns()`."""

@@ -184,8 +184,8 @@ def hash_of(text: str) -> int:
     return sum((i + 1) * ord(c) for i, c in enumerate(text))
 
 
-def errors_of(seed: int) -> list[tuple[str, float]]:
-    """Distances from the truth in standard errors of all numbers of one machine's fit."""
+def drawn(seed: int) -> tuple[Truth, list[Measurement]]:
+    """A machine and what was measured on it."""
     rng, machine = np.random.default_rng([seed, 11]), MILL
     names = list(SHAPES)
     chosen = [names[i] for i in sorted(rng.choice(len(names), int(rng.integers(4, 9)), replace=False))]
@@ -194,9 +194,15 @@ def errors_of(seed: int) -> list[tuple[str, float]]:
     measured = [laser(truth, a, seed, drift) for a in "XYZ"]
     measured += [bar(truth, p, s, seed, drift) for p, s in (("XY", "ccw"), ("XY", "cw"), ("YZ", "ccw"))]
     measured += [plate(truth, m, seed, drift) for m in ((150.0, 140.0), (320.0, 250.0))]
-    result = characterise(measured, wanted=read_wanted(",".join(chosen), machine))
+    return truth, measured
+
+
+def errors_of(seed: int) -> list[tuple[str, float]]:
+    """Distances from the truth in standard errors of all numbers of one machine's fit."""
+    truth, measured = drawn(seed)
+    result = characterise(measured, wanted=read_wanted(",".join(truth.size), truth.machine))
     out = []
-    for n in chosen:
+    for n in truth.size:
         component, number, *_ = SHAPES[n]
         found = next(
             c for c in result.coefficients

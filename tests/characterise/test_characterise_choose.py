@@ -1,6 +1,7 @@
 """The choice: what is found, what is not, what is called undecided, and what each warning wants."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -88,7 +89,8 @@ def test_one_more_candidate_is_judged_as_if_all_were_solved_anew() -> None:
     owner = np.array([0, 1, 2, 3, 4, 4, 5, 6])  # the ninth is a nuisance that every fold knows
     fold, square = np.arange(6), np.einsum("fij,fij->j", columns, columns)
     few: dict[str, Any] = {"readings": np.full(6, 40), "lost": np.zeros(6), "extra": ("height",)}
-    table = HeldOutTable(Normal(gram, fold, fold, owner=owner, raw=square, **few), [cast("Any", None)] * 7)
+    offered = [cast("Any", SimpleNamespace(offered=True))] * 7
+    table = HeldOutTable(Normal(gram, fold, fold, owner=owner, raw=square, **few), offered)
     chosen, tried = [1, 2], [0, 3, 4, 5, 6]
     wanted = []
     for i in tried:

@@ -5,7 +5,9 @@ from dataclasses import replace
 import pytest
 
 from rtec.characterise import Characterisation, characterise
+from tests.characterise.joint_proof import MILL, Truth, laser
 from tests.support.ball_bar_truth import THREE, Bar, TrueMachine, recordings
+from tests.support.joint_truth import measured
 
 UNKNOWN = [replace(b, longer_um=um) for b, um in zip(THREE, (-46.8, 12.0, 30.0), strict=True)]
 SCALES = TrueMachine("tool", "XY", {"scale_a": 30.0, "scale_b": 10.0})
@@ -47,3 +49,40 @@ def test_both_senses_tell_them_apart() -> None:
 def test_known_lengths_tell_scales_apart() -> None:
     """Oracle: a bar whose length is known shows each scale; nothing is left to say of them."""
     assert not any("scale" in text for text in said(characterise(recordings(SCALES, THREE))))
+
+
+def test_a_laser_tells_scales_from_servo_gains_at_one_feed() -> None:
+    """Oracle: what was made true; a first-order loop with time constant τ turns short by ½ τ² for each unit of
+    acceleration, which a laser at its targets does not see. Ball heights are off by what nobody knows."""
+    late = TrueMachine("tool", "XY", {"scale_a": 10.0, "play_a": 3.0, "lag_ms": 20.0})
+    bars = [replace(b, feed=3000.0, height_um=40.0 if b.h else 0.0) for b in THREE]
+    found = {c.effect: c for c in characterise(measured(late, bars, 0.2, 1)).coefficients}
+    for name, true in (("scale(EXX, X)", 10.0), ("inertia(EXX, X)", 200.0), ("inertia(EYY, Y)", 200.0)):
+        assert abs(found[name].value - true) < 4 * found[name].se  # type: ignore[operator]
+    assert set(found) == {"scale(EXX, X)", "inertia(EXX, X)", "inertia(EYY, Y)", "backlash(EXX, X)"}
+
+
+def test_one_radius_and_feed_leave_a_scale_open_to_a_servo_gain() -> None:
+    """Oracle: `a = -v²/r² (x - x_c)` on a circle: a unit of gain is -v²/r² of scale, 0.111 (1/s)² at 3000 mm/min."""
+    pair = [Bar(0.0, 150.0, sense, 3000.0) for sense in ("ccw", "cw")]
+    texts = said(characterise(recordings(TrueMachine("tool", "XY", {"scale_a": 12.0}), pair)))
+    assert any("scale(EXX, X) is not determined alone: inertia(EXX, X)" in text for text in texts)
+    assert any("- 0.111 · inertia(EXX, X)" in text for text in texts)
+
+
+def test_a_turn_that_grows_along_an_axis_is_not_told_from_a_bend() -> None:
+    """Oracle: a carriage that carries the other ball and pitches by c x moves it by ½ c x² less: the reading of a bend.
+
+    The bars cover too little of the travel to correct a bend, which is no reason to call it a pitch.
+    """
+    arched = TrueMachine("bridge", "XY", {"arch_a": -0.7, "play_b": 2.0})
+    found = characterise(recordings(arched, THREE, 0.1, 3, 2.0))
+    pitch = next(c for c in found.coefficients if c.component == "EBX")
+    assert any(t.startswith(f"{pitch.effect} is not") and "polynomial_position(EZX, X)" in t for t in said(found))
+
+
+def test_sensors_that_rise_together_leave_the_cause_open() -> None:
+    """Oracle: a laser reads tool against workpiece: a mount that grows and a spindle that grows are one to it."""
+    true = Truth(MILL, {"mount_expansion:EYY:sensor=T_column": 1.2, "scale:EYY": 12.0})
+    found = characterise([laser(true, "Y", 3, False)])
+    assert any(w.code == "undecided" and "mount_expansion(EYY) of" in w.text for w in found.warnings)

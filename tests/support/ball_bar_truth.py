@@ -136,11 +136,40 @@ def direction(bar: Bar, angle_rad: Floats, k: int) -> Floats:
 def reading_um(m: TrueMachine, bar: Bar, angle_rad: Floats) -> Floats:
     """What the bar reads without noise, (n,)."""
     a, b, n = ("XYZ".index(d) for d in m.letters)
-    unit = np.eye(3)
-    place = moved_mm(m, bar, angle_rad)
     ball = np.zeros((len(angle_rad), 3))
     ball[:, a], ball[:, b], ball[:, n] = 1e-3 * m["ex"], 1e-3 * m["ey"], bar.h + 1e-3 * bar.height_um
-    side_a, side_b = (direction(bar, angle_rad, k)[:, None] * 0.5e-3 * m[f"side_{'ab'[k]}"] for k in (0, 1))
+    way = np.stack([direction(bar, angle_rad, k) for k in (0, 1)], axis=1)
+    length = np.linalg.norm(apart_mm(m, moved_mm(m, bar, angle_rad), way, ball), axis=1)
+    return np.asarray((length - np.hypot(bar.r, bar.h)) * 1e3 - bar.longer_um, dtype=np.float64)
+
+
+def resting_um(m: TrueMachine, commanded_mm: Floats, way: Floats) -> Floats:
+    """Error of the tool against the workpiece where both slides rest, in machine coordinates, (n, 3).
+
+    Args:
+        m: the machine.
+        commanded_mm: of both axes of the plane, from the centre, (n, 2).
+        way: commanded way by which each came, -1 or +1, (n, 2).
+    """
+    play = np.array([m["play_a"], m["play_b"]])
+    point = np.zeros((len(way), 3))
+    for k, letter in enumerate(m.plane):
+        point[:, "XYZ".index(letter)] = commanded_mm[:, k]
+    return 1e3 * apart_mm(m, commanded_mm - 0.5e-3 * play * way, way, point)
+
+
+def apart_mm(m: TrueMachine, place: Floats, way: Floats, ball: Floats) -> Floats:
+    """From a point of the workpiece to the tool's tip, (n, 3), mm.
+
+    Args:
+        m: the machine.
+        place: of the two slides of the plane, mm from the centre, (n, 2).
+        way: commanded way of each, -1 or +1, (n, 2).
+        ball: the point on the workpiece, (n, 3), mm.
+    """
+    a, b, n = ("XYZ".index(d) for d in m.letters)
+    unit = np.eye(3)
+    side_a, side_b = (way[:, k, None] * 0.5e-3 * m[f"side_{'ab'[k]}"] for k in (0, 1))
     p, q = place[:, :1], place[:, 1:]
     # Travel, mm, and turn, rad, of each axis' carriage, as the tool against the workpiece, (n, 3).
     travel = {d: np.zeros_like(ball) for d in "XYZ"}
@@ -152,16 +181,13 @@ def reading_um(m: TrueMachine, bar: Bar, angle_rad: Floats) -> Floats:
     travel[m.plane[0]] += 0.5e-6 * p**2 * (-m["bend_a"] * unit[b] + m["arch_a"] * unit[n]) + side_a * unit[b]
     travel[m.plane[1]] += along_b * q * (1.0 + 1e-6 * m["scale_b"])
     travel[m.plane[1]] += 0.5e-6 * q**2 * (-m["bend_b"] * unit[a] - m["arch_b"] * unit[n]) + side_b * unit[a]
-    own, way = (m.plane[0], p) if m.carrier == 0 else (m.plane[1], -q)
-    turn[own] += unit["XYZ".index(own)] * 1e-9 * m["roll"] * way
+    own, along = (m.plane[0], p) if m.carrier == 0 else (m.plane[1], -q)
+    turn[own] += unit["XYZ".index(own)] * 1e-9 * m["roll"] * along
     # A slide that follows its arc turns by the arc's slope: its own line stays along the tangent.
     travel[m.plane[1]] += -0.5e-6 * q**2 * m["turn_b"] * unit[a]
     turn[m.plane[1]] += unit[n] * m.hand * 1e-6 * m["turn_b"] * q
     tool, work = SIDES[m.kind]
-    tip = _point(tool, travel, turn, 1.0, np.zeros_like(ball))
-    fixed = _point(work, travel, turn, -1.0, ball)
-    length = np.linalg.norm(tip - fixed, axis=1)
-    return np.asarray((length - np.hypot(bar.r, bar.h)) * 1e3 - bar.longer_um, dtype=np.float64)
+    return _point(tool, travel, turn, 1.0, np.zeros_like(ball)) - _point(work, travel, turn, -1.0, ball)
 
 
 def _point(axes: str, travel: Mapping[str, Floats], turn: Mapping[str, Floats], sign: float, point: Floats) -> Floats:
@@ -203,18 +229,19 @@ THREE = (Bar(0.0, 150.0, "ccw"), Bar(60.0, 137.477, "cw"), Bar(60.0, 137.477, "c
 """Tests that separate all of [BB]'s parameters; radius and height of one bar of 150 mm."""
 
 
-def machine_of(kind: str) -> Machine:
-    """The program's machine: the same axes on the same sides."""
+def machine_of(kind: str, half_mm: float = 400.0) -> Machine:
+    """The program's machine: the same axes on the same sides, each with so much travel on either side."""
     tool, work = SIDES[kind]
-    axes = {d: axis(d, travel_mm=[-400.0, 400.0], pitch_mm=10.0) for d in "XYZ"}
+    axes = {d: axis(d, travel_mm=[-half_mm, half_mm], pitch_mm=10.0) for d in "XYZ"}
     return machine(kind, list(tool), list(work), axes)
 
 
 def recordings(
-    m: TrueMachine, bars: Sequence[Bar], noise_um: float = 0.1, seed: int = 1, step_deg: float = 1.0, **setup: Any
-) -> list[Measurement]:
+    m: TrueMachine, bars: Sequence[Bar], noise_um: float = 0.1, seed: int = 1, step_deg: float = 1.0,
+    given: Machine | None = None, **setup: Any,
+) -> list[Measurement]:  # fmt: skip
     """What the program is given: angles commanded, readings with white noise."""
-    rng, given, out = np.random.default_rng(seed), machine_of(m.kind), []
+    rng, given, out = np.random.default_rng(seed), given or machine_of(m.kind), []
     for i, one in enumerate(bars):
         instrument = bar(given, plane=m.plane, height_mm=one.h, radius_mm=one.r, direction=one.sense,
                          feed_mm_min=one.feed, **setup)  # fmt: skip

@@ -84,11 +84,14 @@ class Source:
         """Longest lever arm of each component on any reading, (components,)."""
         return longest_arms(self.measurement)
 
-    def speeds(self, axis: Axis) -> Floats | None:
-        """Velocity of an axis, mm/s, (n,): as recorded; zero where it never moved; None where nobody knows."""
+    def rate(self, axis: Axis, channel: str) -> Floats | None:
+        """Velocity of an axis, mm/s, or acceleration, mm/s², by its channel, (n,).
+
+        As recorded; zero where the instrument reads at rest or the axis never moved; None where nobody knows.
+        """
+        if self.state.has(channel):
+            return self.state.value(channel)
         channels = self.measurement.channels
-        if axis.velocity_channel in channels:
-            return channels[axis.velocity_channel]
         still = axis.channel not in channels or not np.ptp(channels[axis.channel]) > 0.0
         return np.zeros(len(self.measurement)) if still else None
 

@@ -99,6 +99,7 @@ class BallBar(Instrument):
 
     name = "ball_bar"
     title = "Double ball bar"
+    at_rest = False
     setup_model = BallBarSetup
     axis_use = "none"
     setup: BallBarSetup
@@ -152,13 +153,19 @@ class BallBar(Instrument):
         return np.asarray(out, dtype=np.float64)[None]
 
     def nuisance(self, state: State, run: Ints) -> tuple[Nuisance, ...]:
-        """Zero of the length, and how far the table-side ball is off the centre in the two directions of the plane."""
+        """Zero of the length, and how far the table-side ball is from its place in the plane and in its height.
+
+        A circle about a ball of another height is longer or shorter all round, as one of another length is: where the
+        zero is unknown it takes the height.
+        """
         del run
         out = list(zero(len(state), 1, self.setup.zero, "um"))
+        along = self._along(state.machine, state.positions_mm())
         if self.setup.centre != "none":
-            along = self._along(state.machine, state.positions_mm())
             for letter, row in zip(self.setup.letters[:2], self.setup.rows[:2], strict=True):
                 out.append(Nuisance(f"centre {letter}", "um", -along[None, :, row], self.setup.centre))
+        if self.setup.height_mm and self.setup.height_uncertainty_mm and self.setup.zero == "none":
+            out.append(Nuisance("height", "um", -along[None, :, self.setup.rows[2]], "setup"))
         return tuple(out)
 
     def faults(self, machine: Machine) -> list[str]:

@@ -56,6 +56,7 @@ class Instrument(ABC):
         setup_model: what `[setup]` may hold.
         axis_use: must an axis be named, may it, or has the instrument none?
         direct: unit of a component that it may read directly; None where it can't.
+        at_rest: its readings are taken while the axes stand still, unless their velocities are recorded.
         setup: the `[setup]` table.
         axis: axis that it follows, where it has one.
         component: component that it reads directly, where it does.
@@ -66,6 +67,7 @@ class Instrument(ABC):
     setup_model: ClassVar[type[InstrumentSetup]]
     axis_use: ClassVar[Literal["required", "optional", "none"]] = "optional"
     direct: ClassVar[Literal["um", "urad"] | None] = None
+    at_rest: ClassVar[bool] = True
 
     setup: InstrumentSetup
     axis: str | None = None

@@ -56,6 +56,7 @@ class GridEncoder(AffineInstrument):
 
     name = "grid_encoder"
     title = "Grid encoder, 2D digital scale"
+    at_rest = False
     setup_model = GridEncoderSetup
     axis_use = "none"
     setup: GridEncoderSetup

@@ -58,6 +58,7 @@ class StraightnessProbe(AffineInstrument):
 
     name = "straightness"
     title = "Straightness: probe on an artefact, or laser straightness optics"
+    at_rest = False
     setup_model = StraightnessSetup
     axis_use = "required"
     direct = "um"

@@ -30,6 +30,7 @@ class WorkPiece(AffineInstrument):
 
     name = "work_piece"
     title = "Work piece measured afterwards"
+    at_rest = False
     setup_model = WorkPieceSetup
     axis_use = "required"
     setup: WorkPieceSetup
