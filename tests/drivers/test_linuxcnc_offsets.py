@@ -15,6 +15,8 @@ PLACES = ("G0 X-60 Z60", "G0 X60 Z-60")
 STEP_UM, WINDOW = 0.3, 10
 """So much further than commanded may the tool move in a servo period, µm, on the average of a few of them: rtec's slew
 limit, and the plant's errors. Two of rtec's cycles may fall into one servo period, as neither waits for the other."""
+LATE = 0.005
+"""Share of the periods in which more of them may: on a busy PC LinuxCNC's servo thread waits, and rtec goes on."""
 
 
 @pytest.fixture(scope="module")
@@ -75,4 +77,6 @@ def test_they_correct_and_what_machine_off_clears_is_said(lathe: Session) -> Non
         following = rows[periods:, 0] - rows[:-periods, 0] == periods
         moved_um = 1e3 * (rows[periods:] - rows[:-periods])[following]
         commanded_um, tip_um = (np.abs(moved_um[:, 1 + k : 1 + k + n]) for k in (0, n))
-        assert (tip_um < commanded_um + factor * STEP_UM).all()
+        further_um = tip_um - commanded_um
+        assert np.mean(further_um >= factor * STEP_UM) < LATE
+        assert further_um.max() < 0.5 * before  # a jump would be the whole correction at once

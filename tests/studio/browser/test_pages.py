@@ -61,16 +61,28 @@ def faults(page: "Page", script: str, given: Any = None) -> list[str]:
     return []
 
 
-@pytest.fixture(params=PAGES)
-def shown(request: pytest.FixtureRequest, whole: Watched) -> Iterator["Page"]:
-    """The page, in light and at 1280 px; whatever a test does to the tab, the next begins like that."""
-    page = whole.page
-    show(page, request.param)
-    yield page
-    page.emulate_media(color_scheme="light", reduced_motion="reduce")
-    page.set_viewport_size({"width": 1280, "height": 960})
-    page.reload()
-    page.wait_for_selector("h1")
+@pytest.fixture(params=PAGES, scope="module")
+def visited(request: pytest.FixtureRequest, whole: Watched) -> "Page":
+    """A page, shown once for all tests of it."""
+    show(whole.page, request.param)
+    return whole.page
+
+
+@pytest.fixture
+def shown(visited: "Page") -> Iterator["Page"]:
+    """The page, in light and at 1280 px, whatever a test does to the tab."""
+    yield visited
+    visited.emulate_media(color_scheme="light", reduced_motion="reduce")
+    visited.set_viewport_size({"width": 1280, "height": 960})
+
+
+@pytest.fixture
+def muted(shown: "Page") -> Iterator["Page"]:
+    """The page, whose controls do nothing; for the last test of it, as it is loaded anew afterwards."""
+    shown.evaluate(MUTED)
+    yield shown
+    shown.reload()
+    shown.wait_for_selector("h1")
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -90,24 +102,23 @@ def test_it_fits_a_tablet_and_screens(shown: "Page") -> None:
         assert (width, faults(shown, OVERLAPS, CONTROLS)) == (width, [])
 
 
-def test_tab_reaches_every_control_and_keys_operate_it(shown: "Page") -> None:
+def test_tab_reaches_every_control_and_keys_operate_it(muted: "Page") -> None:
     """Oracle: the list of the page's controls; a ring on each that has the focus; what it does or tells the server."""
-    shown.evaluate(MUTED)
-    names: list[str] = shown.evaluate(NUMBERED, CONTROLS)
+    names: list[str] = muted.evaluate(NUMBERED, CONTROLS)
     reached: dict[int, str] = {}
     idle = []
     for _ in range(2 * len(names) + 10):
         if len(reached) == len(names):
             break
-        shown.keyboard.press("Tab")
-        focus = shown.evaluate(FOCUS)
+        muted.keyboard.press("Tab")
+        focus = muted.evaluate(FOCUS)
         if focus is None or focus["n"] in reached:
             continue  # once around
         assert (focus["name"], focus["ring"], focus["inside"]) == (focus["name"], True, True)
         if focus["n"] < 0:
             continue  # a table that is too wide and can be moved by the arrow keys, no control
         reached[focus["n"]] = focus["name"]
-        if focus["key"] and not _does(shown, focus["key"]):
+        if focus["key"] and not _does(muted, focus["key"]):
             idle.append(focus["name"])
     assert [name for n, name in enumerate(names) if n not in reached] == []
     assert idle == []
