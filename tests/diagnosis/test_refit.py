@@ -1,6 +1,7 @@
 """A refit never makes a model worse. Oracle: ordinary least squares, written out here."""
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis.extend.add import add, no_worse
 from rtec.diagnosis.extend.improve import improve
+from rtec.diagnosis.search.refit import Refitted
 from rtec.estimation.floor import cleaned
 from rtec.estimation.joint import joint_fit
 from rtec.estimation.outliers import clean
@@ -153,3 +155,10 @@ def residual(model: Model, m: Measurement) -> Floats:
             [f.values[c.name] for c in f.effect.coefficients(m.machine)]
         )
     return np.asarray(out - np.median(out))
+
+
+def test_what_is_named_together_is_found_among_others() -> None:
+    """Effects of one answer are told apart by which they are; `==` cannot judge their columns, which are arrays."""
+    one, two = (Refitted(k, {}, np.ones((4, 1)), cast("Any", None), 1.0, 1.0, 1.0) for k in (1, 1))
+    assert two in [one, two]
+    assert two not in [one]

@@ -203,9 +203,9 @@ def prepare(model: Model, given: Clean) -> Prepared:
     return Prepared(readings, base.columns, base.predicted, whitener, given.wrong)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Refitted:
-    """A candidate fitted along with the current model and a noise found anew."""
+    """A candidate fitted along with the current model and a noise found anew; equal to itself alone."""
 
     number: int
     theta: Mapping[str, float]
