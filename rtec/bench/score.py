@@ -98,10 +98,10 @@ def over_reachable(trial: Trial, answer: TrialAnswer) -> float:
 
 
 def reachable(trial: Trial) -> float:
-    """What is left of held-out readings when all is known that was recorded, outliers left out, root mean square.
+    """Root mean square that the best model of the recorded channels leaves on held-out readings, outliers left out.
 
-    That is the noise drawn there, and what the law of the recorded channels, fitted by least squares to the other runs
-    without their noise, leaves of a truth that is of bodies without a sensor.
+    It is the noise that was drawn there, and the part of the truth that no recorded channel follows. That part is what
+    a least-squares fit to the other runs, without their noise, leaves.
     """
     (record,) = trial.records
     total = 0.0

@@ -75,9 +75,8 @@ def screen(
     Args:
         sources: measurements.
         allowed: names of the effects that may be candidates; None for all.
-        known: what an earlier choice found; that of other components is taken out before a component is looked at,
-            and all of it stays among the candidates; what else goes with its temperatures is not offered, but may be
-            a rival.
+        known: what an earlier choice found. All of it stays a candidate. What it found in other components is taken
+            out before a component is looked at. Other effects of its temperatures are rivals, and cannot be chosen.
     """
     few = [thinned(s, READINGS) for s in sources]
     whole = [replace(s, blocks=s.blocks.one) for s in few]

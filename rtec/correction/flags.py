@@ -1,4 +1,4 @@
-"""What the guard is told, and what it says: orders, limits, flags. Nothing here decides, and nothing is compiled."""
+"""Orders and limits that the guard reads, and flags that it sets. Nothing here decides, and nothing is compiled."""
 
 from enum import IntFlag
 from typing import Final

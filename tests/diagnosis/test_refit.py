@@ -158,7 +158,7 @@ def residual(model: Model, m: Measurement) -> Floats:
 
 
 def test_what_is_named_together_is_found_among_others() -> None:
-    """Effects of one answer are told apart by which they are; `==` cannot judge their columns, which are arrays."""
+    """Oracle: identity. Two fits may hold the same number and arrays that look alike, and are two."""
     one, two = (Refitted(k, {}, np.ones((4, 1)), cast("Any", None), 1.0, 1.0, 1.0) for k in (1, 1))
     assert two in [one, two]
     assert two not in [one]

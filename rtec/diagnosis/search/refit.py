@@ -205,7 +205,7 @@ def prepare(model: Model, given: Clean) -> Prepared:
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """A candidate fitted along with the current model and a noise found anew; equal to itself alone."""
+    """A candidate fitted together with the current model, under a noise of its own. `==` compares by identity."""
 
     number: int
     theta: Mapping[str, float]

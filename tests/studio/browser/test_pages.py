@@ -78,7 +78,7 @@ def shown(visited: "Page") -> Iterator["Page"]:
 
 @pytest.fixture
 def muted(shown: "Page") -> Iterator["Page"]:
-    """The page, whose controls do nothing; for the last test of it, as it is loaded anew afterwards."""
+    """The page with its controls cut off from the server. It is loaded anew afterwards, so this is its last test."""
     shown.evaluate(MUTED)
     yield shown
     shown.reload()
