@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from rtec.diagnosis.extend.add import add, new_effect
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.errors import ModelError
+from rtec.estimation.candidates import library
+from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from tests.support.diagnosis_examples import NOISE_UM, effects, laser, small_machine
@@ -219,3 +221,13 @@ def test_what_follows_a_temperature_late_is_added_beside_the_same_at_once() -> N
     assert abs(found.values["k"] - 11.0) < 3.0 * found.errors["k"]
     assert found.errors["tau"] < 0.5 * tau_s
     assert made.after.inside < 1.1 * NOISE_UM
+
+
+def test_any_effect_of_the_model_that_follows_a_temperature_may_follow_it_late() -> None:
+    """Oracle: the list of candidates. A mounting's expansion is tried late only where the model has it at once."""
+    readings = clean([laser([SCALE], 5)]).readings
+    there = [f.effect for f in model_of("mount_expansion,component=EXX,sensor=T_bed,k=2").effects]
+    with_it, without = (library(readings, ["mount_expansion"], known)[0] for known in (there, ()))
+    late = [c.effect for c in with_it if getattr(c.effect, "lag", False)]
+    assert late == [there[0].model_copy(update={"lag": True})]
+    assert not any(getattr(c.effect, "lag", False) for c in without)
