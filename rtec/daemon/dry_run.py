@@ -1,6 +1,7 @@
 """All checks of a run without commanding anything: files, devices, first readings, what the model asks for.
 
-Many devices are polled and give their first reading after a second or two: it is waited for.
+Many devices are polled and give their first reading after a second or two: it is waited for. So is a fresh one,
+where this computer was busy between a reading and the look at it.
 """
 
 from contextlib import ExitStack
@@ -18,17 +19,18 @@ from rtec.loop.step import Step
 
 NS = 1e-9
 WAIT_S: Final = 3.0
-"""So long may the first readings take, as long as `rtec doctor` looks."""
+"""So long may readings take, as long as `rtec doctor` looks."""
 LOOK_NS: Final = 20_000_000
+STALE: Final = Flag.STALE_COUNTS | Flag.STALE_TEMPERATURE
 
 
 def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) -> dict[str, Any]:
-    """Open every device, wait for a reading of everything, step once; the actuator is opened, and commanded nothing.
+    """Open every device, step until all readings are there and fresh; the actuator is opened, and commanded nothing.
 
     Args:
         setup: what would run.
         clock: the computer's where not given.
-        wait_s: longest wait for the first readings.
+        wait_s: longest wait for readings.
 
     Returns:
         `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` why the guard would hold;
@@ -43,14 +45,20 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     sample = Samples.empty(step.layout, 1)
     sample.degc[:] = np.nan
     sample.spindle_rpm[:] = np.nan
+    sample.mode[0] = MODE_ON
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
-        wrong = _first_readings(ports, sample, clock, wait_s)
-        sample.counts_time_ns[0] = ports.counts.read_counts(sample.counts[0])
-        sample.time_ns[0] = clock.now_ns()
-    sample.mode[0] = MODE_ON
-    commands = step.run(sample)
-    flags = int(commands.flags[0]) & HOLD_REASONS
+        _read(ports, sample)  # a device may make itself ready at the first look, which is not waiting
+        end_ns = clock.now_ns() + round(wait_s / NS)
+        while True:
+            wrong = _read(ports, sample)
+            sample.time_ns[0] = clock.now_ns()
+            commands = step.run(sample)
+            flags = int(commands.flags[0]) & HOLD_REASONS
+            there = not wrong and not flags & STALE and bool(np.isfinite(sample.degc[0]).all())
+            if there or clock.now_ns() >= end_ns:
+                break
+            clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
     return {
         "inputs": input_rows(setup, sample),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
@@ -59,24 +67,9 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     }
 
 
-def _first_readings(ports: Ports, sample: Samples, clock: Clock, wait_s: float) -> list[str]:
-    """Read everything until all of it is there, or the time is over; give what is wrong with devices then."""
-    end_ns = clock.now_ns() + round(wait_s / NS)
-    while True:
-        wrong = _read(ports, sample)
-        there = not wrong and bool(np.isfinite(sample.degc[0]).all())
-        if there or clock.now_ns() >= end_ns:
-            return wrong
-        clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
-
-
 def _read(ports: Ports, sample: Samples) -> list[str]:
-    """Read everything once, good values into the sample; give what is wrong, a line a device."""
+    """Read everything once, the counts last, since they age first; give what is wrong, a line a device."""
     wrong = {}
-    try:
-        ports.counts.read_counts(sample.counts[0])
-    except DriverError as e:
-        wrong[ports.name("counts")] = str(e)
     for k, source in enumerate(ports.temperatures):
         try:
             source.read_temperatures(sample.degc[0], sample.degc_time_ns[0])
@@ -87,6 +80,10 @@ def _read(ports: Ports, sample: Samples) -> list[str]:
             sample.spindle_rpm[0] = ports.spindle.read_spindle()
         except DriverError as e:
             wrong[ports.name("spindle")] = str(e)
+    try:
+        sample.counts_time_ns[0] = ports.counts.read_counts(sample.counts[0])
+    except DriverError as e:
+        wrong[ports.name("counts")] = str(e)
     return [f"device {name}: {text}" for name, text in wrong.items()]
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import pytest
 
 from rtec.cli.main import status
+from rtec.daemon.dry_run import dry_run
+from rtec.loop.clock import VirtualClock
 from tests.support import setups
 from tests.support.doctor_rig import run_file, sim
 from tests.support.modbus_peer import FakeSlave, line, serial, slave_table
@@ -44,3 +46,24 @@ def test_one_that_stays_silent_is_named_and_ends_with_status_1(
     assert len(found["troubles"]) == 1
     assert "device polled: " in found["troubles"][0]
     assert "T_bed" in found["troubles"][0]
+
+
+class BusyClock(VirtualClock):
+    """The computer does something else for 0.1 s before each of the first looks at the clock."""
+
+    looks = 20
+
+    def now_ns(self) -> int:
+        if self.looks:
+            self.looks -= 1
+            self.sleep_until_ns(super().now_ns() + 100_000_000)
+        return super().now_ns()
+
+
+def test_a_busy_computer_is_no_stale_device(tmp_path: Path) -> None:
+    """Counts are stale after 5 ms; here 0.1 s goes by between a reading and the look at it, and later does not."""
+    clock = BusyClock()
+    found = dry_run(setups.setup(tmp_path), clock)
+    assert (clock.looks, found["reasons"], found["troubles"]) == (0, [], [])
+    clock.looks = 10**6
+    assert dry_run(setups.setup(tmp_path), clock)["reasons"] == ["counts are stale"]
