@@ -4,7 +4,7 @@ Symbols: `v` velocity of the axis, mm/s, with its sign; `a` its acceleration, mm
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -15,16 +15,22 @@ from rtec.machine import Machine
 from rtec.tomlfile import nearest
 
 REFERENCE_MM_S = 100.0
+SETTLES = Parameter("T", "s", 0.05, 0.002, 2.0, 0.05, (0.01, 0.03, 0.1, 0.3))
+STILL_MM_S = 1e-6
 SWITCH_S_PER_MM = 1e6
 """Steep enough that no axis is half a master: it goes over within a nanometre per millisecond."""
 
 
 class ServoLag(AxisEffect):
-    """Following error: `e = τ v`; |τ| = 1/K_v less what feed-forward takes away, negative where the slide lags."""
+    """Following error: `e = τ v`; |τ| = 1/K_v less what feed-forward takes away, negative where the slide lags.
+
+    With `builds_up` the slide stood still where it turned round, and lags from there on as a first-order loop does:
+    `e = τ v (1 - exp(-t/T))`, `t = s/|v|` the time since the reversal.
+    """
 
     about: ClassVar[About] = About(
         title="Servo lag (following error)",
-        equation="e = tau·v, v with its sign",
+        equation="e = tau·v, v with its sign; builds_up: times 1 - exp(-s/(|v|·T)), s = distance since the reversal",
         typical="0.1-20 µm per 100 mm/s; mismatch of two axes 0.1-5 %",
         seen_by=("ball_bar", "grid_encoder", "laser_linear"),
         source="[BB 19]",
@@ -39,20 +45,38 @@ class ServoLag(AxisEffect):
     feeds: ClassVar[tuple[Kind, ...]] = ("positioning",)
     driven_by: ClassVar[tuple[str, ...]] = ("velocity",)
     effect: Literal["servo_lag"] = "servo_lag"
+    builds_up: bool = False
 
     def coefficients(self, machine: Machine) -> tuple[Parameter, ...]:
         """`tau`: µm per mm/s is ms."""
         del machine
         return (Parameter("tau", f"{self.unit}_s_per_mm", typical=0.05),)
 
+    def nonlinear(self, machine: Machine) -> tuple[Parameter, ...]:
+        """`T` where the lag builds up."""
+        del machine
+        return (SETTLES,) if self.builds_up else ()
+
     def channels(self, machine: Machine) -> tuple[str, ...]:
-        """Read the velocity."""
-        return (self.the_axis(machine).velocity_channel,)
+        """Read the velocity, and the distance since the reversal where the lag builds up."""
+        axis = self.the_axis(machine)
+        return (axis.velocity_channel, *([axis.since_reversal_channel] if self.builds_up else []))
+
+    @classmethod
+    def arguments(cls, around: Surroundings) -> Iterator[dict[str, Any]]:
+        """Settled everywhere, and building up after each reversal."""
+        yield {"axis": around.moved.name}
+        if around.moved.since_reversal_channel in around.channels:
+            yield {"axis": around.moved.name, "builds_up": True}
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
-        """`v`."""
-        del theta
-        return [channels.value(self.the_axis(machine).velocity_channel)]
+        """`v`, times what the lag has reached of its final value."""
+        axis = self.the_axis(machine)
+        v = channels.value(axis.velocity_channel)
+        if not self.builds_up:
+            return [v]
+        settled_mm = np.maximum(np.abs(v), STILL_MM_S) * theta["T"]
+        return [v * (1.0 - np.exp(-(channels.value(axis.since_reversal_channel) / settled_mm)))]
 
 
 class ServoPhase(ServoLag):
@@ -85,8 +109,8 @@ class ServoPhase(ServoLag):
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`½ v`."""
-        del theta
-        return [channels.value(self.the_axis(machine).velocity_channel) * 0.5]
+        (follows,) = super().basis(machine, channels, theta)
+        return [follows * 0.5]
 
 
 class ChangeOver(ServoLag):
@@ -127,14 +151,17 @@ class ChangeOver(ServoLag):
 
     def channels(self, machine: Machine) -> tuple[str, ...]:
         """Read both velocities."""
-        return (self.the_axis(machine).velocity_channel, machine.axis(self.other).velocity_channel)
+        return (*super().channels(machine), machine.axis(self.other).velocity_channel)
 
     def basis(self, machine: Machine, channels: Channels, theta: Mapping[str, Value]) -> Sequence[Value]:
         """`v` where this axis is the slower one."""
-        del theta
-        own, other = (channels.value(name) for name in self.channels(machine))
+        own, other = (
+            channels.value(self.the_axis(machine).velocity_channel),
+            channels.value(machine.axis(self.other).velocity_channel),
+        )
         slower = np.minimum(np.maximum((np.abs(other) - np.abs(own)) * SWITCH_S_PER_MM, 0.0), 1.0)
-        return [own * slower]
+        (follows,) = super().basis(machine, channels, theta)
+        return [follows * slower]
 
 
 class GuideLift(AxisEffect):

@@ -23,6 +23,7 @@ ARGUMENTS: dict[str, str] = {
     "front": "the first of two temperatures",
     "back": "the second, which is taken away from the first",
     "lag": "the temperature through a first-order lag",
+    "builds_up": "the lag builds up after each reversal",
     "fixed_mm": "the place that stands still, mm",
     "degrees": "degrees of the Legendre polynomials",
     "degree": "highest power of the position",

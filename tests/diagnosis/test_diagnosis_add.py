@@ -231,3 +231,41 @@ def test_any_effect_of_the_model_that_follows_a_temperature_may_follow_it_late()
     late = [c.effect for c in with_it if getattr(c.effect, "lag", False)]
     assert late == [there[0].model_copy(update={"lag": True})]
     assert not any(getattr(c.effect, "lag", False) for c in without)
+
+
+def trailing_slide(q_mm: Floats, feed_mm_s: Floats, gain_per_s: float) -> Floats:
+    """How far a slide is behind where it is read, µm: its loop in steps of a millisecond, ways of positions in order.
+
+    Before each way it stands still, half a millimetre beyond the first position.
+    """
+    out = np.empty(len(q_mm))
+    for way in np.split(np.arange(len(q_mm)), np.flatnonzero(np.diff(feed_mm_s)) + 1):
+        v, slide = feed_mm_s[way[0]], 0.0
+        when = (np.abs(q_mm[way] - q_mm[way[0]]) + 0.5) / abs(v)
+        lag = []
+        for step in range(1, int(1000.0 * when[-1]) + 2):
+            slide += 1e-3 * gain_per_s * (1e-3 * step * v - slide)
+            lag.append(1e-3 * step * v - slide)
+        out[way] = -1e3 * np.interp(when, 1e-3 * np.arange(1, len(lag) + 1), lag)
+    return out
+
+
+def test_a_servo_that_lags_only_some_way_after_a_reversal_is_one_effect() -> None:
+    """Oracle: the loop itself, step by step, of which feed-forward leaves a thousandth."""
+    m = laser([SCALE], 5)
+    rng, way = np.random.default_rng(7), m.state().value("d_x")
+    v = way * rng.choice([10.0, 20.0, 80.0], int(m.run.max()) + 1)[m.run]
+    lag = trailing_slide(m.channels["x"], v, gain_per_s=8.0)
+    m = dataclasses.replace(
+        m, channels={**m.channels, "d_x": way, "v_x": v}, readings={"reading_um": m.readings["reading_um"] + 1e-3 * lag}
+    )
+    only = ["servo_lag", "lost_motion", "backlash", "reversal_spike"]
+    d = diagnose(model_of(SCALE), [m], draws=20, only=only)
+    assert (d.verdict, d.findings[0].label) == ("missing_effect", "servo_lag(EXX, X)")
+    settled = effects("servo_lag,component=EXX,axis=X,tau=0")[0].effect
+    plain, grown = (
+        add(model_of(SCALE), [new_effect(e, model_of(SCALE), t)], [m])
+        for e, t in ((settled, {}), (d.findings[0].effect, d.findings[0].theta))
+    )
+    assert grown.model.effects[-1].values["tau"] == pytest.approx(-1.0 / 8.0, rel=0.02)
+    assert grown.after.inside < 1.15 * NOISE_UM < 0.6 * plain.after.inside

@@ -65,6 +65,11 @@ OF_MOTION: tuple[Example, ...] = (
         lambda s, t: turned(s, stats.expon.sf(np.abs(s.value("v_x")), scale=t["v_s"])), {"v_s": 25.0}, axis="X",
     ),
     example("servo_lag", "EZZ", {"tau": "um_s_per_mm"}, fixed_theta(lambda s: [s.value("v_z")]), axis="Z"),
+    example(
+        "servo_lag", "EXX", {"tau": "um_s_per_mm"},
+        lambda s, t: [s.value("v_x") * stats.expon.cdf(s.value("s_x"), scale=np.abs(s.value("v_x")) * t["T"])],
+        {"T": 0.04}, axis="X", builds_up=True,
+    ),
     example("servo_phase", "EZZ", {"tau": "um_s_per_mm"}, fixed_theta(lambda s: [s.value("v_z") / 2]), axis="Z"),
     example(
         "change_over", "EXX", {"tau": "um_s_per_mm"},
