@@ -222,13 +222,12 @@ def _largest(d: BallBarDiagnosis) -> str:
     titles = {n.candidate.name: n.candidate.title for n in d.found.left_out}
     also = " and ".join(titles[n] for n in others if n in titles)
     joined = any(v.group != d.named.group for v in d.fitted.combinations)
+    larger = top is not None and top.g_um > LARGER * d.named.g_um
     out = (
-        f" The largest cause {'that these tests determine ' if joined else ''}is {d.named.group}"
+        f" The largest cause {'that these tests determine ' if joined or larger else ''}is {d.named.group}"
         f"{f' (or {also})' if also else ''}: {number(d.named.g_um)} µm by itself."
     )
-    if top and top.g_um > LARGER * d.named.g_um:
-        out += f" Not determined: {top.group}, up to {number(top.g_um)} µm."
-    return out
+    return out + (f" Not determined: {top.group}, up to {number(top.g_um)} µm." if top and larger else "")
 
 
 def _notes(d: BallBarDiagnosis) -> list[str]:
@@ -284,13 +283,23 @@ def _sizes(d: BallBarDiagnosis, group: str) -> str:
     """The parameters of a cause, each with its unit and interval."""
     known = [v for v in d.fitted.values if v.group == group and np.isfinite(v.value)]
     whole = [v for v in d.fitted.combinations if v.group == group]
-    return "; ".join([*(_interval(v, len(known) > 1) for v in known), *(_interval(v, True) for v in whole)])
+    return "; ".join([*(_interval(d, v, len(known) > 1) for v in known), *(_interval(d, v, True) for v in whole)])
 
 
-def _interval(v: FittedValue, named: bool) -> str:
+def _interval(d: BallBarDiagnosis, v: FittedValue, named: bool) -> str:
     digits = _digits(v)
     name = f"{v.title.split(', ')[-1]} " if named else ""
-    return f"{name}{number(v.value, digits)} {UNITS[v.unit]} ({number(v.low, digits)} … {number(v.high, digits)})"
+    size = f"{name}{number(v.value, digits)} {UNITS[v.unit]} ({number(v.low, digits)} … {number(v.high, digits)})"
+    return ", ".join([size, *_beside(d, v)])
+
+
+def _beside(d: BallBarDiagnosis, v: FittedValue) -> list[str]:
+    """What a number holds as well, and what may be there in its place."""
+    titles, rivals = _all_titles(d), {n.candidate.name for n in d.found.left_out if n.rival}
+    together = [titles.get(n, n) for n in v.with_ if n not in rivals]
+    instead = [titles.get(n, n) for n in v.with_ if n in rivals]
+    both = [f"together with {', '.join(together)}"] if together else []
+    return both + ([f"or {' and '.join(instead)} instead"] if instead else [])
 
 
 def _digits(v: FittedValue) -> int:
@@ -323,16 +332,16 @@ def _height(d: BallBarDiagnosis, of: OfHeight) -> str:
 
 
 def _values(d: BallBarDiagnosis) -> Table:
-    titles = _all_titles(d)
-    rows = [_row(v, [titles.get(n, n) for n in v.with_]) for v in (*d.fitted.combinations, *d.fitted.values)]
+    rows = [_row(d, v) for v in (*d.fitted.combinations, *d.fitted.values)]
     return Table(["parameter", "value", "95 % from", "to", "unit", "note"], rows, words=(0, 4, 5))
 
 
-def _row(v: FittedValue, others: Sequence[str]) -> list[str]:
-    digits = _digits(v)
-    notes = [f"together with {', '.join(others)}"] if others else []
+def _row(d: BallBarDiagnosis, v: FittedValue) -> list[str]:
+    digits, notes = _digits(v), _beside(d, v)
     if not np.isfinite(v.value):
-        why = f"not separated from {', '.join(others)}" if others else "not determined by these tests"
+        titles = _all_titles(d)
+        others = ", ".join(titles.get(n, n) for n in v.with_)
+        why = f"not separated from {others}" if others else "not determined by these tests"
         return [v.title, NONE, NONE, NONE, UNITS[v.unit], why]
     if v.unit == "per_km" and v.value != 0.0:
         notes = [f"radius {significant(1.0 / v.value, 3)} km", *notes]

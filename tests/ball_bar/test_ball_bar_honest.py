@@ -106,6 +106,32 @@ def test_two_feeds_tell_a_servo_gain_from_a_difference_of_scales() -> None:
     assert "servo gain error of X" in render(ball_bar_page(one, figures=False))
 
 
+def test_a_size_is_shown_with_what_one_feed_does_not_separate_from_it() -> None:
+    """Oracle: what was made true: no scale, but two servo loops that make the circle smaller; at one feed it is one."""
+    d = diagnose(recordings(TrueMachine("table", "XY", {"lag_ms": 25.0}), THREE, 0.1))
+    for axis in "XY":
+        v = d.fitted.value(f"scale_{axis.lower()}")
+        assert v.high < 0.0, "else this shows nothing"
+        assert f"together with servo gain error of {axis}" in table_of(d, "Causes")[f"scale {axis}"][3]
+
+
+def test_a_larger_cause_that_is_not_determined_makes_none_the_largest() -> None:
+    """Oracle: what was made true: loops that make the circle 1.2 µm smaller at the other feed, and 0.3 µm of twist."""
+    size = {"ex": -4.2, "ey": -9.2, "roll": 37.2, "lag_ms": 12.07}
+    bars = (
+        THREE[0],
+        replace(THREE[1], height_um=18.9),
+        replace(THREE[2], height_um=-36.7),
+        Bar(0.0, 150.0, "cw", 3000.0),
+    )
+    d = diagnose(recordings(TrueMachine("bridge", "XZ", size), bars, 0.404, 200130))
+    assert d.named is not None
+    assert d.named.group == "twist X"
+    lead = ball_bar_page(replace(d, fitted=replace(d.fitted, combinations=())), figures=False).lead
+    assert "The largest cause that these tests determine is twist X" in lead
+    assert "Not determined: scale X, up to" in lead
+
+
 # ---- 3: bent guides on other machines
 
 
@@ -222,6 +248,9 @@ def test_a_cause_that_does_as_well_is_named_beside_it() -> None:
     said = " ".join(render(ball_bar_page(d, figures=False)).split())
     assert "Instead of servo gain error of Y: too short by, for each m/s² and servo gain error of Z: too short" in said
     assert "it may be lateral play of Y along Z and lateral play of Z along Y: the readings do not decide." in said
+    assert (
+        "or lateral play of Y along Z and lateral play of Z along Y instead" in table_of(d, "Causes")["servo gain Y"][3]
+    )
     assert not {"play_y_z", "play_z_y"} & {n.candidate.name for n in d.found.not_found}
 
 
