@@ -251,6 +251,7 @@ def _scene(machine: Machine, sides: Mapping[str, ChainNodes], magnified: float) 
                 "x": figures.numbers(at[:, 0]), "y": figures.numbers(at[:, 1]), "z": figures.numbers(at[:, 2]),
                 "text": _names_at(n, base=side == "work"), "line": {"color": tint, "width": 10 if moved else 4},
                 "marker": {"size": 5, "color": tint}, "textfont": {"size": 13, "color": "@ink"}, "hoverinfo": "text",
+                "textposition": "middle right" if side == "work" else "top center",
             })  # fmt: skip
     return {"data": data, "layout": _layout3(machine)}
 

@@ -162,7 +162,7 @@ def _row(session: TabSession, name: str, used: Callable[[], None]) -> None:
             box.props["aria-label"] = f"use {clean(name)}"
             if s.trouble:
                 box.disable()
-        Words("td", name, "words")
+        Words("td", name, "words file")
         if s.trouble:
             Words("td", s.trouble, "words trouble").props("colspan=5")
             return
