@@ -73,10 +73,9 @@ def absent_ones(
     noise = projected.squares / projected.freedom
     family = math.log(max(len(found.best), 2))
     readings = projected.whitener.readings
-    unit, scale = unit_of(readings), np.ones((len(readings), 1))
+    unit, scale = unit_of(readings), np.ones(len(readings.series))
     if unit == "noise":
-        for s, floor in zip(readings.series, projected.whitener.floor, strict=True):
-            scale[s.part] = 1.0 / max(float(floor), 1e-12)
+        scale /= np.maximum(projected.whitener.floor, 1e-12)
     for i, v in enumerate(found.variants):
         candidate = found.candidates[v.candidate]
         key = (candidate.effect.effect, candidate.effect.component)
@@ -85,8 +84,7 @@ def absent_ones(
         # Evidence ln m needs a gain in log likelihood of ln m + ½ (k + n_θ) ln n.
         searched = math.log(len(candidate.thetas))
         need = 2.0 * (family + searched + 0.5 * v.count * math.log(n)) * noise
-        columns = readings.columns(candidate.effect, candidate.thetas[v.theta]) * scale
-        plain = np.sqrt(np.mean(columns**2, axis=0))
+        plain = np.sqrt(v.squares @ scale**2 / len(readings))
         seen = v.size[:, 1]
         good = seen > 0
         if good.any():

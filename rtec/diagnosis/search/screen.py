@@ -9,8 +9,9 @@ that the readings hardly decide.
 Of very many readings all are weighed, and the directions of only some are kept: to draw chance, and to compare shapes.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,6 +22,7 @@ from rtec.errors import ModelError
 from rtec.estimation.candidates import EffectCandidate
 from rtec.estimation.noise import Whitener
 from rtec.estimation.readings import Readings
+from rtec.parallel import each
 
 Floats = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -82,6 +84,7 @@ class Variant:
         theta: number among the candidate's values.
         first, count: its directions in `Screen.directions`.
         size: norm of each of its whitened columns before and after the base is taken out, (k, 2).
+        squares: sums of squares of each of its columns over each series of readings, (k, series).
     """
 
     candidate: int
@@ -89,6 +92,11 @@ class Variant:
     first: int
     count: int
     size: Floats
+    squares: Floats
+
+
+Looked = list[tuple[Variant, Single, Floats]]
+"""Variants of a chunk, each with its directions at the readings that are kept, (kept, count), and their products."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +210,7 @@ class Chunk:
 
 
 class Bank:
-    """Columns of all candidates, made once for every look at them.
+    """Columns of all candidates, made by the first look and kept for those that follow.
 
     Args:
         readings: all.
@@ -216,35 +224,28 @@ class Bank:
         machine = readings.machine
         self.usual = [np.array([p.typical for p in c.effect.coefficients(machine)]) for c in candidates]
 
-    def made(self, tell: Tell | None = None) -> Iterator[Chunk]:
-        """Make the columns at all readings, and keep what is kept."""
-        whole = bool(self.keep.all())
-        self.chunks = []
-        for chunk in self._all(tell):
-            self.chunks.append(chunk if whole else replace(chunk, columns=chunk.columns[self.keep]))
-            yield chunk
-
-    def _all(self, tell: Tell | None) -> Iterator[Chunk]:
-        total = sum(len(c.thetas) for c in self.candidates)
+    def groups(self) -> list[list[tuple[int, int]]]:
+        """Candidates and numbers of their values whose columns are made together."""
         most = min(CHUNK, NUMBERS // max(len(self.readings), 1) + 1)
-        which: list[tuple[int, int]] = []
-        columns: list[Floats] = []
+        out: list[list[tuple[int, int]]] = [[]]
         width = 0
-        for done, (i, j) in enumerate((i, j) for i, c in enumerate(self.candidates) for j in range(len(c.thetas))):
-            if tell and done % 50 == 0:
-                tell(done, total)
-            one = self._columns(i, j)
-            if one is not None:
-                which.append((i, j))
-                columns.append(one)
-                width += one.shape[1]
-            if width >= most:
-                yield _chunk(which, columns)
-                which, columns, width = [], [], 0
-        if which:
-            yield _chunk(which, columns)
-        if tell:
-            tell(total, total)
+        for i, c in enumerate(self.candidates):
+            for j in range(len(c.thetas)):
+                if width >= most:
+                    out.append([])
+                    width = 0
+                out[-1].append((i, j))
+                width += len(self.usual[i])
+        return out
+
+    def made(self, group: Sequence[tuple[int, int]]) -> Chunk | None:
+        """Make the columns of a group at all readings; None where none can be made."""
+        made = {which: columns for which in group if (columns := self._columns(*which)) is not None}
+        return _chunk(list(made), list(made.values())) if made else None
+
+    def kept(self, chunk: Chunk) -> Chunk:
+        """Columns at the readings where they are kept."""
+        return chunk if self.keep.all() else replace(chunk, columns=chunk.columns[self.keep])
 
     def _columns(self, number: int, theta: int) -> Floats | None:
         candidate = self.candidates[number]
@@ -266,18 +267,36 @@ def screen(bank: Bank, projected: Projected) -> Screen:
         bank: what is weighed; made already.
         projected: the noise of these readings, and the current model to be taken out.
     """
-    return _Weighed(bank, bank.chunks, projected, None).screen()
+    weighed = _Weighed(bank, projected, None)
+    for chunk in bank.chunks:
+        weighed.take(weighed.look(chunk))
+    return weighed.screen()
 
 
 def screen_all(bank: Bank, projected: Projected, tell: Tell | None = None) -> Screen:
     """Weigh every candidate by all readings.
 
     Args:
-        bank: what is weighed; is made.
+        bank: what is weighed; its columns are made, and kept.
         projected: the noise of all readings, and the current model to be taken out.
         tell: told how many are done, and of how many.
     """
-    return _Weighed(bank, bank.made(tell), projected, None if bank.keep.all() else bank.keep).screen()
+    weighed = _Weighed(bank, projected, None if bank.keep.all() else bank.keep)
+    groups = bank.groups()
+    total, counted = sum(map(len, groups)), itertools.count()
+
+    def looked(group: Sequence[tuple[int, int]]) -> tuple[Chunk, Looked] | None:
+        chunk = bank.made(group)
+        if tell:
+            tell(sum(map(len, groups[: next(counted) + 1])), total)
+        return None if chunk is None else (bank.kept(chunk), weighed.look(chunk))
+
+    bank.chunks = []
+    for found in each(looked, groups, len(projected.left)):
+        if found is not None:
+            bank.chunks.append(found[0])
+            weighed.take(found[1])
+    return weighed.screen()
 
 
 def mean_evidence(values: Floats, starts: Ints) -> Floats:
@@ -312,7 +331,7 @@ def orthonormal(columns: Floats) -> Floats:
 class _Weighed:
     """Directions of all variants, worked out chunk by chunk, those of one width together."""
 
-    def __init__(self, bank: Bank, chunks: Iterable[Chunk], projected: Projected, keep: Bools | None) -> None:
+    def __init__(self, bank: Bank, projected: Projected, keep: Bools | None) -> None:
         self.bank, self.projected, self.keep = bank, projected, keep
         self.variants: list[Variant] = []
         most = sum(len(c.thetas) * len(u) for c, u in zip(bank.candidates, bank.usual, strict=True))
@@ -323,8 +342,6 @@ class _Weighed:
         self.directions: Single = np.empty((rows, most), dtype=np.float32, order="F")
         self.along: Floats = np.empty(most)
         self.width = 0
-        for chunk in chunks:
-            self._take(chunk)
 
     def screen(self) -> Screen:
         """What comes of it."""
@@ -338,10 +355,13 @@ class _Weighed:
             projected, self.bank.candidates, variants, self.directions[:, : self.width], along, found, absorbed
         )
 
-    def _take(self, chunk: Chunk) -> None:
+    def look(self, chunk: Chunk) -> Looked:
+        """Weigh the variants of a chunk, beside others."""
         first = np.cumsum(chunk.widths) - chunk.widths
         usual = np.concatenate([self.bank.usual[int(i)] for i in chunk.which[:, 0]])
-        moves = norms(chunk.columns) / math.sqrt(len(chunk.columns))
+        parts = [chunk.columns[s.part] for s in self.projected.whitener.readings.series]
+        squares = np.stack([np.einsum("ij,ij->j", c, c) for c in parts], axis=1)
+        moves = np.sqrt(squares.sum(axis=1) / len(chunk.columns))
         moved = np.maximum.reduceat(moves * usual, first) > UNMOVED
         white = self.projected.whitener(chunk.columns)
         before = norms(white)
@@ -357,14 +377,23 @@ class _Weighed:
                 if turn.shape[1]:
                     found[v] = turn, along[first[v] : first[v] + width] @ turn
         kept = left if self.keep is None else left[self.keep] * self.more
+        out = []
         for v, (turn, products) in sorted(found.items(), key=lambda f: f[0]):
-            part, here = slice(first[v], first[v] + len(turn)), slice(self.width, self.width + len(products))
-            self.variants.append(
-                Variant(int(chunk.which[v, 0]), int(chunk.which[v, 1]), self.width, len(products), size[part])
+            part = slice(first[v], first[v] + len(turn))
+            variant = Variant(
+                int(chunk.which[v, 0]), int(chunk.which[v, 1]), 0, len(products), size[part], squares[part]
             )
-            self.directions[:, here] = kept[:, part] @ turn
+            out.append((variant, (kept[:, part] @ turn).astype(np.float32), products))
+        return out
+
+    def take(self, looked: Looked) -> None:
+        """Put what a chunk showed behind what the chunks before it did."""
+        for variant, directions, products in looked:
+            here = slice(self.width, self.width + variant.count)
+            self.variants.append(replace(variant, first=self.width))
+            self.directions[:, here] = directions
             self.along[here] = products
-            self.width += len(products)
+            self.width += variant.count
 
 
 def _turns(gram: Floats, at: Ints) -> list[Floats]:
