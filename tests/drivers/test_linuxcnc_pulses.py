@@ -88,6 +88,8 @@ def lathe(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     source = tmp_path_factory.mktemp("pulses")
     shutil.copy(CONFIGS / "tool.tbl", source)
     ini = (CONFIGS / "lathe.ini").read_text()
+    # The machine here lags by as long as this PC keeps the base thread waiting; that is not judged.
+    ini = re.sub(r"FERROR = .*", "FERROR = 100", ini)
     (source / "lathe.ini").write_text(ini.replace("HALFILE = lathe-plant.hal\n", ""))
     hal = HEAD.format(bridge=BRIDGE)
     hal += "".join(AXIS.format(k=k, a=a, i=k + 2, m=k + 4, per_mm=PER_MM) for k, a in enumerate(AXES))
@@ -127,7 +129,7 @@ def test_the_ledger_is_what_linuxcnc_counts(lathe: Session) -> None:
     with LoopThread(lathe, edits()) as thread:
         for place in ("G1 F500 X4 Z-6", "G1 F500 X1 Z-1"):
             lathe.mdi(place)
-            lathe.until(lambda: settled(lathe, thread, start))
+            assert lathe.until(lambda: ended(lathe, thread, start)) == "settled"
             assert np.abs(thread.output).max() >= 1
     lathe.stop_record(1)
     rows = lathe.recorded("pulses.txt")[:, 1:]
@@ -149,3 +151,10 @@ def settled(lathe: Session, thread: LoopThread, start: Floats) -> bool:
     now = counts(lathe) - start
     wanted = np.array([PER_MM * lathe.gets(f"joint.{k}.pos-cmd") for k in range(2)])
     return thread.output.tolist() == now[2:4].tolist() and bool((abs(wanted - now[4:] - now[2:4]) <= 1.5).all())
+
+
+def ended(lathe: Session, thread: LoopThread, start: Floats) -> str | None:
+    """How it ended, once it has."""
+    if settled(lathe, thread, start):
+        return "settled"
+    return None if lathe.gets("motion.motion-enabled") else "LinuxCNC switched the machine off"
