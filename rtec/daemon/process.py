@@ -22,12 +22,14 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing import parent_process, resource_tracker
 from types import FrameType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from rtec.correction.flags import Flag
 from rtec.daemon.status import Status
 from rtec.loop.clock import Clock
-from rtec.loop.run_file import Realtime
+
+if TYPE_CHECKING:
+    from rtec.loop.run_file import Realtime
 
 MCL_CURRENT_AND_FUTURE = 3
 PR_SET_TIMERSLACK = 29
@@ -36,7 +38,7 @@ WORKER_PRIORITY = 1
 """Of drivers' threads: below every loop, above all that is not real time."""
 
 
-def prepare_process(wanted: Realtime) -> list[str]:
+def prepare_process(wanted: "Realtime") -> list[str]:
     """Raise this process to SCHED_FIFO, lock its memory, pin it, switch the garbage collector off.
 
     Returns:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
@@ -28,8 +28,10 @@ from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailab
 from rtec.loop.clock import Clock, RealClock
 from rtec.loop.devices import driver_class, make_device
 from rtec.loop.ports import FloatArray, IntArray, Resumable
-from rtec.loop.run_file import Setup
 from rtec.machine import Machine
+
+if TYPE_CHECKING:
+    from rtec.loop.run_file import Setup
 
 POLL_NS: Final = 10_000_000
 """A driver in a worker is asked so often; the instants of its readings are its own."""
@@ -290,7 +292,7 @@ def _how(code: int) -> str:
         return f"signal {-code}"
 
 
-def names_for_workers(setup: Setup) -> list[str]:
+def names_for_workers(setup: "Setup") -> list[str]:
     """Devices of a run file that have a worker: read for temperatures or spindle speed, and nothing else.
 
     A driver whose class says `IN_LOOP = True` stays in the loop's process.
@@ -321,7 +323,7 @@ class Workers:
         memories: by device, for the loop's process.
     """
 
-    def __init__(self, setup: Setup, clock: Clock, parts: DaemonParts) -> None:
+    def __init__(self, setup: "Setup", clock: Clock, parts: DaemonParts) -> None:
         role, machine = setup.file.role, setup.machine
         self.memories: dict[str, Published] = {}
         self._kept: Sequence[KeptWorker] = []

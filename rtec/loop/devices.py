@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
@@ -13,9 +13,11 @@ from rtec.errors import ConfigError, DriverUnavailable, RtecError
 from rtec.loop.clock import Clock
 from rtec.loop.driver_info import find
 from rtec.loop.ports import Actuator, CountSource, Device, NoActuator, Resumable, SpindleSource, TemperatureSource
-from rtec.loop.run_file import Roles, Setup
 from rtec.machine import Machine
 from rtec.tomlfile import validated
+
+if TYPE_CHECKING:
+    from rtec.loop.run_file import Roles, Setup
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def driver_class(name: str, where: str) -> Any:
         raise DriverUnavailable(f"{where}: {e}") from e
 
 
-def make_devices(setup: Setup, clock: Clock) -> dict[str, Device]:
+def make_devices(setup: "Setup", clock: Clock) -> dict[str, Device]:
     """Construct every device of a run file; nothing is opened yet.
 
     Raises:
@@ -76,7 +78,7 @@ def make_devices(setup: Setup, clock: Clock) -> dict[str, Device]:
     return out
 
 
-def open_ports(setup: Setup, devices: Mapping[str, Any], stack: ExitStack) -> Ports:
+def open_ports(setup: "Setup", devices: Mapping[str, Any], stack: ExitStack) -> Ports:
     """Open all devices on the stack, which holds and closes them, and give them by role.
 
     Raises:
@@ -136,7 +138,7 @@ def device_options(name: str, table: Mapping[str, Any], path: Path) -> tuple[Any
     return kind, validated(options_model, {k: v for k, v in table.items() if k != "driver"}, where)
 
 
-def _role_faults(devices: Mapping[str, object], role: Roles, source: str) -> list[str]:
+def _role_faults(devices: Mapping[str, object], role: "Roles", source: str) -> list[str]:
     wanted: list[tuple[str, str, type]] = [
         ("counts", role.counts, CountSource),
         *(("temperatures", name, TemperatureSource) for name in role.temperatures),
@@ -152,7 +154,7 @@ def _role_faults(devices: Mapping[str, object], role: Roles, source: str) -> lis
     ]
 
 
-def _sink_faults(devices: Mapping[str, object], setup: Setup) -> list[str]:
+def _sink_faults(devices: Mapping[str, object], setup: "Setup") -> list[str]:
     """Compensated axes whose kind of output the actuator does not take."""
     actuator = devices.get(setup.file.role.actuator or "")
     if not isinstance(actuator, Actuator):

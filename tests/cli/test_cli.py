@@ -12,6 +12,7 @@ import typer
 
 from rtec.cli.main import app, status
 from rtec.errors import ConfigError, RtecError
+from rtec_drivers.registry import DRIVERS
 
 
 def commands(group: typer.Typer, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -62,6 +63,17 @@ def test_who_asks_a_running_loop_does_not_wait_for_a_compiler(command: list[str]
     (tmp_path / "run.toml").write_text("")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_worker_of_a_bus_needs_no_compiler() -> None:
+    """It asks one device; numba and what it brings would be most of its memory and of its start."""
+    modules = ["rtec.daemon.workers", *(module for name, (module, _) in DRIVERS.items() if name != "sim")]
+    code = (
+        f"import sys, importlib; [importlib.import_module(m) for m in {modules}]; "
+        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model') if h in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.parametrize(
