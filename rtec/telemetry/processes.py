@@ -16,17 +16,19 @@ from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from rtec.daemon.process import SIGNALS, signals, signals_wait, starter
 from rtec.daemon.supervision import DaemonPart, DaemonParts, fault
 from rtec.errors import ConfigError
 from rtec.loop.clock import Clock
-from rtec.loop.run_file import Setup
 from rtec.loop.telemetry_tables import TelemetryTable
 from rtec.telemetry.follower import Follower
 from rtec.text import clean
 from rtec.tomlfile import Strict
+
+if TYPE_CHECKING:
+    from rtec.loop.run_file import Setup
 
 PR_SET_PDEATHSIG: Final = 1
 NICE: Final = 10
@@ -55,7 +57,7 @@ class Task:
     machine: str
 
 
-def tasks(setup: Setup) -> list[Task]:
+def tasks(setup: "Setup") -> list[Task]:
     """What the run file asks for, checked as far as it can be without the network.
 
     Raises:

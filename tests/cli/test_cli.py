@@ -65,9 +65,10 @@ def test_who_asks_a_running_loop_does_not_wait_for_a_compiler(command: list[str]
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_a_worker_of_a_bus_needs_no_compiler() -> None:
-    """It asks one device; numba and what it brings would be most of its memory and of its start."""
-    modules = ["rtec.daemon.workers", *(module for name, (module, _) in DRIVERS.items() if name != "sim")]
+def test_processes_beside_the_loop_need_no_compiler() -> None:
+    """They ask one device, or tell a network; numba and what it brings would be half their memory and their start."""
+    modules = ["rtec.daemon.workers", "rtec.telemetry.processes", "rtec.telemetry.mqtt", "rtec.telemetry.mtconnect"]
+    modules += ["rtec.telemetry.opcua", *(module for name, (module, _) in DRIVERS.items() if name != "sim")]
     code = (
         f"import sys, importlib; [importlib.import_module(m) for m in {modules}]; "
         "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model') if h in sys.modules])"
