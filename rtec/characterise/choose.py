@@ -434,7 +434,10 @@ def _drop(table: HeldOutTable, chosen: list[int], forced: list[int], best: Float
 
 
 def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int] | None:
-    """The choice with terms exchanged one by one, where that lowers the left-out error for good."""
+    """The choice with terms exchanged one by one, where that lowers the left-out error for good.
+
+    Or where a simpler shape does as well beside what was found after the one that was taken.
+    """
     now, changed = list(chosen), False
     for i in chosen:
         if i in forced:
@@ -442,11 +445,20 @@ def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[
         rest, here = [j for j in now if j != i], table.held_out(now)
         tried = table.shortlist(rest)
         errors = table.held_out_beside(rest, tried)
-        if len(errors) and errors.min() < here * (1 - PAYS):
-            pick = _simplest(table, tried, errors)
-            if errors[tried.index(pick)] < here:
-                now, changed = [*rest, pick], True
+        if not len(errors):
+            continue
+        pick = _simplest(table, tried, errors)
+        better = errors.min() < here * (1 - PAYS) and errors[tried.index(pick)] < here
+        if better or (_simpler_shape(table, pick, i) and errors[tried.index(pick)] <= here * (1 + SIMPLER)):
+            now, changed = [*rest, pick], True
     return now if changed else None
+
+
+def _simpler_shape(table: HeldOutTable, i: int, k: int) -> bool:
+    """Whether a candidate is a simpler shape of the component than the regions or cross-talk that another one is."""
+    mine, other = table.candidates[i], table.candidates[k]
+    alike = mine.component == other.component and not mine.feature and other.kind in ("cross", "region")
+    return alike and _complexity(table, i) < _complexity(table, k)
 
 
 def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:

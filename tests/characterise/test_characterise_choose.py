@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation, characterise, read_wanted
-from rtec.characterise.choose import HeldOutTable, one_standard_error
+from rtec.characterise.candidates import TermCandidate
+from rtec.characterise.choose import HeldOutTable, choose, one_standard_error
 from rtec.characterise.grouping import tidied
 from rtec.diagnosis.extend.add import add
 from rtec.errors import MeasurementError, ModelError
@@ -101,6 +102,22 @@ def test_one_more_candidate_is_judged_as_if_all_were_solved_anew() -> None:
         wanted.append(left / 240.0)
     assert table.held_out_beside(chosen, tried) == pytest.approx(wanted, rel=1e-7)
     assert [table.held_out([*chosen, i]) for i in tried] == pytest.approx(wanted, rel=1e-7)
+
+
+def test_a_simpler_shape_that_does_as_well_takes_the_place_of_one_that_was_chosen_before_the_rest() -> None:
+    """Oracle: what made the readings: a scale and a backlash; alone a cross-talk like both does better."""
+    rng = np.random.default_rng(3)
+    scale, backlash = rng.normal(size=(2, 8, 40))
+    y = 2.0 * scale + 1.5 * backlash + 0.3 * rng.normal(size=(8, 40))
+    columns = np.stack([scale, scale + 0.5 * backlash, backlash, y], axis=2)
+    gram, fold = columns.transpose(0, 2, 1) @ columns, np.arange(8)
+    square = np.einsum("fij,fij->j", columns, columns)
+    normal = Normal(gram, fold, fold, np.full(8, 40), np.zeros(8), owner=np.arange(3), raw=square)
+    kinds = {"scale": "position", "cross_talk": "cross", "backlash": "direction"}
+    terms = {n: Term(effect(n, "EXX", axis="X", **({"other": "Y"} if n == "cross_talk" else {})), {}) for n in kinds}
+    found = choose(normal, [TermCandidate(terms[n], kind) for n, kind in kinds.items()])
+    assert found.steps[1].label == "cross_talk(EXX)", "else this shows nothing"
+    assert found.chosen == (0, 2)
 
 
 def test_drift_of_minutes_is_no_temperature() -> None:
