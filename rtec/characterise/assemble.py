@@ -26,7 +26,6 @@ from rtec.estimation.outliers import Clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
-from rtec.tomlfile import digest
 
 Floats = NDArray[np.float64]
 TOLD = 5
@@ -149,7 +148,7 @@ def model_of(fit: Estimate, measurements: Sequence[Measurement], name: str, marg
         name=name,
         reference_degc=sources[0].state.reference_degc,
         valid_range=valid_range([f.effect for f in effects], read, margin),
-        measurements={m.name: m.sha256 or content_sum(m) for m in measurements},
+        measurements={m.name: m.fingerprint for m in measurements},
     )
     model.check(name)
     return model
@@ -168,13 +167,6 @@ def _with_history(judged: Judgement, fit: Estimate) -> Model:
     }
     noise_um = judged.noise_floor if judged.unit == "um" else None
     return replace(judged.model, history=(history,), noise_um=noise_um)
-
-
-def content_sum(measurement: Measurement) -> str:
-    """SHA-256 of a measurement that never was a file."""
-    arrays = {**measurement.channels, **measurement.readings}
-    plain = {name: [repr(float(v)) for v in values] for name, values in arrays.items()}
-    return digest([measurement.name, measurement.run.tolist(), measurement.time_s.tolist(), plain])
 
 
 def _steps(choice: TermChoice | None) -> tuple[SearchStep, ...]:

@@ -41,6 +41,8 @@ VISITS = 3
 """Visits to a place, going the same way, whose median tells what the machine does there."""
 AGAIN, HALF = 1.0 / 3.0, 0.5
 """A reading comes again where this share of the other visits is off by at least half as much, the same way."""
+SPEEDS = 10.0
+"""Speeds that differ by less than one over so many are one."""
 MOST, FEW = 0.05, 3
 """More than this share of a series, and more than a few, are no mistakes of reading."""
 PLACE_MM = 0.02
@@ -147,12 +149,14 @@ def wrong_readings(readings: Readings) -> Floats:
 def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     n = len(s)
     place, still = _places(readings, s)
-    near = (place, place) if still else _near_places(readings, s)
+    near, anyway, starts = [place], [], None
+    if not still:
+        near, anyway, starts = *_near_places(readings, s), _first_of_ways(readings, s)
     linked = _linked(s)
     rough = _rough(readings, s, values, linked)
     rough = rough - _of_visits(rough, place)
     spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
-    off, wrong = np.zeros(n), np.zeros(n, dtype=bool)
+    off, wrong, far = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     for reach, long in ((REACH, (1, BURST)), (LONG_REACH, (2, LONG_BURST))):
         for _ in range(ROUNDS):
             known = np.where(wrong, np.nan, rough)
@@ -160,11 +164,13 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
             sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
             found = _bursts(off, known, sigma, linked, near[0], still, reach, long)
             if not still:
-                found &= ~_again_anywhere(off, (place, *near), found)
+                found &= ~np.logical_or.reduce([_again(off, p, found) for p in (place, *near)])
+            far |= found
+            found &= ~_again_elsewhere(off, anyway, starts, found)
             if not found.any():
                 break
             wrong |= found
-    return np.where(wrong & (wrong.sum() <= max(MOST * n, FEW)), off, np.nan)
+    return np.where(wrong & (far.sum() <= max(MOST * n, FEW)), off, np.nan)
 
 
 def _linked(s: Series) -> Ints:
@@ -307,43 +313,88 @@ def _own(near: Ints) -> Ints:
     return np.asarray((near[:, None] == near).sum(axis=1))
 
 
-def _near_places(readings: Readings, s: Series) -> tuple[Ints, Ints]:
-    """Numbers for neighbourhoods, passed the same way, of the axes that move from reading to reading, (n,) each.
+def _near_places(readings: Readings, s: Series) -> tuple[list[Ints], list[Ints]]:
+    """Numbers for neighbourhoods, of the axes that move from reading to reading: passed the same way, and any way.
 
-    Those of the second begin in the middle of those of the first: a place near the edge of one is inside the other.
+    Two of each, (n,): those of the second begin in the middle of those of the first, so that a place near the edge of
+    one is inside the other.
     """
-    pose = readings.poses_mm[s.source][s.row]
-    moves = np.abs(np.diff(pose, axis=0))[np.diff(s.run) == 0]
-    state, places, ways = readings.states[s.source], [], []
-    for i, axis in enumerate(readings.machine.axes):
-        step = float(np.median(moves[:, i])) if len(moves) else 0.0
-        if step > STILL_MM:
-            places.append(pose[:, i] / step)
-            ways.append(np.sign(state.value(axis.direction_channel)[s.row]))
+    pose, state = readings.poses_mm[s.source][s.row], readings.states[s.source]
+    places, ways = [], []
+    for i, step in _moving(readings, s):
+        places.append(pose[:, i] / step)
+        ways.append(np.sign(state.value(readings.machine.axes[i].direction_channel)[s.row]))
     if not places:
-        return np.arange(len(s), dtype=np.int64), np.arange(len(s), dtype=np.int64)
-    first, second = (_numbered(np.stack([*(np.floor(p + off) for p in places), *ways], axis=1)) for off in (0.0, 0.5))
-    return first, second
+        return [np.arange(len(s), dtype=np.int64)], []
+    rows = [[np.floor(p + off) for p in places] for off in (0.0, 0.5)]
+    return [row_codes(np.stack([*r, *ways])) for r in rows], [row_codes(np.stack(r)) for r in rows]
 
 
-def _numbered(rows: Floats) -> Ints:
-    """A number for each row that differs from the others, (n,)."""
-    return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
+def _moving(readings: Readings, s: Series) -> list[tuple[int, float]]:
+    """Axes that move from reading to reading within runs, and their usual step, mm."""
+    moves = np.abs(np.diff(readings.poses_mm[s.source][s.row], axis=0))[np.diff(s.run) == 0]
+    steps = np.median(moves, axis=0) if len(moves) else np.zeros(moves.shape[1])
+    return [(i, float(step)) for i, step in enumerate(steps) if step > STILL_MM]
 
 
-def _again_anywhere(off: Floats, places: Sequence[Ints], found: Bools) -> Bools:
-    """Whether visits to the place, or near it, of readings that were found are off the same way, (n,)."""
-    return np.asarray(np.logical_or.reduce([_again(off, p, found) for p in places]))
+def _first_of_ways(readings: Readings, s: Series) -> tuple[Ints, Floats] | None:
+    """Numbers for the first readings after a reversal, one for each speed, and the way at each reading, (n,).
+
+    Every other reading has a number of its own. None where nothing moves, or more than one axis.
+    """
+    moving = _moving(readings, s)
+    if len(moving) != 1:
+        return None
+    axis, state = readings.machine.axes[moving[0][0]], readings.states[s.source]
+    way = np.sign(state.value(axis.direction_channel)[s.row])
+    speed = np.zeros(len(s))
+    if state.has(axis.velocity_channel):
+        speed = np.rint(SPEEDS * np.log(np.maximum(np.abs(state.value(axis.velocity_channel)[s.row]), STILL_MM)))
+    first = (np.diff(way, prepend=np.nan) != 0) | (np.diff(s.run, prepend=-1) != 0)
+    own = np.where(first, 0, 1 + np.arange(len(s)))
+    return row_codes(np.stack([own, np.where(first, speed, 0.0)])), way
 
 
-def _again(off: Floats, place: Ints, found: Bools) -> Bools:
-    """Whether other visits to the place of readings that were found are off the same way, (n,)."""
+def _again_elsewhere(off: Floats, any_way: Sequence[Ints], starts: tuple[Ints, Floats] | None, found: Bools) -> Bools:
+    """Whether readings that were found come again where a place is passed any way, or after each reversal, (n,).
+
+    Args:
+        off: from the neighbours, (n,).
+        any_way: numbers of places, (n,) each.
+        starts: as of `_first_of_ways`.
+        found: readings in question, (n,).
+    """
+    again = [_again(off, p, found, LONG_BURST) for p in any_way]
+    if starts is not None:
+        again += [_again(off * turned, starts[0], found) for turned in (1.0, starts[1])]
+    return np.asarray(np.logical_or.reduce([np.zeros(len(off), dtype=bool), *again]))
+
+
+def _again(off: Floats, place: Ints, found: Bools, apart: int = 1) -> Bools:
+    """Whether enough other readings of the same number are off the same way as those that were found, (n,).
+
+    Args:
+        off: (n,).
+        place: numbers, (n,).
+        found: readings in question, (n,).
+        apart: readings nearer than so many in order are the same visit.
+    """
     out = np.zeros(len(off), dtype=bool)
     for p in np.unique(place[found]):
         group = np.flatnonzero(place == p)
-        mine = off[group]
-        alike = (mine[None, :] * np.sign(mine)[:, None] >= HALF * np.abs(mine)[:, None]).sum(axis=1) - 1
-        out[group] = (alike > 0) & (alike >= AGAIN * (len(group) - 1))
+        mine = group[found[group]]
+        sign, least = np.sign(off[mine]), HALF * np.abs(off[mine])
+        order = np.sort(off[group])
+        alike = np.where(
+            sign > 0, len(group) - np.searchsorted(order, least), np.searchsorted(order, -least, side="right")
+        )
+        others = np.full(len(mine), len(group))
+        for k in range(1 - apart, apart):
+            near = np.clip(mine + k, 0, len(off) - 1)
+            here = (near == mine + k) & (place[near] == p)
+            others -= here
+            alike -= here & (sign * off[near] >= least)
+        out[mine] = (alike > 0) & (alike >= AGAIN * others)
     return out
 
 

@@ -1,7 +1,9 @@
 """A measurement: one instrument's recording on one machine, in memory."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -48,6 +50,17 @@ class Measurement(Shown):
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of its file, or of what it holds where it never was one: the same readings are known again."""
+        if self.sha256:
+            return self.sha256
+        whole = hashlib.sha256(self.name.encode())
+        held = {"run": self.run, "time_s": self.time_s, **self.channels, **self.readings}
+        for name, values in sorted(held.items()):
+            whole.update(f"\n{name}\n".encode() + np.ascontiguousarray(values).tobytes())
+        return whole.hexdigest()
 
     def facts(self) -> dict[str, Any]:
         """What it is, without its readings."""

@@ -137,6 +137,19 @@ def test_the_same_readings_again_make_nothing_surer() -> None:
         assert numbers(again)[name][1] == pytest.approx(error, rel=0.02)
 
 
+def test_readings_in_memory_are_known_again_as_those_of_a_file_are() -> None:
+    """Oracle: the same readings with the check sum of a file. A second step judges and fits both alike."""
+    m, other = laser([SCALE, BACKLASH], SEEDS[0]), laser([SCALE, BACKLASH], SEEDS[1])
+    steps = []
+    for given in (m, dataclasses.replace(m, sha256="of a file")):
+        first = add(model_of(), [blank(SCALE, model_of())], [given])
+        steps.append(add(first.model, [blank(BACKLASH, model_of())], [given]))
+    memory, file = steps
+    assert (memory.before, memory.after) == (file.before, file.after)
+    assert numbers(memory.model) == numbers(file.model)
+    assert len({m.fingerprint, other.fingerprint, dataclasses.replace(m, time_s=m.time_s + 1.0).fingerprint}) == 3
+
+
 def test_an_effect_that_is_not_there_does_not_look_better() -> None:
     """Oracle: noise alone; a straight line and twelve shapes more are fitted to it."""
     model = model_of("scale,component=EXX,axis=X,k=0")

@@ -16,6 +16,11 @@ from rtec.diagnosis.search.diagnose import diagnose
 from rtec.effects import effect_class
 from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
+from rtec.machine import machine_from
+from rtec.metrology.instruments.registry import make_instrument
+from rtec.model import Model
+from rtec.sim.campaign.truth import effect_from_text
+from tests.support.diagnosis_examples import TABLE, laser
 
 
 def _effect(name: str, **arguments: object):  # type: ignore[no-untyped-def]
@@ -119,3 +124,22 @@ def test_two_shifts_of_opposite_signs_may_be_one_part_that_bends() -> None:
     assert bent_part(back, 2.0, [(front, 2.5)]) is None
     assert bent_part(back, -2.0, [(front, 9.0)]) is None
     assert bent_part(_effect("mount_expansion", component="EZ0spindle", sensor="T_back"), -2.0, [(front, 2.5)]) is None
+
+
+def test_every_sensor_that_moves_as_the_named_one_does_is_a_rival() -> None:
+    """Oracle: two sensors that show the third's rise times 0.9 and 1.2, but for a hundredth of a kelvin."""
+    machine = machine_from({**TABLE, "temperature": {n: {} for n in ("T_bed", "T_nut", "T_left")}}, "small")
+    m, rng = laser(["scale,component=EXX,axis=X,k=12"], 5), np.random.default_rng(1)
+    rise = m.channels["T_bed"] - 20.0
+    others = {n: 20.0 + k * rise + 0.01 * rng.standard_normal(len(m)) for n, k in (("T_nut", 0.9), ("T_left", 1.2))}
+    m = replace(
+        m, machine=machine, channels={**m.channels, **others},
+        instrument=make_instrument("laser_linear", {}, "X", None, machine, "test"),
+        readings={"reading_um": m.readings["reading_um"] + 11e-3 * m.channels["x"] * rise},
+    )  # fmt: skip
+    model = Model(machine, (effect_from_text("scale,component=EXX,axis=X,k=12", machine),), name="test")
+    d = diagnose(model, [m], draws=20, only=["axis_expansion"])
+    assert d.verdict == "ambiguous"
+    names = {d.findings[0].label, *(a.label for a in d.findings[0].confused_with)}
+    assert names == {f"axis_expansion(EXX, X, {sensor})" for sensor in machine.sensor_names}
+    assert all(name in d.sentence for name in names)

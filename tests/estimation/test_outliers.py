@@ -123,6 +123,36 @@ def test_peaks_that_come_again_are_the_machine() -> None:
     assert not found(m)
 
 
+@pytest.mark.parametrize("off_mm", [0.0, 3.0])
+@pytest.mark.parametrize("where", ["both ends", "after each reversal"])
+def test_ends_that_are_off_in_every_pass_are_the_machine(where: str, off_mm: float) -> None:
+    """Oracle: what was added to each of two passes, one there and one back, places up to 3 mm off their targets.
+
+    One of these readings alone off, or three in a row across the reversal, are found.
+    """
+    rng = np.random.default_rng(4)
+    targets = np.linspace(5.0, 195.0, 20)
+    x = np.concatenate([targets, targets[::-1]]) + rng.uniform(-off_mm, off_mm, 40)
+    way = np.repeat([1.0, -1.0], 20)
+    first = [0, 20]
+    rows, by = ([0, 19, 20, 39], [8.0] * 4) if where == "both ends" else (first, (8.0 * way[first]).tolist())
+    m = replace(
+        measurement(runs([20, 20])), channels={"x": x, "d_x": way},
+        readings={"reading_um": 0.02 * x + 0.3 * rng.standard_normal(40)},
+        instrument=Probe(ProbeSetup(zero="setup"), component="EXX"),
+    )  # fmt: skip
+    assert not found(spoilt(m, rows, by))
+    assert found(spoilt(m, [20], [8.0])) == [20]
+
+
+def test_a_burst_across_a_reversal_is_wrong() -> None:
+    """Oracle: what was added. The reading before a reversal and that behind it are no two visits to the place."""
+    m = laser([SCALE], 8, noise={"white_um": 0.1})
+    way = np.asarray(m.state().value("d_x"))
+    turn = int(np.flatnonzero(np.diff(way))[6])
+    assert found(spoilt(m, [turn, turn + 1], [9.0, 9.0])) == [turn, turn + 1]
+
+
 @pytest.mark.parametrize("length", [15, 24, 40])
 def test_readings_of_loud_runs_are_kept(length: int) -> None:
     """Oracle: normal noise, ten times as large in every other run; what is far off among such readings is found."""

@@ -236,7 +236,7 @@ def _add(
     readings = there.readings
     check_scales(readings, predicted(model.effects, readings))
     # Readings that the model was fitted to before say nothing new of how sure its numbers are.
-    again = any(m.sha256 in model.measurements.values() for m in measurements)
+    again = any(m.fingerprint in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None
     before = joint_fit(model.effects, readings, loose=loose)
     tell("refitting with what is new" if new else "refitting", 1, 3)
@@ -330,7 +330,7 @@ def _judged(
     now = Judgement(grown, given)
     was = Judgement(model, given, tuple(now.scale))
     # To readings that the model was not fitted to, what it leaves is its error on held-out runs.
-    fresh = not any(m.sha256 in model.measurements.values() for m in measurements)
+    fresh = not any(m.fingerprint in model.measurements.values() for m in measurements)
     held = min(was.held_out, was.residual) if fresh else was.held_out
     before = Errors(was.residual, was.residual, held if new else was.residual)
     after_it = Errors(None, now.residual, now.held_out)
@@ -341,7 +341,7 @@ def _judged(
     made = replace(
         grown,
         noise_um=noise if now.unit == "um" else model.noise_um,
-        measurements={**model.measurements, **{m.name: m.sha256 for m in measurements if m.sha256}},
+        measurements={**model.measurements, **{m.name: m.fingerprint for m in measurements}},
         history=(*model.history, entry),
     )
     better = now.held_out < (1.0 - WORTH) * before.held_out

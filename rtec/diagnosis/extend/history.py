@@ -61,7 +61,7 @@ def entry_of(
         readings: how many.
         model: as it was.
     """
-    given, known = {m.sha256 for m in measurements}, set(model.measurements.values())
+    given, known = {m.fingerprint for m in measurements}, set(model.measurements.values())
     return {
         "change": "add" if labels else "refit",
         "effects": list(labels),

@@ -179,7 +179,8 @@ class _Answer:
         mine = self.s.candidates[winner.number].effect
         shape = found.contribution(winner.number)
         width = found.variants[found.best[winner.number]].count
-        out: dict[tuple[str, str], tuple[Alike, int]] = {}
+        # One of each name: sensors that move alike are names of their own, of pairs of sensors one stands for all.
+        out: dict[tuple[str, str, str], tuple[Alike, int]] = {}
         fitted = {t.number: t for t in tried}
         for number in found.order[:LOOKED_AT]:
             if number == winner.number:
@@ -193,7 +194,8 @@ class _Answer:
                 same = cos > SAME and found.variants[found.best[number]].count <= width
                 behind = 0.0
             if same:
-                out.setdefault((other.effect, other.component), (alike(mine, other, cos, behind), number))
+                name = other.effect, other.component, getattr(other, "sensor", None) or ""
+                out.setdefault(name, (alike(mine, other, cos, behind), number))
         rivals = [r for r in out.values() if not r[0].apart]
         said = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
         said += [a for a, _ in out.values() if a.apart]
