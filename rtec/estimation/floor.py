@@ -33,6 +33,8 @@ SAME_MM = 0.02
 SAME_RPM = 1.0
 FEWEST = 20
 """Differences between repeats below which they do not decide the floor, "degrees of freedom"."""
+CHANGED = 1.5
+"""Repeats that scatter by this factor more than neighbouring readings: more than chance makes of the fewest."""
 SHARE = 0.1
 """And at least this share of the readings must have a repeat."""
 SMALL = 1e-12
@@ -221,7 +223,7 @@ class Floor:
         value: root mean square of what does not repeat, in the unit of the series.
         source: where that comes from.
         drift: root mean square of the slow drift that no recorded channel explains; no part of `value`.
-        repeats: from repeats; None where there are too few.
+        repeats: from repeats; None where there are too few, or where something changed slowly between them.
         fitted: the fitted noise model with its drift.
     """
 
@@ -243,7 +245,7 @@ def flexible_noise(readings: Readings, columns: Floats) -> Whitener:
 
 
 def noise_floors(readings: Readings, left: Floats, flexible: Whitener) -> list[Floor]:
-    """The floor of each series: repeats where there are enough, else short-time differences.
+    """The floor of each series: repeats where there are enough and nothing changed between them, else neighbours.
 
     A drift is slow beside the readings, and so is what a model misses: neither counts as noise of a reading. What is
     slow and follows no recorded channel is shown apart.
@@ -256,11 +258,13 @@ def noise_floors(readings: Readings, left: Floats, flexible: Whitener) -> list[F
     rms = rms_by_series(readings, left)
     out, across = [], _across_files(readings, left)
     for s, n, whole, most, other in zip(readings.series, flexible.noises, floors(flexible), rms, across, strict=True):
-        repeated = repeats_floor(readings, [s], left)
         # Noise is never more than what is left.
         quick = min(_quick(s, n), float(most))
+        repeated = repeats_floor(readings, [s], left)
         if repeated is None and other is not None and other < quick:
             repeated = other
+        if repeated is not None and repeated > CHANGED * quick:
+            repeated = None  # what changed slowly from one visit to the next is drift
         fitted = min(float(whole), float(most))
         drift = math.sqrt(max(fitted**2 - quick**2, 0.0))
         source: FloorFrom = "short-time differences" if repeated is None else "repeats"

@@ -75,6 +75,24 @@ def test_another_set_up_is_no_repeat() -> None:
     assert {source for _, source in floors(one, replace(other, instrument=beside))} == {"short-time differences"}
 
 
+def test_what_drifts_between_repeats_is_no_noise() -> None:
+    """Twelve passes over the same targets within six hours, of a machine that goes 2 µm to and fro in every one."""
+    rng = np.random.default_rng(3)
+    probe = Probe(ProbeSetup.model_validate({"zero": "run"}), component="EXX")
+    m = measurement(runs([TARGETS] * 12), instrument=probe, seed=1, noise_um=0.0, hours=6.0)
+    still = {k: np.full_like(v, v[0]) for k, v in m.channels.items()}
+    drift = 2.0 * np.sin(2.0 * np.pi * m.time_s / 2300.0)
+    m = replace(
+        m,
+        channels=still | {"x": np.tile(np.linspace(5.0, 95.0, TARGETS), 12)},
+        readings={"reading_um": drift + NOISE_UM * rng.standard_normal(len(m))},
+    )
+    (floor,) = Judgement(MODEL, clean([m])).floors
+    assert floor.source == "short-time differences"
+    assert floor.value == pytest.approx(NOISE_UM, rel=0.35)
+    assert floor.drift > 2.0 * floor.value
+
+
 @pytest.mark.parametrize("slope", ["none", "run"])
 def test_what_a_run_spends_on_its_zero_is_no_lack_of_noise(slope: str) -> None:
     """Twelve runs over three places, each with a zero (and a slope) of its own, which take a third (or two) of it."""
