@@ -49,16 +49,18 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
         _read(ports, sample)  # a device may make itself ready at the first look, which is not waiting
-        end_ns = clock.now_ns() + round(wait_s / NS)
+        end_ns, stale = clock.now_ns() + round(wait_s / NS), int(STALE)
         while True:
             wrong = _read(ports, sample)
             sample.time_ns[0] = clock.now_ns()
             commands = step.run(sample)
             flags = int(commands.flags[0]) & HOLD_REASONS
-            there = not wrong and not flags & STALE and bool(np.isfinite(sample.degc[0]).all())
+            stale &= flags
+            there = not wrong and not stale and bool(np.isfinite(sample.degc[0]).all())
             if there or clock.now_ns() >= end_ns:
                 break
             clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
+    flags = flags & ~int(STALE) | stale  # what was fresh at one look is alive
     return {
         "inputs": input_rows(setup, sample),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),

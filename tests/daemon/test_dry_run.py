@@ -8,7 +8,9 @@ import pytest
 
 from rtec.cli.main import status
 from rtec.daemon.dry_run import dry_run
+from rtec.errors import DriverTimeout
 from rtec.loop.clock import VirtualClock
+from rtec_drivers.sim import SimDriver
 from tests.support import setups
 from tests.support.doctor_rig import run_file, sim
 from tests.support.modbus_peer import FakeSlave, line, serial, slave_table
@@ -67,3 +69,26 @@ def test_a_busy_computer_is_no_stale_device(tmp_path: Path) -> None:
     assert (clock.looks, found["reasons"], found["troubles"]) == (0, [], [])
     clock.looks = 10**6
     assert dry_run(setups.setup(tmp_path), clock)["reasons"] == ["counts are stale"]
+
+
+def test_counts_that_were_fresh_once_are_not_blamed_for_a_silent_sensor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The temperatures never come; the computer is busy from the third look on, until the time is over."""
+
+    def silent(*_: object) -> None:
+        raise DriverTimeout("no answer")
+
+    class Later(BusyClock):
+        looks = 0
+
+        def sleep_until_ns(self, instant_ns: int) -> None:
+            super().sleep_until_ns(instant_ns)
+            self.slept = getattr(self, "slept", 0) + 1
+            if self.slept == 3:
+                self.looks = 10**6
+
+    monkeypatch.setattr(SimDriver, "read_temperatures", silent)
+    found = dry_run(setups.setup(tmp_path), Later())
+    assert found["reasons"] == ["a temperature (or the spindle speed) is stale or was never read"]
+    assert found["troubles"] == ["device box: no answer"]

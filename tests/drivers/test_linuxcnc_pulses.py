@@ -6,6 +6,7 @@ The machine's own encoders are HAL's `sim_encoder`, driven by a position loop (`
 import re
 import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,9 +84,10 @@ net T-{a} t-{a}.out => rtec.T_{a}
 """
 
 
-@pytest.fixture(scope="module")
-def lathe(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
-    source = tmp_path_factory.mktemp("pulses")
+@pytest.fixture
+def lathe(tmp_path: Path) -> Iterator[Session]:
+    source = tmp_path / "pulses"
+    source.mkdir()
     shutil.copy(CONFIGS / "tool.tbl", source)
     ini = (CONFIGS / "lathe.ini").read_text()
     # The machine here lags by as long as this PC keeps the base thread waiting; that is not judged.
@@ -155,6 +157,6 @@ def settled(lathe: Session, thread: LoopThread, start: Floats) -> bool:
 
 def ended(lathe: Session, thread: LoopThread, start: Floats) -> str | None:
     """How it ended, once it has."""
-    if settled(lathe, thread, start):
+    if lathe.gets("motion.motion-enabled") and settled(lathe, thread, start):
         return "settled"
     return None if lathe.gets("motion.motion-enabled") else "LinuxCNC switched the machine off"

@@ -114,10 +114,13 @@ class Session:
         return lambda *args: self._ask(name, *args)
 
     def gets(self, pin: str) -> float:
-        """Value of a pin, a signal or a parameter."""
-        with suppress(RuntimeError):
-            return float(self._ask("hal", "getp", pin))
-        return float(self._ask("hal", "gets", pin))
+        """Value of a pin, a signal or a parameter; a bit is 0 or 1."""
+        try:
+            said = self._ask("hal", "getp", pin)
+        except RuntimeError:
+            said = self._ask("hal", "gets", pin)
+        bits = {"FALSE": 0.0, "TRUE": 1.0}
+        return bits[said] if said in bits else float(said)
 
     def until(self, met: Any) -> Any:
         """Wait, a minute at most, until something holds."""
