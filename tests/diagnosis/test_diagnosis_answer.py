@@ -13,6 +13,7 @@ import pytest
 from rtec.diagnosis import words
 from rtec.diagnosis.search.confounded import aliases_mm, fold, step_mm
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
 from rtec.model import Model
@@ -135,3 +136,23 @@ def test_an_effect_makes_no_more_of_what_is_left_than_there_is(size: float, said
     finding = replace(d.findings[0], size_um=size)
     told = words.with_sentence(replace(d, verdict="missing_effect", findings=(finding,), rms_residual=1.4), 1.0)
     assert said in told.sentence
+
+
+def test_the_size_that_would_have_been_seen() -> None:
+    """Of a backlash that is not there, in white noise. Oracle: numpy's projection, and the gain that a name needs.
+
+    With ln m for m candidates and ½ ln n for one number the log likelihood must gain ln m + ½ ln n.
+    """
+    noise_um = 0.3
+    m = laser([], 41, noise={"white_um": noise_um})
+    d = diagnose(model("scale,component=EXX,axis=X,k=0"), [m])
+    (found,) = [a for a in d.absent if (a.effect, a.component) == ("backlash", "EXX")]
+    x, way = m.channels["x"], 0.5 * m.channels["d_x"]
+    known = np.stack([np.ones_like(x), x], axis=1)
+    off = way - known @ np.linalg.lstsq(known, way, rcond=None)[0]
+    most = len(library(read([m], 20.0))[0])
+    low, high = (
+        noise_um * np.sqrt(2.0 * (np.log(count) + 0.5 * np.log(len(m)))) * 0.5 / np.linalg.norm(off)
+        for count in (most / 4, most)
+    )
+    assert 0.9 * low < found.smallest < 1.1 * high
