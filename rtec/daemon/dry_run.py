@@ -1,7 +1,7 @@
 """All checks of a run without commanding anything: files, devices, first readings, what the model asks for.
 
-Many devices are polled and give their first reading after a second or two: it is waited for. So is a fresh one,
-where this computer was busy between a reading and the look at it.
+Many devices are polled and give their first reading after a second or two: it is waited for. If this computer was busy
+between a reading and the look at it, the reading has become stale; a fresh one is waited for.
 """
 
 from contextlib import ExitStack
@@ -37,7 +37,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
         `troubles` of devices.
 
     Raises:
-        RtecError: a file or device is not as it should be.
+        RtecError: a file or device is not as it should be; or no counts came.
     """
     clock = clock or RealClock()
     step = Step(setup.step_settings())
@@ -60,6 +60,8 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
             if there or clock.now_ns() >= end_ns:
                 break
             clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
+        if not sample.counts_time_ns[0]:
+            ports.counts.read_counts(sample.counts[0])  # without any position nothing can be said: its error is
     flags = flags & ~int(STALE) | stale  # what was fresh at one look is alive
     return {
         "inputs": input_rows(setup, sample),

@@ -92,3 +92,14 @@ def test_counts_that_were_fresh_once_are_not_blamed_for_a_silent_sensor(
     found = dry_run(setups.setup(tmp_path), Later())
     assert found["reasons"] == ["a temperature (or the spindle speed) is stale or was never read"]
     assert found["troubles"] == ["device box: no answer"]
+
+
+def test_without_any_counts_no_position_is_made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a box that never answers. Oracle: its own error."""
+
+    def silent(*_: object) -> None:
+        raise DriverTimeout("no answer within 1 ms")
+
+    monkeypatch.setattr(SimDriver, "read_counts", silent)
+    with pytest.raises(DriverTimeout, match="no answer within 1 ms"):
+        dry_run(setups.setup(tmp_path), VirtualClock(1))

@@ -78,7 +78,7 @@ def shown(visited: "Page") -> Iterator["Page"]:
 
 @pytest.fixture
 def muted(shown: "Page") -> Iterator["Page"]:
-    """The page with its controls cut off from the server. It is loaded anew afterwards, so this is its last test."""
+    """The page with its controls cut off from the server. Its last test: afterwards the page must be loaded again."""
     shown.evaluate(MUTED)
     yield shown
     shown.reload()
