@@ -13,8 +13,6 @@ from hypothesis import settings
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-REAL_CLOCK = pytest.mark.xdist_group("real-clock").mark
-
 settings.register_profile("rtec", deadline=None, derandomize=True)
 settings.load_profile("rtec")
 
@@ -34,14 +32,8 @@ def pytest_xdist_auto_num_workers() -> int:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that share a fixture of their module run in one worker, which makes it once.
-
-    One on the real clock that fails is judged again, twice at most: a PC that was busy elsewhere passes then, a fault
-    of the code fails three times. The summary names it as RERUN.
-    """
+    """Tests that share a fixture of their module run in one worker, which makes it once."""
     for item in items:
-        if item.get_closest_marker("xdist_group") == REAL_CLOCK or "browser" in item.path.parts:
-            item.add_marker(pytest.mark.flaky(reruns=2))
         if not isinstance(item, pytest.Function) or item.get_closest_marker("xdist_group"):
             continue
         fixtures = item._fixtureinfo.name2fixturedefs.values()
