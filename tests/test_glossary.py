@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from rtec.cli.main import app
+from rtec.cli.main import application
 
 ROOT = Path(__file__).parents[1]
 NOT: dict[str, str] = {
@@ -55,7 +55,7 @@ def literals(source: str) -> Iterator[str]:
 
 def commands() -> Iterator[tuple[str, str]]:
     """Name and help of every command, with those of its options."""
-    todo = [("rtec", get_command(app))]
+    todo = [("rtec", get_command(application()))]
     while todo:
         name, command = todo.pop()
         options = [str(getattr(p, "help", "") or "") for p in command.params]

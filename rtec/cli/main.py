@@ -7,108 +7,92 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib import import_module
 from typing import Annotated, TextIO
 
 import typer
 
-from rtec.cli import (
-    ballbar,
-    bench,
-    compare,
-    demo,
-    diagnose,
-    doctor,
-    drivers,
-    effects,
-    explain,
-    fit,
-    grid,
-    hil,
-    import_,
-    init,
-    log,
-    machine,
-    plan,
-    procedures,
-    replay,
-    run,
-    simulate,
-    studio,
-    table,
-    telemetry,
-)
-from rtec.cli import control as ctl
-from rtec.cli import control as status_command
 from rtec.cli.help import App
-from rtec.cli.screen import shielded
+from rtec.cli.shield import shielded
 from rtec.errors import RtecError
 from rtec.version import __version__
 
-app = App(
-    name="rtec",
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="""rtec makes machine tools more accurate than they were built.
+COMMANDS: Mapping[str, Mapping[str, str]] = {
+    "Try": {
+        "demo": "demo.demo",
+        "init": "init.init",
+        "simulate": "simulate.simulate",
+        "studio": "studio.studio",
+        "hil": "hil.hil",
+        "bench": "bench.app",
+    },
+    "Measure": {
+        "import": "import_.import_",
+        "plan": "plan.plan",
+        "iso230": "procedures.iso230",
+        "straightness": "procedures.straightness",
+        "parallelism": "procedures.parallelism",
+        "drift": "procedures.drift",
+        "ballbar": "ballbar.ballbar",
+        "grid": "grid.grid",
+    },
+    "Model": {
+        "fit": "fit.fit",
+        "compare": "compare.compare",
+        "diagnose": "diagnose.diagnose",
+        "add": "diagnose.add",
+        "improve": "diagnose.improve",
+        "history": "diagnose.history",
+        "effects": "effects.effects",
+    },
+    "Run": {
+        "doctor": "doctor.doctor",
+        "run": "run.run",
+        "ctl": "control.app",
+        "table": "table.app",
+        "replay": "replay.replay",
+    },
+    "Look": {
+        "status": "control.status",
+        "telemetry": "telemetry.telemetry",
+        "log": "log.app",
+        "machine": "machine.app",
+        "drivers": "drivers.drivers",
+        "explain": "explain.explain",
+    },
+}
+"""Every command of `rtec`, by what people want to do: its module in `rtec.cli`, and what that calls it. A command is in
+one of these groups, or it does not exist."""
+
+
+def application(named: str = "") -> App:
+    """`rtec` with one command, whose module alone is loaded; with all where it has none of that name."""
+    app = App(
+        name="rtec",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="""rtec makes machine tools more accurate than they were built.
 
 It reads axis counts and temperatures, computes the tool-tip error from a geometric-thermal model, and corrects each
 axis.
 
 Start with `rtec demo`: a simulated machine, uncorrected and corrected.
 """,
-)
-GROUPS: Mapping[str, Mapping[str, Callable[..., None] | typer.Typer]] = {
-    "Try": {
-        "demo": demo.demo,
-        "init": init.init,
-        "simulate": simulate.simulate,
-        "studio": studio.studio,
-        "hil": hil.hil,
-        "bench": bench.app,
-    },
-    "Measure": {
-        "import": import_.import_,
-        "plan": plan.plan,
-        "iso230": procedures.iso230,
-        "straightness": procedures.straightness,
-        "parallelism": procedures.parallelism,
-        "drift": procedures.drift,
-        "ballbar": ballbar.ballbar,
-        "grid": grid.grid,
-    },
-    "Model": {
-        "fit": fit.fit,
-        "compare": compare.compare,
-        "diagnose": diagnose.diagnose,
-        "add": diagnose.add,
-        "improve": diagnose.improve,
-        "history": diagnose.history,
-        "effects": effects.effects,
-    },
-    "Run": {
-        "doctor": doctor.doctor,
-        "run": run.run,
-        "ctl": ctl.app,
-        "table": table.app,
-        "replay": replay.replay,
-    },
-    "Look": {
-        "status": status_command.status,
-        "telemetry": telemetry.telemetry,
-        "log": log.app,
-        "machine": machine.app,
-        "drivers": drivers.drivers,
-        "explain": explain.explain,
-    },
-}
-"""Every command of `rtec`, by what people want to do. A command is in one of these groups, or it does not exist."""
-
-for _group, _commands in GROUPS.items():
-    for _name, _command in _commands.items():
-        if isinstance(_command, typer.Typer):
-            app.add_typer(_command, name=_name, rich_help_panel=_group)
-        else:
-            app.command(_name, rich_help_panel=_group)(_command)
+    )
+    app.callback()(_main)
+    known = any(named in commands for commands in COMMANDS.values())
+    for group, commands in COMMANDS.items():
+        for name, place in commands.items():
+            if known and name != named:
+                continue
+            module, _, attribute = place.partition(".")
+            command = getattr(import_module(f"rtec.cli.{module}"), attribute)
+            if isinstance(command, typer.Typer):
+                app.add_typer(command, name=name, rich_help_panel=group)
+            else:
+                app.command(name, rich_help_panel=group)(command)
+    return app
 
 
 # Depending on its version typer brings click with it or asks for it; its own exceptions say which one it is.
@@ -121,7 +105,6 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _main(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and end.")
@@ -181,7 +164,7 @@ def status(arguments: list[str]) -> int:
 
 def _status(arguments: list[str]) -> int:
     try:
-        code = app(args=arguments, prog_name="rtec", standalone_mode=False)
+        code = application(next(iter(arguments), ""))(args=arguments, prog_name="rtec", standalone_mode=False)
     except RtecError as e:
         return _told(str(e))
     except USAGE_ERROR as e:

@@ -1,13 +1,10 @@
-"""The terminal shows text from outside as text: no markup, no escape codes, no lines that nobody wrote.
+"""rich's console shows text from outside as text: no markup, no escape codes, no lines that nobody wrote.
 
-`shielded` is for everything that is written to standard output and error; `Console` for what rich draws there, whose
-own codes go past the shield.
+Its own codes go past the shield of standard output and error (`rtec.cli.shield`).
 """
 
-import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from typing import IO, Any, TextIO, cast
+from collections.abc import Iterable
+from typing import IO, Any
 
 import rich.console
 from rich.console import ConsoleOptions, RenderableType
@@ -42,27 +39,3 @@ class Console(rich.console.Console):
         """Draw, with every text cleaned."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(clean_lines(segment.text), segment.style)
-
-
-class _Shield:
-    """A stream that is written cleaned text; rich knows such proxies and writes to what is behind them."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self.rich_proxied_file = stream
-
-    def write(self, text: str) -> int:
-        return self.rich_proxied_file.write(clean_lines(text))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.rich_proxied_file, name)
-
-
-@contextmanager
-def shielded() -> Iterator[None]:
-    """Clean whatever is written to standard output and error inside."""
-    out, err = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = cast(TextIO, _Shield(out)), cast(TextIO, _Shield(err))
-    try:
-        yield
-    finally:
-        sys.stdout, sys.stderr = out, err

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from rtec.cli.main import app, status
+from rtec.cli.main import application, status
 from rtec.errors import ConfigError, RtecError
 from rtec_drivers.registry import DRIVERS
 
@@ -25,7 +25,7 @@ def commands(group: typer.Typer, path: tuple[str, ...] = ()) -> Iterator[tuple[s
         yield from commands(inner.typer_instance, (*path, str(inner.name)))
 
 
-@pytest.mark.parametrize("command", list(commands(app)), ids=" ".join)
+@pytest.mark.parametrize("command", list(commands(application())), ids=" ".join)
 def test_help_teaches_with_an_example(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert status([*command, "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())
@@ -33,7 +33,7 @@ def test_help_teaches_with_an_example(command: tuple[str, ...], capsys: pytest.C
     assert f"rtec {' '.join(command)}" in text.split("Example", 1)[1]
 
 
-@pytest.mark.parametrize("command", list(commands(app)), ids=" ".join)
+@pytest.mark.parametrize("command", list(commands(application())), ids=" ".join)
 def test_help_names_only_files_that_are_there(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the repository. What is in `configs` is shipped, not written by a command before."""
     assert status([*command, "--help"]) == 0
@@ -53,12 +53,15 @@ def test_import_and_help_load_nothing_heavy() -> None:
     assert done.stderr.strip() == "[]"
 
 
-@pytest.mark.parametrize("command", [["status"], ["ctl", "hold"]], ids=" ".join)
+@pytest.mark.parametrize("command", [["status"], ["ctl", "hold"], ["studio"]], ids=" ".join)
 def test_who_asks_a_running_loop_does_not_wait_for_a_compiler(command: list[str], tmp_path: Path) -> None:
-    """An order to hold is urgent; numba and scipy take longer to import than all else."""
+    """An order to hold is urgent; numba and scipy take longer to import than all else.
+
+    No other command is loaded.
+    """
     code = (
         f"import sys, rtec.cli.main as m; m.status({[*command, str(tmp_path / 'run.toml')]}); "
-        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model') if h in sys.modules])"
+        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model', 'rtec.cli.fit') if h in sys.modules])"
     )
     (tmp_path / "run.toml").write_text("")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -71,7 +74,7 @@ def test_processes_beside_the_loop_need_no_compiler() -> None:
     modules += ["rtec.telemetry.opcua", *(module for name, (module, _) in DRIVERS.items() if name != "sim")]
     code = (
         f"import sys, importlib; [importlib.import_module(m) for m in {modules}]; "
-        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model') if h in sys.modules])"
+        "print([h for h in ('numba', 'scipy', 'pyarrow', 'rtec.model', 'rtec.cli.fit') if h in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

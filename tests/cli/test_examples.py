@@ -19,7 +19,8 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from rtec.cli.main import GROUPS, app, status
+from rtec.cli import main
+from rtec.cli.main import application, status
 from tests.cli.test_procedures_cli import arbor, circles, dat, spindle
 
 NOT_RUN = {
@@ -49,7 +50,7 @@ def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str
         yield from leaves(below, (*path, name))
 
 
-COMMANDS = dict(leaves(get_command(app)))
+COMMANDS = dict(leaves(get_command(application())))
 
 
 def parts(text: str) -> tuple[str, str]:
@@ -217,6 +218,6 @@ def test_the_help_sorts_every_command_into_five_groups(
     out = capsys.readouterr().out
     panels = re.findall(r"^(\w+)\n((?:  .*\n)+)", out, re.MULTILINE)
     shown = {title: re.findall(r"^  ([a-z]\S*) ", text, re.MULTILINE) for title, text in panels if title != "Options"}
-    assert list(shown) == ["Try", "Measure", "Model", "Run", "Look"] == list(GROUPS)
-    assert {title: sorted(names) for title, names in shown.items()} == {g: sorted(c) for g, c in GROUPS.items()}
+    assert list(shown) == ["Try", "Measure", "Model", "Run", "Look"] == list(main.COMMANDS)
+    assert {title: sorted(names) for title, names in shown.items()} == {g: sorted(c) for g, c in main.COMMANDS.items()}
     assert max(map(len, out.splitlines())) <= 80

@@ -7,10 +7,10 @@ import pytest
 from typer.main import get_command
 
 from rtec.cli.help import continued, paragraphs
-from rtec.cli.main import app, status
+from rtec.cli.main import application, status
 from tests.cli.test_examples import leaves
 
-COMMANDS = dict(leaves(get_command(app)))
+COMMANDS = dict(leaves(get_command(application())))
 CODE_WORDS = re.compile(r"<\w|list\[|\brange\]|\b(bool|str|int|float)\b|x[<>]=|\w…")
 """What only a programmer would understand, and cells that were cut off."""
 

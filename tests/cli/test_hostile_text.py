@@ -28,7 +28,8 @@ from rtec import errors
 from rtec.cli.control import show
 from rtec.cli.main import status
 from rtec.cli.run import show_report
-from rtec.cli.screen import Console, shielded
+from rtec.cli.screen import Console
+from rtec.cli.shield import shielded
 from rtec.control.client import Outcome
 from rtec.control.desk import Desk
 from rtec.control.prometheus import metrics

@@ -13,7 +13,7 @@ import pytest
 import tomli_w
 from typer.testing import CliRunner
 
-from rtec.cli.main import app
+from rtec.cli.main import application
 from rtec.correction.flags import REASONS, Flag
 from rtec.loop.orders import Order
 from rtec.loop.run_file import LogTable
@@ -133,7 +133,7 @@ def test_every_command_of_the_pages_has_these_options() -> None:
         name = words[:2] if words[0] == "log" else words[:1]
         if name[0] in ("status", "ctl") and name[0] not in known():
             continue
-        shown = runner.invoke(app, [*name, "--help"], env={"COLUMNS": "200"}).stdout
+        shown = runner.invoke(application(), [*name, "--help"], env={"COLUMNS": "200"}).stdout
         for option in (w for w in words if w.startswith("--")):
             assert option in shown, line
         seen.add(name[0])
@@ -148,6 +148,7 @@ def test_links_lead_somewhere() -> None:
 
 
 def known() -> set[str]:
+    app = application()
     names = [command.name or getattr(command.callback, "__name__", "") for command in app.registered_commands]
     return set(names) | {group.name or "" for group in app.registered_groups}
 
