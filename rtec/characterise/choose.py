@@ -448,17 +448,22 @@ def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[
         if not len(errors):
             continue
         pick = _simplest(table, tried, errors)
-        better = errors.min() < here * (1 - PAYS) and errors[tried.index(pick)] < here
-        if better or (_simpler_shape(table, pick, i) and errors[tried.index(pick)] <= here * (1 + SIMPLER)):
+        there = errors[tried.index(pick)]
+        better = errors.min() < here * (1 - PAYS) and there < here
+        if better or (_simpler_shape(table, pick, i) and there <= here * _room_for_simpler(table, pick, i)):
             now, changed = [*rest, pick], True
     return now if changed else None
 
 
 def _simpler_shape(table: HeldOutTable, i: int, k: int) -> bool:
-    """Whether a candidate is a simpler shape of the component than the regions or cross-talk that another one is."""
-    mine, other = table.candidates[i], table.candidates[k]
-    alike = mine.component == other.component and not mine.feature and other.kind in ("cross", "region")
-    return alike and _complexity(table, i) < _complexity(table, k)
+    """Whether a candidate is a simpler shape than the regions or cross-talk that another one is."""
+    plain = not table.candidates[i].feature and table.candidates[k].kind in ("cross", "region")
+    return plain and _complexity(table, i) < _complexity(table, k)
+
+
+def _room_for_simpler(table: HeldOutTable, i: int, k: int) -> float:
+    """By which factor the left-out error may rise for a simpler shape: not at all where it is in another component."""
+    return 1 + SIMPLER * (table.candidates[i].component == table.candidates[k].component)
 
 
 def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:

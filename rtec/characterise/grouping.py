@@ -21,6 +21,16 @@ def tidied(terms: Sequence[Term]) -> list[Term]:
     return out
 
 
+def apart(term: Term) -> list[Term]:
+    """The terms that `tidied` joined to this one: each has its own column, and is judged by its own number."""
+    effect = term.effect
+    if effect.effect == "polynomial_position":
+        return [replace(term, effect=_with(effect, degrees=(k,))) for k in _get(effect, "degrees")]
+    if effect.effect in ("backlash_position", "cross_talk") and term.only is not None:
+        return [replace(term, only=(k,)) for k in term.only]
+    return [term]
+
+
 def _join(one: Term, other: Term) -> Term | None:
     a, b = one.effect, other.effect
     if a == b and a.effect == "guide_lift":

@@ -9,7 +9,7 @@ from rtec.characterise.assemble import assemble, model_of
 from rtec.characterise.candidates import at_constant_temperature
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
-from rtec.characterise.grouping import tidied
+from rtec.characterise.grouping import apart, tidied
 from rtec.characterise.result import Characterisation
 from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
@@ -153,18 +153,27 @@ def _sure(
     candidates: int,
     tell: Stage,
 ) -> Estimate:
-    """Fit, and drop chosen terms that are neither sure nor spared, the least sure first."""
+    """Fit, and drop what was chosen and is neither sure nor spared, the least sure first.
+
+    Degrees of a polynomial were chosen one by one, and are judged one by one.
+    """
     while chosen or fixed:
         fit, kept = _fitted(sources, [*fixed, *chosen], tell), len(fixed)
-        sure = surety(fit, candidates)[kept:]
-        there = {_form(t) for t, s in zip(chosen, sure, strict=True) if s >= 1.0}
-        # An effect that was asked for stays, but on one sensor: on another it must be sure as well.
-        stays = [asked(t) and not (_sensed(t) and _form(t) in there) for t in chosen]
-        unsure = [(s, i) for i, s in enumerate(sure) if s < 1.0 and not stays[i]]
-        idle = [(s, i) for s, i in unsure if not spared(fit, kept + i)]
+        sure, owner = surety(fit, candidates), fit.linear.owner - kept
+        there = {_form(t) for i, t in enumerate(chosen) if sure[owner == i].max() >= 1.0}
+        idle: list[tuple[float, int, list[Term]]] = []
+        for i, term in enumerate(chosen):
+            # An effect that was asked for stays, but on one sensor: on another it must be sure as well.
+            if asked(term) and not (_sensed(term) and _form(term) in there):
+                continue
+            parts, columns = apart(term), np.flatnonzero(owner == i)
+            for k, own in enumerate(np.split(columns, len(parts))):
+                if (s := float(sure[own].max())) < 1.0 and not spared(fit, own):
+                    idle.append((s, i, tidied([*parts[:k], *parts[k + 1 :]])))
         if not idle:
             return fit
-        chosen = [t for i, t in enumerate(chosen) if i != min(idle)[1]]
+        _, gone, rest = min(idle, key=lambda one: one[:2])
+        chosen = [*chosen[:gone], *rest, *chosen[gone + 1 :]]
     raise ModelError(
         "fit: no effect lowers the error on held-out runs significantly: the readings are noise, or show an error that "
         "no effect describes; name effects with --effects to fit them nonetheless"

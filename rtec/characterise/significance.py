@@ -6,37 +6,41 @@ with one block left out after another, and with the longer parts left out that t
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtec.characterise.choose import NEAR
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.normal import Normal
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 CHANCE = 0.05
 """A term that chance would bring forth among so many candidates with this probability, or more, is not sure."""
 
 
-def surety(fit: Estimate, candidates: int) -> list[float]:
-    """How sure each term is: its distance from zero over that which chance hardly reaches; below one it is not.
+def surety(fit: Estimate, candidates: int) -> Floats:
+    """How sure each coefficient of the terms is, (coefficients,); below one it is not.
 
-    The distance is the largest of its coefficients over their standard errors, non-linear parameters held; the smaller
-    ratio counts of that from blocks and that from whole left-out parts.
+    That is its distance from zero over the distance that chance hardly reaches; the smaller one counts of that from
+    blocks and that from whole left-out parts.
 
     Args:
-        fit: the terms, fitted.
+        fit: the terms, fitted; non-linear parameters are held.
         candidates: among how many the terms were chosen.
     """
     ways = [fit.linear, fit.linear.by_part]
     ratios = [_distances(way, fit) / far_for_chance(candidates, len(way.gram)) for way in ways]
-    return [float(r) for r in np.min(ratios, axis=0)]
+    return np.asarray(np.min(ratios, axis=0), dtype=np.float64)
 
 
-def spared(fit: Estimate, term: int) -> bool:
-    """Whether a term stays although it is not sure: left-out stretches of hours miss it by `rivals.NEAR`, or more.
+def spared(fit: Estimate, columns: Ints) -> bool:
+    """Whether coefficients stay although they are not sure: left-out stretches of hours miss them by `rivals.NEAR`.
 
     They are long against quick drift and few, so the test above has little power there. Left-out runs are no
     such witness: their neighbours share their drift.
     """
-    return _told_by_stretches(fit, term) and missed(fit, term) >= NEAR
+    return _told_by_stretches(fit, columns) and missed(fit, columns) >= NEAR
 
 
 def far_for_chance(candidates: int, blocks: int) -> float:
@@ -46,22 +50,20 @@ def far_for_chance(candidates: int, blocks: int) -> float:
     return -float(stdtrit(max(blocks - 1, 1), CHANCE / 2.0 / max(candidates, 1)))
 
 
-def missed(fit: Estimate, term: int) -> float:
-    """By what share the held-out error grows without a term."""
-    without = fit.linear.pick(np.flatnonzero(fit.linear.owner != term)).held_out()[0]
+def missed(fit: Estimate, columns: Ints) -> float:
+    """By what share the held-out error grows without some coefficients."""
+    without = fit.linear.pick(np.setdiff1d(np.arange(fit.linear.width), columns)).held_out()[0]
     return fit.rms(without) / max(fit.held_out, 1e-300) - 1.0
 
 
-def _distances(normal: Normal, fit: Estimate) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _distances(normal: Normal, fit: Estimate) -> Floats:
     spread = np.sqrt(np.maximum(np.diag(normal.covariance(fit.values)), 1e-300))
-    ratio = (np.abs(fit.values) / spread)[: normal.width]
-    return np.array([ratio[normal.owner == i].max() for i in range(len(fit.terms))])
+    return np.asarray((np.abs(fit.values) / spread)[: normal.width], dtype=np.float64)
 
 
-def _told_by_stretches(fit: Estimate, term: int) -> bool:
-    """Whether most of what the readings tell of a term lies in measurements that are cut into stretches of hours."""
+def _told_by_stretches(fit: Estimate, columns: Ints) -> bool:
+    """Whether most of what the readings tell of coefficients lies in measurements that are cut into hours."""
     normal = fit.linear
-    own = np.flatnonzero(normal.owner == term)
-    told = normal.gram[:, own, own].sum(axis=1)
+    told = normal.gram[:, columns, columns].sum(axis=1)
     stretches = np.array([fit.sources[s].blocks.by_time for s in normal.source])
     return bool(told[stretches].sum() > 0.5 * told.sum())
