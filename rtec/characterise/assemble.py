@@ -1,6 +1,6 @@
 """Puts the result of a characterisation together: model, errors per measurement, coefficients, warnings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,6 @@ from rtec.estimation.gram.source import Source
 from rtec.estimation.gram.stream import Term
 from rtec.estimation.judge import Judgement, MeasurementMet
 from rtec.estimation.outliers import Clean
-from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
 from rtec.model.fit import Margin, valid_range
 
@@ -36,15 +35,14 @@ def assemble(
     fit: Estimate,
     screened: Screened | None,
     choice: TermChoice | None,
-    measurements: Sequence[Measurement],
+    given: Clean,
     name: str,
     margin: Margin,
-    given: Clean,
 ) -> Characterisation:
     """Give the result of a fit and of the choice before it, judged as by every command."""
     rivals = _rivals(fit, screened, choice)
     unused = screened.unused if screened else ()
-    judged = Judgement(model_of(fit, measurements, name, margin), given)
+    judged = Judgement(model_of(fit, name, margin), given)
     met = judged.by_measurement
     table = tuple(_measurement(s, e) for s, e in zip(fit.sources, met, strict=True))
     model = _with_history(judged, fit)
@@ -62,7 +60,7 @@ def assemble(
         correlations=tuple(_correlations(screened)),
         outliers=given.wrong,
         warnings=tuple(all_warnings(fit, judged, rivals, _same_readings(fit, screened, choice), unused)),
-        notes={m.name: tuple(m.notes) for m in measurements if m.notes},
+        notes={m.name: tuple(m.notes) for m in given.readings.measurements if m.notes},
         residuals={
             s.measurement.name: (s.measurement.time_s / 3600.0, r)
             for s, r in zip(fit.sources, fit.residuals, strict=True)
@@ -137,7 +135,7 @@ def fitted_effects(fit: Estimate) -> list[FittedEffect]:
     return out
 
 
-def model_of(fit: Estimate, measurements: Sequence[Measurement], name: str, margin: Margin) -> Model:
+def model_of(fit: Estimate, name: str, margin: Margin) -> Model:
     """The model of a fit, without a history."""
     sources = fit.sources
     read = [(s.state, np.flatnonzero(s.weight.reshape(-1, s.count).any(axis=1)).astype(np.int64)) for s in sources]
@@ -148,7 +146,7 @@ def model_of(fit: Estimate, measurements: Sequence[Measurement], name: str, marg
         name=name,
         reference_degc=sources[0].state.reference_degc,
         valid_range=valid_range([f.effect for f in effects], read, margin),
-        measurements={m.name: m.fingerprint for m in measurements},
+        measurements={s.measurement.name: s.measurement.fingerprint for s in sources},
     )
     model.check(name)
     return model

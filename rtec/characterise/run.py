@@ -1,6 +1,7 @@
 """Characterises a machine: measurements in, geometric-thermal model out."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +11,13 @@ from rtec.characterise.candidates import at_constant_temperature
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.grouping import apart, tidied
-from rtec.characterise.result import Characterisation
+from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
 from rtec.effects import Effect
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
+from rtec.estimation.contradiction import contradiction
 from rtec.estimation.gram.fit import Estimate, estimate
 from rtec.estimation.gram.identifiable import check_seen, tellable
 from rtec.estimation.gram.projection import starting_terms
@@ -23,6 +25,7 @@ from rtec.estimation.gram.source import Source, reads, thinned
 from rtec.estimation.gram.stream import Term, gather
 from rtec.estimation.gram.weights import rough_noise
 from rtec.estimation.held_out import cuts
+from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -66,8 +69,10 @@ def characterise(
         ModelError: nothing can be fitted, or what was asked for is not shown by the readings.
     """
     with one_blas_thread():
-        fit, screened, choice, given = _fit(measurements, wanted, leave_out_h, stage)
-        return assemble(fit, screened, choice, measurements, name, margin or Margin(), given)
+        given, doubt = _given(measurements, leave_out_h)
+        fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
+        made = assemble(fit, screened, choice, given, name, margin or Margin())
+        return replace(made, warnings=(doubt, *made.warnings)) if doubt else made
 
 
 def fitted_model(
@@ -79,15 +84,39 @@ def fitted_model(
         MeasurementError, ModelError: as `characterise` does.
     """
     with one_blas_thread():
-        return model_of(_fit(measurements, wanted, None, None)[0], measurements, name, Margin())
+        given, doubt = _given(measurements, None)
+        return model_of(_fit(given, doubt, wanted, None, None)[0], name, Margin())
+
+
+def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
+    """The readings without wrong ones and without files that contradict the others, and what is said of these."""
+    _check(measurements)
+    given = clean(measurements, leave_out_h=leave_out_h)
+    found = contradiction(Judgement(Model(measurements[0].machine), given))
+    if found is None:
+        return given, None
+    if not found.odd:
+        return given, Warn("contradiction", found.message, f"{found.check}; {found.again}")
+    rest = [m for i, m in enumerate(measurements) if i not in found.odd]
+    text = f"{found.message} ({'it was' if len(found.odd) == 1 else 'they were'} left out of the fit)"
+    return clean(rest, leave_out_h=leave_out_h), Warn("contradiction", text, f"{found.check}; put right, fit again")
 
 
 def _fit(
-    measurements: Sequence[Measurement], wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
-) -> tuple[Estimate, Screened | None, TermChoice | None, Clean]:
-    tell = stage or (lambda _what, _done, _total: None)
-    _check(measurements)
-    given = clean(measurements, leave_out_h=leave_out_h)
+    given: Clean, doubt: Warn | None, wanted: AskedEffects | None, leave_out_h: float | None, stage: Stage | None
+) -> tuple[Estimate, Screened | None, TermChoice | None]:
+    try:
+        return _fit_to(given, wanted, leave_out_h, stage or (lambda _what, _done, _total: None))
+    except ModelError as e:
+        if doubt is None:
+            raise
+        raise ModelError(f"{e}\n{doubt.text}: {doubt.remedy}") from e
+
+
+def _fit_to(
+    given: Clean, wanted: AskedEffects | None, leave_out_h: float | None, tell: Stage
+) -> tuple[Estimate, Screened | None, TermChoice | None]:
+    measurements = given.readings.measurements
     blocks = cuts(measurements, leave_out_h)
     sources = [Source.of(m, b) for m, b in zip(measurements, blocks, strict=True)]
     sources = _without_wrong(sources, given)
@@ -109,7 +138,7 @@ def _fit(
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     tried = sum(c.offered for c in screened.candidates) if screened else 0
-    return _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell), screened, choice, given
+    return _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell), screened, choice
 
 
 def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> TermChoice:
@@ -192,7 +221,10 @@ def _fitted(sources: Sequence[Source], terms: Sequence[Term], tell: Stage) -> Es
     def progress(done: int, total: int) -> None:
         tell("fitting", done, total)
 
-    fit = estimate(sources, terms, progress=progress)
+    try:
+        fit = estimate(sources, terms, progress=progress)
+    except ModelError:  # parameters that were searched for may have made two terms one
+        return estimate(sources, terms, search=False, progress=progress)
     if fit.found.slopes or fit.found.on_bound:
         try:
             check_seen(fit.found.normal, [*fit.terms, *[s.term for s in fit.found.slopes]])

@@ -6,8 +6,7 @@ contradiction.
 
 import itertools
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -19,14 +18,13 @@ from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import State
 from rtec.errors import ModelError
 from rtec.estimation import floor
-from rtec.estimation.candidates import real
 from rtec.estimation.columns import ordered
+from rtec.estimation.contradiction import contradiction
 from rtec.estimation.judge import Judgement
 from rtec.estimation.readings import Readings, Series, looked_at
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
@@ -43,17 +41,8 @@ TOGETHER = 0.98
 """Correlation of position and time from which on they are one."""
 MOVES = 0.05
 """Share of the travel from which on an axis moves."""
-COMMON, OPPOSITE = 5, -0.8
-"""Places that two files share at the least, and the correlation of their means from which on they contradict."""
-DISAGREE, MUCH_OF, UNLIKE = 4.0, 0.5, 3.0
-"""Or so many times what the noise lets them differ by, and this share of what they read; where channels that were
-recorded differ by less than so many times what counts as a change."""
-CLEARLY = 1.2
-"""Of two files that contradict each other, the odd one differs by so many times more from the others."""
-ELSEWHERE = 0.25
-"""Or whose medians differ by less than this share of its range."""
-MIRROR = 0.25
-"""A file is the mirror image of another where their sum is less than this share of what they read."""
+FEWEST = 5
+"""Readings below which nothing can be said of an order."""
 BETTER = 0.5
 """An edit of the record is proposed where it leaves less than this share of the residual,"""
 NEAR_FLOOR, ABOVE = 1.25, 1.5
@@ -104,7 +93,9 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found = [Doubt("wrong_scale", said, "", fatal=True) for said in odd_scales(readings, measured, predicted)]
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and what is predicted with it
-    found = found or _contradictions(judged, measured)
+    if not found and (odd := contradiction(judged)) is not None:
+        step = f"{odd.check[0].upper()}{odd.check[1:]}; {odd.again}."
+        found = [Doubt("contradiction", f"{odd.message}.", step, fatal=True)]
     found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
         found.append(edited.doubt(judged.residual))
@@ -114,141 +105,6 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
 
 def _name(readings: Readings, s: Series) -> str:
     return f"{readings.measurements[s.source].name} {s.column}"
-
-
-def _contradictions(judged: Judgement, measured: Floats) -> list[Doubt]:
-    """Files that read the same places otherwise: with opposite signs, or by far more than their noise."""
-    readings, left = judged.readings, judged.left
-    turned: list[tuple[Series, Series]] = []
-    apart: list[tuple[Series, Series]] = []
-    compared: list[tuple[Series, Series]] = []
-    worst = 0.0
-    for (i, one), (j, two) in itertools.combinations(enumerate(readings.series), 2):
-        # Set up otherwise, as a beam at another offset, an instrument reads something else at the same place.
-        same = one.column == two.column and (
-            readings.measurements[one.source].instrument == readings.measurements[two.source].instrument
-        )
-        common = _common(readings, one, two, left) if same and one.source != two.source else None
-        if common is None:
-            continue
-        compared.append((one, two))
-        a, b, counts = common
-        size = math.sqrt(float(a @ a) * float(b @ b))
-        expected = judged.floors[i].value ** 2 / counts[0] + judged.floors[j].value ** 2 / counts[1]
-        off = float(np.sqrt(np.mean((a - b) ** 2)))
-        larger = max(float(np.std(a)), float(np.std(b)))
-        opposite = size > 0.0 and float(a @ b) / size < OPPOSITE
-        # What is warmer may bend the other way, but hardly by as much: only a turned file is the mirror image.
-        if opposite and _mirrored(readings, one, two, measured, DISAGREE * math.sqrt(expected)):
-            turned.append((one, two))
-        elif off > max(DISAGREE * math.sqrt(expected), MUCH_OF * larger) and _alike(readings, one, two):
-            apart.append((one, two))
-            worst = max(worst, off)
-    if turned:
-        return [
-            _contradiction(readings, turned, _odd(readings, turned, compared, measured), "readings go the other way")
-        ]
-    if apart:
-        unit = "µrad" if apart[0][0].unit == "urad" else "µm"
-        what = f"readings differ by {worst:.2g} {unit}, and no recorded channel does"
-        return [_contradiction(readings, apart, _odd(readings, apart, compared, measured), what)]
-    return []
-
-
-def _odd(
-    readings: Readings,
-    pairs: Sequence[tuple[Series, Series]],
-    compared: Sequence[tuple[Series, Series]],
-    measured: Floats,
-) -> int | None:
-    """The source that contradicts most of the others, or is clearly farther from those that contradict none."""
-    count = Counter(s.source for pair in pairs for s in pair)
-    most = [i for i, n in count.items() if n == max(count.values())]
-    if len(most) == 1:
-        return most[0]
-    far = dict.fromkeys(most, 0.0)
-    for one, two in compared:
-        common = _common(readings, one, two, measured)
-        tied = [s.source for s in (one, two) if s.source in far]
-        if common is not None and len(tied) == 1:
-            far[tied[0]] += float(np.sqrt(np.mean((common[0] - common[1]) ** 2)))
-    first, second, *_ = sorted(most, key=lambda i: -far[i])
-    return first if far[first] > CLEARLY * far[second] > 0.0 else None
-
-
-def _contradiction(readings: Readings, pairs: Sequence[tuple[Series, Series]], odd: int | None, how: str) -> Doubt:
-    """Words on files that contradict each other; the odd one of them, where it is known."""
-
-    def names(sources: Iterable[int]) -> str:
-        return ", ".join(readings.measurements[i].name for i in sorted(set(sources)))
-
-    sources = [[s.source for s in pair] for pair in pairs]
-    if odd is None:
-        message = f"{names(i for pair in sources for i in pair)} contradict each other: at the same places {how}."
-        step = (
-            "Look at their signs, their set-ups and whether they are of one machine; without the wrong one, try again."
-        )
-    else:
-        others = names(i for pair in sources if odd in pair for i in pair if i != odd)
-        message = f"{names([odd])} contradicts {others}: at the same places its {how}."
-        step = (
-            "Look at its sign, its set-up and whether it is of the same machine; without it or with it turned, try "
-            "again."
-        )
-    return Doubt("contradiction", message, step, fatal=True)
-
-
-def _mirrored(readings: Readings, one: Series, two: Series, measured: Floats, noise: float) -> bool:
-    """Whether what was measured is the mirror image, within the noise or a share of it."""
-    common = _common(readings, one, two, measured)
-    if common is None:
-        return False
-    a, b, _ = common
-    return bool(np.sqrt(np.mean((a + b) ** 2)) < max(noise, MIRROR * max(float(np.std(a)), float(np.std(b)))))
-
-
-def _alike(readings: Readings, one: Series, two: Series) -> bool:
-    """Whether all that was recorded beside is alike in two series: nothing known makes the one differ from the other.
-
-    What a channel does that changes within a file shows there already.
-    """
-    machine = readings.machine
-    states = [readings.states[s.source] for s in (one, two)]
-    names = [*machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"]
-    names += [n for a in machine.axes for n in (a.channel, a.velocity_channel)]
-    for name in names:
-        if not all(name in s.channels for s in states):
-            continue
-        a, b = (np.abs(st.channels[name][s.row]) for st, s in zip(states, (one, two), strict=True))
-        change = UNLIKE * real(machine, name)
-        if max(float(np.nanmin(a)), float(np.nanmin(b))) > change + min(float(np.nanmax(a)), float(np.nanmax(b))):
-            return False
-        usual = abs(float(np.nanmedian(a) - np.nanmedian(b)))
-        if usual > max(change, ELSEWHERE * max(float(np.ptp(a)), float(np.ptp(b)))):
-            return False
-    return True
-
-
-def _common(
-    readings: Readings, one: Series, two: Series, measured: Floats
-) -> tuple[Floats, Floats, tuple[float, float]] | None:
-    """What two series read at the places that they share, each about its mean; and readings at a place of each."""
-    means = [_means(readings, s, measured[s.part]) for s in (one, two)]
-    common = sorted(set(means[0]) & set(means[1]))
-    if len(common) < COMMON:
-        return None
-    a, b = (np.array([m[k] for k in common]) for m in means)
-    return a - a.mean(), b - b.mean(), (len(one) / len(means[0]), len(two) / len(means[1]))
-
-
-def _means(readings: Readings, s: Series, values: Floats) -> Mapping[tuple[float, ...], float]:
-    """Mean reading at each place, passed in each direction."""
-    state = readings.states[s.source]
-    pose = np.round(readings.poses_mm[s.source][s.row], 1)
-    ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
-    rows, place = np.unique(np.column_stack([pose, *ways]), axis=0, return_inverse=True)
-    mean = np.bincount(place.ravel(), values) / np.bincount(place.ravel())
-    return {tuple(map(float, row)): float(v) for row, v in zip(rows, mean, strict=True)}
 
 
 def _moves(readings: Readings, s: Series) -> bool:
@@ -454,7 +310,7 @@ def _one_pass(readings: Readings) -> list[Doubt]:
 def _pass(readings: Readings, s: Series, channel: str, travel_mm: Sequence[float]) -> float | None:
     """Correlation of position and time; None where the axis hardly moves."""
     place = readings.states[s.source].value(channel)[s.row]
-    if float(np.ptp(place)) < MOVES * (travel_mm[1] - travel_mm[0]) or len(place) < COMMON:
+    if float(np.ptp(place)) < MOVES * (travel_mm[1] - travel_mm[0]) or len(place) < FEWEST:
         return None
     if not np.ptp(s.time_s):
         return None

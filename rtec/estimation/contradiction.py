@@ -1,0 +1,214 @@
+"""Measurements that contradict each other: at the same places they read otherwise, and nothing recorded explains it.
+
+A file may have its sign turned, or be of another machine or set-up. No model is right for both, so no effect is named,
+and none is fitted to it.
+"""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.estimation import floor
+from rtec.estimation.candidates import real
+from rtec.estimation.judge import Judgement
+from rtec.estimation.readings import Readings, Series, row_codes
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+COMMON, OPPOSITE = 5, -0.8
+"""Places that two files share at the least, and the correlation of their means from which on they contradict."""
+DISAGREE, MUCH_OF, UNLIKE = 4.0, 0.5, 3.0
+"""Or so many times what the noise lets them differ by, and this share of what they read; where channels that were
+recorded differ by less than so many times what counts as a change."""
+ELSEWHERE = 0.25
+"""Or whose medians differ by less than this share of its range."""
+MIRROR = 0.25
+"""A file is the mirror image of another where their sum is less than this share of what they read."""
+CLEARLY = 1.2
+"""Of two files that contradict each other, the odd one differs by so many times more from the others."""
+PER_MM = 10.0
+"""Places are the same within one over so many mm."""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Measurements that contradict each other.
+
+    Attributes:
+        odd: numbers of those that contradict the others; empty where nobody knows which side is right.
+        message: in words, without a full stop.
+        check: what to look at.
+        again: and what to do then.
+    """
+
+    odd: tuple[int, ...]
+    message: str
+    check: str
+    again: str
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two series by equal instruments at the places that they share.
+
+    Attributes:
+        sources: numbers of their measurements.
+        unit: of the readings.
+        off, measured_off: root mean square of their difference, as the model leaves it and as it was read.
+        turned, apart: whether the one is the mirror image of the other; whether they differ by far too much.
+    """
+
+    sources: tuple[int, int]
+    unit: str
+    off: float
+    measured_off: float
+    turned: bool
+    apart: bool
+
+
+def contradiction(judged: Judgement) -> Contradiction | None:
+    """Files that read the same places otherwise: with opposite signs, or by far more than their noise."""
+    readings = judged.readings
+    series, made_by = readings.series, [readings.measurements[s.source].instrument for s in readings.series]
+    # Set up otherwise, as a beam at another offset, an instrument reads something else at the same place.
+    comparable = [
+        (i, j)
+        for (i, one), (j, two) in itertools.combinations(enumerate(series), 2)
+        if one.source != two.source and one.column == two.column and made_by[i] == made_by[j]
+    ]
+    if not comparable:
+        return None
+    places, means = _means(judged)
+    pairs = [p for i, j in comparable if (p := _compared(judged, (i, j), places, means)) is not None]
+    turned, apart = [p for p in pairs if p.turned], [p for p in pairs if p.apart]
+    if turned:
+        return _told(readings, turned, pairs, "readings go the other way")
+    if apart:
+        unit = "µrad" if apart[0].unit == "urad" else "µm"
+        worst = max(p.off for p in apart)
+        return _told(readings, apart, pairs, f"readings differ by {worst:.2g} {unit}, and no recorded channel does")
+    return None
+
+
+def _means(judged: Judgement) -> tuple[list[Ints], list[Floats]]:
+    """Of each series the numbers of its places, going each way, (k,), and the mean read and left there, (k, 2)."""
+    readings = judged.readings
+    rows = []
+    for s in readings.series:
+        state = readings.states[s.source]
+        ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
+        rows.append(np.stack([*np.round(PER_MM * readings.poses_mm[s.source][s.row]).T, *ways]))
+    place = row_codes(np.concatenate(rows, axis=1))
+    both = np.stack([floor.cleaned(readings, readings.values), judged.left])
+    places, means = [], []
+    for s in readings.series:
+        found, which = np.unique(place[s.part], return_inverse=True)
+        places.append(found)
+        means.append(np.stack([np.bincount(which, v[s.part]) / np.bincount(which) for v in both], axis=1))
+    return places, means
+
+
+def _compared(judged: Judgement, two: tuple[int, int], places: Sequence[Ints], means: Sequence[Floats]) -> _Pair | None:
+    """Two series, each about its mean at the places that they share; None where those are too few."""
+    i, j = two
+    common, at, other_at = np.intersect1d(places[i], places[j], assume_unique=True, return_indices=True)
+    if len(common) < COMMON:
+        return None
+    one, other = (m[k] - m[k].mean(axis=0) for m, k in ((means[i], at), (means[j], other_at)))
+    measured_off, off = np.sqrt(np.mean((one - other) ** 2, axis=0)).tolist()
+    larger, left_larger = np.maximum(one.std(axis=0), other.std(axis=0)).tolist()
+    a, b = one[:, 1], other[:, 1]
+    size = math.sqrt(float(a @ a) * float(b @ b))
+    opposite = size > 0.0 and float(a @ b) / size < OPPOSITE
+    series = [judged.readings.series[k] for k in two]
+
+    def noise() -> float:
+        """What noise lets the means differ by; it takes long, where much was read."""
+        variances = [judged.floors[k].value ** 2 * len(places[k]) / len(judged.readings.series[k]) for k in two]
+        return DISAGREE * math.sqrt(sum(variances))
+
+    # What is warmer may bend the other way, but hardly by as much: only a turned file is the mirror image.
+    together = float(np.sqrt(np.mean((one + other)[:, 0] ** 2)))
+    turned = opposite and (together < MIRROR * larger or together < noise())
+    apart = not turned and off > MUCH_OF * left_larger and _alike(judged.readings, *series) and off > noise()
+    sources = (series[0].source, series[1].source)
+    return _Pair(sources, series[0].unit, off, measured_off, turned, apart)
+
+
+def _told(readings: Readings, pairs: Sequence[_Pair], compared: Sequence[_Pair], how: str) -> Contradiction:
+    """Words on files that contradict each other; the odd ones of them, where they are known."""
+
+    def names(sources: Iterable[int]) -> str:
+        return ", ".join(readings.measurements[i].name for i in sorted(set(sources)))
+
+    odd, how = _odd(pairs, compared), f"at the same places {{}}{how}"
+    if not odd:
+        message = f"{names(i for p in pairs for i in p.sources)} contradict each other: {how.format('')}"
+        check = "look at their signs, their set-ups and whether they are of one machine"
+        return Contradiction(odd, message, check, "without the wrong one, try again")
+    verb, its, it, they = ("contradicts", "its", "it", "it is") if len(odd) == 1 else _MANY
+    others = names(i for p in pairs for i in p.sources if i not in odd)
+    message = f"{names(odd)} {verb} {others}: {how.format(its + ' ')}"
+    check = f"look at {its} sign, {its} set-up and whether {they} of the same machine"
+    return Contradiction(odd, message, check, f"without {it} or with {it} turned, try again")
+
+
+_MANY = ("contradict", "their", "them", "they are")
+
+
+def _odd(pairs: Sequence[_Pair], compared: Sequence[_Pair]) -> tuple[int, ...]:
+    """The sources that contradict most of the others, until none is left that does.
+
+    Of two that contradict as many it is the one that is clearly farther from those that contradict none.
+    """
+    out: list[int] = []
+    rest = list(pairs)
+    while rest:
+        count = Counter(i for p in rest for i in p.sources)
+        most = {i for i, n in count.items() if n == max(count.values())}
+        if any(set(p.sources) <= most for p in rest):
+            most = _farther(most, compared)
+        if not most:
+            return ()
+        out += most
+        rest = [p for p in rest if not most & set(p.sources)]
+    return tuple(sorted(out))
+
+
+def _farther(tied: set[int], compared: Sequence[_Pair]) -> set[int]:
+    """Which of some sources is clearly farther from all others; none where that is not so."""
+    far = dict.fromkeys(tied, 0.0)
+    for p in compared:
+        mine = tied & set(p.sources)
+        if len(mine) == 1:
+            far[mine.pop()] += p.measured_off
+    first, second, *_ = sorted(tied, key=lambda i: -far[i])
+    return {first} if far[first] > CLEARLY * far[second] > 0.0 else set()
+
+
+def _alike(readings: Readings, one: Series, two: Series) -> bool:
+    """Whether all that was recorded beside is alike in two series: nothing known makes the one differ from the other.
+
+    What a channel does that changes within a file shows there already.
+    """
+    machine = readings.machine
+    states = [readings.states[s.source] for s in (one, two)]
+    names = [*machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"]
+    names += [n for a in machine.axes for n in (a.channel, a.velocity_channel)]
+    for name in names:
+        if not all(name in s.channels for s in states):
+            continue
+        a, b = (np.abs(st.channels[name][s.row]) for st, s in zip(states, (one, two), strict=True))
+        change = UNLIKE * real(machine, name)
+        if max(float(np.nanmin(a)), float(np.nanmin(b))) > change + min(float(np.nanmax(a)), float(np.nanmax(b))):
+            return False
+        usual = abs(float(np.nanmedian(a) - np.nanmedian(b)))
+        if usual > max(change, ELSEWHERE * max(float(np.ptp(a)), float(np.ptp(b)))):
+            return False
+    return True
