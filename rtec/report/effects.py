@@ -120,17 +120,25 @@ def _in_a_model(kind: type[Effect]) -> Iterator[Section]:
     """Parameters and arguments."""
     linear, free = _parameters(kind)
     rows = [(p.name, spoken(p.unit), f"{p.typical:g}", "", "fitted, linear") for p in linear]
-    rows += [(p.name, spoken(p.unit), f"{p.start:g}", _bounds(p), "searched for") for p in free]
+    rows += [(p.name, spoken(p.unit), f"{p.start:g}", _bounds(p), f"searched for{form}") for p, form in free]
     if rows:
         yield Section("Parameters", [], Table(("name", "unit", "usual", "between", "how"), rows, words=(0, 1, 3, 4)))
     given = [(key, ARGUMENTS.get(key, ""), default) for key, default in _arguments(kind)]
     yield Section("Arguments in a model file", [], Table(("name", "what", "default"), given, words=(0, 1, 2)))
 
 
-def _parameters(kind: type[Effect]) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+def _parameters(kind: type[Effect]) -> tuple[tuple[Parameter, ...], list[tuple[Parameter, str]]]:
+    """The linear parameters; the others, each with the form that has it, as ", with lag = true"."""
     machine = example_machine()
     effect = example_of(kind, machine)
-    return (effect.coefficients(machine), effect.nonlinear(machine)) if effect is not None else ((), ())
+    if effect is None:
+        return (), []
+    free = [(p, "") for p in effect.nonlinear(machine)]
+    for key in [k for k, field in kind.model_fields.items() if field.annotation is bool and not getattr(effect, k)]:
+        own = {p.name for p, _ in free}
+        form = effect.model_copy(update={key: True}).nonlinear(machine)
+        free += [(p, f", with {key} = true") for p in form if p.name not in own]
+    return effect.coefficients(machine), free
 
 
 def _bounds(p: Parameter) -> str:
@@ -154,7 +162,7 @@ def _arguments(kind: type[Effect]) -> Iterator[tuple[str, str]]:
 def effect_facts(name: str, family: str, about: About) -> dict[str, Any]:
     """Facts about one entry for programs."""
     kind = all_effects().get(name)
-    linear, free = _parameters(kind) if kind is not None else ((), ())
+    linear, free = _parameters(kind) if kind is not None else ((), [])
     return {
         "family": family,
         "in_a_model": kind is not None,
@@ -166,7 +174,7 @@ def effect_facts(name: str, family: str, about: About) -> dict[str, Any]:
         "parameters": [{"name": p.name, "unit": p.unit, "typical": p.typical} for p in linear],
         "nonlinear": [
             {"name": p.name, "unit": p.unit, "start": p.start, "low": p.low, "high": p.high, "grid": list(p.grid)}
-            for p in free
+            for p, _ in free
         ],
         "needs": list(kind.driven_by) if kind is not None else [],
         "shown_by": about.reveal,

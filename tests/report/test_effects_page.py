@@ -278,3 +278,17 @@ def test_what_the_loop_refuses_is_named_in_docs() -> None:
     of_time = {n for n, e in examples.items() if e is not None and "time_s" in e.channels(machine)}
     (said,) = re.findall(r"those of the time \((.*?)\)", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert set(re.findall(r"`(\w+)`", said)) == of_time
+
+
+def test_the_parameters_of_every_form_are_in_the_table() -> None:
+    """Oracle: the effects that the catalogue itself tries, in all their forms; their parameters by name."""
+    machine = example_machine()
+    for name, kind in EFFECTS.items():
+        forms = list(effects_figure._instances(kind, machine))
+        tried = {p.name for e in forms for p in e.nonlinear(machine)}
+        page = effects_page.effect_page(name)
+        rows = [row for s in page.sections if s.heading == "Parameters" and s.table for row in s.table.rows]
+        assert tried <= {row[0] for row in rows}, name
+    assert ("T", "s", "0.05", "0.002 … 2", "searched for, with builds_up = true") in [
+        row for s in effects_page.effect_page("servo_lag").sections if s.table for row in s.table.rows
+    ]
