@@ -4,8 +4,8 @@ const charts = new Set();
 const dark = () => document.body.classList.contains("body--dark");
 let turn = Promise.resolve();
 const shown = () => new Promise((done) => setTimeout(done));
-// Numbers of the readings that are marked in every plot of the page; and whether that is changing.
-let marked = null, marking = false;
+// Numbers of the readings that are marked in every plot of the page; how often others were; and whether that is changing.
+let marked = null, marks = 0, marking = false;
 // How far each key leads along the readings of a plot; a page is a twentieth of them.
 const STEPS = { " ": 0, ArrowRight: 1, ArrowLeft: -1, Home: -Infinity, End: Infinity };
 const PAGES = { PageDown: 1, PageUp: -1 };
@@ -30,7 +30,11 @@ export default {
     if (!this.$el.isConnected) return;
     charts.add(this);
     this.listen();
-    this.resized = new ResizeObserver(() => this.Plotly.Plots.resize(this.$el));
+    // It is told the size at once, in which the plot is drawn already.
+    this.resized = new ResizeObserver(() => {
+      const { clientWidth, clientHeight, _fullLayout: now } = this.$el;
+      if (clientWidth !== now.width || clientHeight !== now.height) this.Plotly.Plots.resize(this.$el);
+    });
     this.resized.observe(this.$el);
     // Keys and pointers change the body's classes too.
     let theme = dark();
@@ -52,6 +56,8 @@ export default {
     styled() {
       const { data, layout } = colours(this.moved ?? this.options, getComputedStyle(document.body));
       for (const trace of data) if (trace.ids && marked !== null) trace.selectedpoints = this.lit(trace);
+      // Without the box that was drawn: Plotly would select by it again, in its own plot only.
+      Object.assign(layout, { selections: [], selectionrevision: marks });
       return { data, layout, config: { displaylogo: false, responsive: false, scrollZoom: false,
         modeBarButtonsToRemove: ["toImage", "autoScale2d"] } };
     },
@@ -122,10 +128,14 @@ export default {
       marking = true;
       this.$emit("brush", found ?? []);
       marked = found && new Set(found);
-      // Without the box that was drawn: Plotly would select by it again, in its own plot only.
-      await this.Plotly.relayout(this.$el, { selections: [] });
-      await Promise.all([...charts].filter((c) => c.options.data.some((trace) => trace.ids)).map((c) => c.draw()));
+      marks += 1;
+      await Promise.all([...charts].filter((c) => c.holds(found ?? [])).map((c) => c.draw()));
       marking = false;
+    },
+    // Whether it has all of these readings. Into a plot of single readings that has not, the server puts them.
+    holds(found) {
+      const own = new Set(this.options.data.flatMap((trace) => trace.ids ?? []));
+      return own.size > 0 && found.every((id) => own.has(String(id)));
     },
     // Moves every trace of the same length from where it is to where it will be, and leaves the rest as it is.
     morph(options, ms) {

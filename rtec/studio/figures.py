@@ -96,7 +96,6 @@ def layout(**more: Any) -> Figure:
         "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom", "font": {"size": 13}},
         "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "@muted", "activecolor": "@ink"},
         "uirevision": "kept",
-        "selectionrevision": "kept",
     }
     return base | more
 

@@ -1,9 +1,12 @@
 """The one folder that is opened: its files by kind. Nothing outside it can be reached, whatever a name says."""
 
 import contextlib
+import filecmp
 import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -146,20 +149,27 @@ class Folder:
             more,
         )
 
-    def write(self, name: str, content: bytes) -> Path:
+    def write(self, name: str, content: bytes | Path) -> Path:
         """Put a file into the folder: it appears whole or not at all, and takes no other file's place.
+
+        Args:
+            name: of it.
+            content: of it, or a file that holds it, which may be large.
 
         Raises:
             RtecError: the name is not possible, another file has it, or the disk is full.
         """
         path = self.path(name)
         if path.exists():
-            if path.read_bytes() == content:
+            if filecmp.cmp(path, content, shallow=False) if isinstance(content, Path) else path.read_bytes() == content:
                 return path
             raise RtecError(f"{name}: another file of that name is in the folder; rename one of them")
         try:
-            with whole(path, RtecError, replace=False) as out:
-                out.write(content)
+            with (
+                content.open("rb") if isinstance(content, Path) else BytesIO(content) as source,
+                whole(path, RtecError, replace=False) as out,
+            ):
+                shutil.copyfileobj(source, out)
         except FileExistsError as e:
             raise RtecError(f"{name}: another file of that name is in the folder; rename one of them") from e
         return path

@@ -3,7 +3,10 @@
 They mean something on a quiet computer only.
 """
 
+import os
+import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -22,6 +25,8 @@ CIRCLE = ("plane=XY", "centre_mm=[250,200,300]", "radius_mm=100", "direction=ccw
 STARTS = 7
 CYCLES = 70
 """Of 1441 readings each."""
+LARGE = 200 << 20
+DRAWN = "() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
 MOVES = 120
 FRAMES = """() => {
   window.frames_ms = []; let last = performance.now();
@@ -123,14 +128,15 @@ def many(folder: Path) -> None:
 
 def opened(browser: "Browser", studio: RunningStudio) -> "Page":
     """Compare with all readings; says how long the first plot took."""
-    clock = RealClock()
     page = tab(browser, studio.address).page
     page.get_by_label("use bar.csv").click()
-    began = clock.now_ns()
+    began = RealClock().now_ns()
     page.get_by_role("button", name="Compare the model with the measurements").click()
     page.wait_for_selector(".chart[data-drawn=yes]")
-    say(f"first plot of {1441 * CYCLES} readings after {1e-9 * (clock.now_ns() - began):.1f} s")
+    say(f"first plot of {1441 * CYCLES} readings after {since_s(began):.1f} s")
     page.wait_for_function("[...document.querySelectorAll('.chart')].every((c) => c.dataset.drawn === 'yes')")
+    page.get_by_role("button", name="Diagnose: which effect is missing?").wait_for()
+    say(f"compared after {since_s(began):.1f} s")
     heap = page.evaluate("performance.memory.usedJSHeapSize / 1048576")
     say(f"points in the plots: {page.evaluate(POINTS)}; the page holds {heap:.0f} MB, "
         f"the server {memory_mb(studio.process.pid):.0f} MB")  # fmt: skip
@@ -152,6 +158,81 @@ def moved(page: "Page") -> None:
             page.mouse.move(x + (0.2 + 0.6 * k / MOVES) * w, y + (0.5 + 0.2 * np.sin(0.2 * k)) * h)
         page.mouse.up()
         say(f"{name}: frames {spread(page.evaluate('window.frames_ms'))}")
+
+
+class Timed:
+    """Times what a person does: until it is seen, and the processor time of browser and server for it.
+
+    Args:
+        page: where it is done.
+        pid: of the server.
+    """
+
+    def __init__(self, page: "Page", pid: int) -> None:
+        self._page, self._pid = page, pid
+        assert page.context.browser is not None
+        self._session = page.context.browser.new_browser_cdp_session()
+
+    def do(self, name: str, act: Callable[[], object], seen: str) -> None:
+        """Do it, and wait until a condition of the page holds and is drawn."""
+        before = self._spent_s()
+        began = RealClock().now_ns()
+        act()
+        self._page.wait_for_function(seen)
+        self._page.evaluate(DRAWN)
+        took = since_s(began)
+        browser, server = (now - then for now, then in zip(self._spent_s(), before, strict=True))
+        say(f"{name}: seen after {took:.2f} s; processor time: browser {browser:.2f} s, server {server:.2f} s")
+
+    def _spent_s(self) -> tuple[float, float]:
+        """So far, by all processes of the browser (without a graphics card one of them draws), and by the server."""
+        given = self._session.send("SystemInfo.getProcessInfo")["processInfo"]
+        fields = Path(f"/proc/{self._pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        return sum(p["cpuTime"] for p in given), (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def used(page: "Page", studio: RunningStudio) -> None:
+    """Brush, another colour, another page and back, with all readings."""
+    timed = Timed(page, studio.process.pid)
+    page.locator(".modebar-btn[data-val=select]").first.click()
+    box: Any = page.locator(".nsewdrag").first.bounding_box()
+    x, y, w, h = (box[k] for k in ("x", "y", "width", "height"))
+
+    def brush() -> None:
+        page.mouse.move(x + 0.65 * w, y + 0.1 * h)
+        page.mouse.down()
+        page.mouse.move(x + 0.9 * w, y + 0.9 * h, steps=5)
+        page.mouse.up()
+
+    def colour() -> None:
+        page.get_by_label("Colour by").click()
+        page.get_by_role("option", name="run", exact=True).click()
+
+    timed.do("brush", brush, "document.querySelector('.reading').textContent.includes('marked: residual')")
+    timed.do("colour by run", colour, "document.querySelector('.chart').data[0].marker.colorscale !== undefined")
+    heading = "document.querySelector('h1').textContent === '{}'"
+    timed.do("page Diagnose", page.get_by_role("link", name="Diagnose").click, heading.format("Diagnose"))
+    timed.do("back to Compare", page.get_by_role("link", name="Compare").click,
+             f"{heading.format('Compare')} && document.querySelector('.chart')?.dataset.drawn === 'yes'")  # fmt: skip
+
+
+def dropped(browser: "Browser", studio: RunningStudio, folder: Path) -> None:
+    """A table of 200 MB of another program: the server's heartbeat and memory meanwhile."""
+    page = tab(browser, studio.address).page
+    table = folder / "large.csv"
+    line = b"12:34:56.789;100,0000;0,0012;21,50;22,75\n"
+    with table.open("wb") as out:
+        out.write(b"Zeit;X-Position [mm];Abweichung [mm];Temperatur 1;Temperatur 2\n")
+        for _ in range(20):
+            out.write(line * (LARGE // len(line) // 20))
+    timed, idle = Timed(page, studio.process.pid), memory_mb(studio.process.pid)
+    page.evaluate(BEATS)
+    listed = "[...document.querySelectorAll('button')].some((b) => b.ariaLabel === 'Import large.csv')"
+    timed.do(f"drop {LARGE >> 20} MB", lambda: page.locator("input[type=file]").set_input_files(table), listed)
+    beats = page.evaluate("(window.beating = false, window.beats_ms)")
+    most = int(re.findall(r"VmHWM:\s+(\d+)", Path(f"/proc/{studio.process.pid}/status").read_text())[0]) / 1024
+    say(f"while it came: {len(beats)} requests, {spread(beats)}; the server held {idle:.0f} MB before, "
+        f"{memory_mb(studio.process.pid):.0f} MB after, {most:.0f} MB at most, shared ones too")  # fmt: skip
 
 
 def diagnosed(browser: "Browser", studio: RunningStudio) -> None:
@@ -176,7 +257,12 @@ def main() -> None:
         start(browser, empty)
         many(large)
         with running_studio(large) as studio:
-            moved(opened(browser, studio))
+            page = opened(browser, studio)
+            moved(page)
+            used(page, studio)
+        with running_studio(empty) as studio:
+            dropped(browser, studio, small)
+            (small / "large.csv").unlink()
         (small / MACHINE.name).write_bytes(MACHINE.read_bytes())
         table = simulated(small, "laser", 1)
         assert status(["fit", str(MACHINE), str(table), "--effects", "scale", "-o", str(small / "m.toml")]) == 0

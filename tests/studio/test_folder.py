@@ -56,12 +56,16 @@ def test_a_link_that_leads_out_is_not_listed(tmp_path: Path) -> None:
 def test_a_file_takes_no_other_files_place(tmp_path: Path) -> None:
     """The same content again is no fault; nothing half-written stays."""
     folder = Folder(tmp_path)
+    (tmp_path / "one").write_bytes(b"1")
+    (tmp_path / "two").write_bytes(b"2")
     folder.write("a.csv", b"1")
-    folder.write("a.csv", b"1")
-    with pytest.raises(RtecError, match="another file of that name"):
-        folder.write("a.csv", b"2")
-    assert (tmp_path / "a.csv").read_bytes() == b"1"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+    folder.write("b.csv", tmp_path / "one")
+    for name, same, other in (("a.csv", tmp_path / "one", b"2"), ("b.csv", b"1", tmp_path / "two")):
+        folder.write(name, same)
+        with pytest.raises(RtecError, match="another file of that name"):
+            folder.write(name, other)
+        assert (tmp_path / name).read_bytes() == b"1"
+    assert {p.name for p in tmp_path.iterdir()} == {"a.csv", "b.csv", "one", "two"}
 
 
 def test_files_are_listed_by_kind(tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
 """Measurements: drop or choose files, see what they hold, choose the machine and the model to compare with."""
 
+import asyncio
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from shlex import quote
+from tempfile import TemporaryDirectory
 
 from nicegui import events, ui
 
@@ -66,11 +68,15 @@ async def _try_it(session: TabSession) -> None:
 def _drop(session: TabSession) -> None:
     async def take(event: events.MultiUploadEventArguments) -> None:
         refused = []
-        for file in event.files:
-            try:
-                session.folder.write(file.name, await file.read())
-            except RtecError as e:
-                refused.append(str(e))
+        with TemporaryDirectory() as beside:
+            for file in event.files:
+                dropped = Path(beside) / "dropped"
+                await file.save(dropped)
+                try:
+                    # In a thread: a large file takes seconds, and the pages answer meanwhile.
+                    await asyncio.to_thread(session.folder.write, file.name, dropped)
+                except RtecError as e:
+                    refused.append(str(e))
         session.fail("\n".join(refused), "drop")
         session.look()
         session.on_change()
