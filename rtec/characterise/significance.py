@@ -57,8 +57,8 @@ def missed(fit: Estimate, columns: Ints) -> float:
 
 
 def _distances(normal: Normal, fit: Estimate) -> Floats:
-    spread = np.sqrt(np.maximum(np.diag(normal.covariance(fit.values)), 1e-300))
-    return np.asarray((np.abs(fit.values) / spread)[: normal.width], dtype=np.float64)
+    spread = np.sqrt(np.maximum(np.diag(normal.covariance(fit.values)), 1e-300))[: normal.width]
+    return np.asarray(np.abs(fit.values[: normal.width]) / np.hypot(spread, fit.by_common_lag), dtype=np.float64)
 
 
 def _told_by_stretches(fit: Estimate, columns: Ints) -> bool:

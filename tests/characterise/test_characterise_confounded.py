@@ -62,6 +62,20 @@ def test_a_laser_tells_scales_from_servo_gains_at_one_feed() -> None:
     assert set(found) == {"scale(EXX, X)", "inertia(EXX, X)", "inertia(EYY, Y)", "backlash(EXX, X)"}
 
 
+def test_a_common_lag_is_in_the_errors_of_servo_gains() -> None:
+    """Oracle: the circle of two first-order loops, `τ` and a difference `δ`, to the second order: beside ½ τ² of each
+    its shape holds `τ δ` of the acceleration, one more and one less. A lag of both makes that, which no bar shows."""
+    lag, lead = 22.0, 0.5
+    late = TrueMachine("tool", "XY", {"lead_ms": lead, "lag_ms": lag})
+    bars = [replace(b, feed=3000.0) for b in THREE]
+    found = {c.effect: c for c in characterise(measured(late, bars, 0.1, 1)).coefficients}
+    for name, sign in (("inertia(EXX, X)", -0.5), ("inertia(EYY, Y)", 0.5)):
+        gain, true = found[name], 0.5 * (lag + sign * lead) ** 2
+        assert gain.value - true == pytest.approx(2 * sign * lag * lead, rel=0.15), "else there is nothing to be said"
+        assert gain.se == pytest.approx(lag * lead, rel=0.1)
+    assert found["servo_lag(EXX, X)"].se < 0.01  # type: ignore[operator]
+
+
 def test_one_radius_and_feed_leave_a_scale_open_to_a_servo_gain() -> None:
     """Oracle: `a = -v²/r² (x - x_c)` on a circle: a unit of gain is -v²/r² of scale, 0.111 (1/s)² at 3000 mm/min."""
     pair = [Bar(0.0, 150.0, sense, 3000.0) for sense in ("ccw", "cw")]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import ModelError
 from rtec.estimation.gram.identifiable import check_seen
+from rtec.estimation.gram.late import shift_by_common_lag
 from rtec.estimation.gram.normal import Normal
 from rtec.estimation.gram.projection import Polished, polish
 from rtec.estimation.gram.source import Source, flat, thinned
@@ -65,11 +66,17 @@ class Estimate:
         """Standard errors of the coefficients, then of the parameters that are on no bound.
 
         Widened where few blocks tell of a number, by Student's quantile over the normal one, so that twice an error
-        holds what it is believed to hold, 95 %.
+        holds what it is believed to hold, 95 %. What a common lag of the axes may have added to a number counts, too.
         """
         normal, width = self.found.normal, self.found.normal.width
         variance = np.diag(normal.covariance(normal.values()))[:width]
-        return np.sqrt(np.maximum(variance, 0.0)) * widening(normal.blocks_telling()[:width])
+        errors = np.sqrt(np.maximum(variance, 0.0)) * widening(normal.blocks_telling()[:width])
+        return np.hypot(errors, np.append(self.by_common_lag, np.zeros(width - self.linear.width)))
+
+    @cached_property
+    def by_common_lag(self) -> Floats:
+        """What a lag of all axes that no reading shows may have added to each coefficient of the terms."""
+        return shift_by_common_lag(self.sources, self.terms, self.values)
 
     @cached_property
     def cells(self) -> tuple[Floats, Floats]:
