@@ -73,7 +73,7 @@ def _lead(c: Comparison) -> str:
     """The worst news: of one reading column, and how many others there are."""
     first = min(c.items, key=_badness)
     others = len(c.items) - 1
-    more = f" The other {'one is' if others == 1 else f'{others} are'} in the table." if others else ""
+    more = f" The other {'residual is' if others == 1 else f'{others} residuals are'} in the table." if others else ""
     return _said(first, c) + more + left_out(c.judged.given.wrong)
 
 

@@ -48,7 +48,6 @@ class Studio:
         if name not in (*PAGES, *BESIDE):
             name = "live" if self._live is not None else "measurements"
         ui.add_css(STYLE.read_text(encoding="utf-8"))
-        ui.colors(primary="#005a94")
         dark = ui.dark_mode(None)
         shell = ui.element("div").classes("shell")
         client = ui.context.client

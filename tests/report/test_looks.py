@@ -137,7 +137,7 @@ def test_the_worst_measurement_is_the_verdict_and_each_has_its_row() -> None:
     page = compare_page(compare(wrong, [laser([SCALE], 4), tilted]))
     assert page.lead.startswith("tilt: the residual is")
     assert "With the model the error is larger than without one." in page.lead
-    assert page.lead.endswith("The other one is in the table.")
+    assert page.lead.endswith("The other residual is in the table.")
     assert page.first_figure is not None
     assert page.first_figure.name.startswith("tilt-")
     assert page.brief is not None

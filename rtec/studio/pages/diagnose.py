@@ -82,7 +82,10 @@ def verdict(d: Diagnosis) -> tuple[str, str]:
 
 
 def _verdict(view: DiagnosisView) -> None:
-    text, kind = verdict(view.found)
+    d = view.found
+    text, kind = verdict(d)
+    if d.verdict == "missing_effect" and len(d.together) < 2:
+        text = ": ".join([text, *(type(f.effect).about.title for f in d.findings[:1])])
     with ui.element("div").classes(f"card {kind}").props('role="status"'):
         Words("h2", text)
         Words("p", view.page.lead, "lead")

@@ -145,7 +145,7 @@ def _measurements(session: TabSession, used: Callable[[], None]) -> None:
 def _list(session: TabSession, used: Callable[[], None]) -> None:
     with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
         with ui.element("thead"), ui.element("tr"):
-            for name in ("Use", "File", "Instrument", "Runs", "Readings", "Span", "Temperatures"):
+            for name in ("Use", "File", "Instrument", "Runs", "Readings", "Span", "Temperatures, remarks"):
                 Words("th", name, "" if name in ("Runs", "Readings") else "words").props("scope=col")
         with ui.element("tbody"):
             for name in session.listing.measurements:

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+import rtec
 from rtec.cli.main import status
 from tests.studio.studio_rig import (
     MACHINE,
@@ -148,15 +149,6 @@ def test_improve_asks_at_each_step_and_saves_what_the_command_line_saves(story: 
     assert (studio.folder / "improved.toml").read_bytes() == typed.read_bytes()
 
 
-def test_another_tab_begins_by_itself(story: Watched, browser: "Browser", studio: RunningStudio) -> None:
-    """Oracle: the measurements that are chosen: two in the first tab, none in a new one."""
-    other = tab(browser, studio.address)
-    other.page.get_by_text("laser-a.csv").first.wait_for()
-    assert "0 measurements" in other.page.locator("header").inner_text()
-    assert "2 measurements" in story.page.locator("header").inner_text()
-    other.page.context.close()
-
-
 def test_a_reload_loses_nothing(story: Watched) -> None:
     """Oracle: the page before the reload."""
     story.page.reload()
@@ -220,3 +212,31 @@ def test_the_report_holds_everything_itself(story: Watched) -> None:
     assert "<script" not in html
     assert kept["PDF"].startswith(b"%PDF-")
     assert kept["PDF"].count(b"/Type /Page ") + kept["PDF"].count(b"/Type /Page\n") > 1
+
+
+def test_two_tabs_of_a_browser_work_at_a_time(story: Watched, studio: RunningStudio) -> None:
+    """One adds an effect while the other compares. Oracle: `rtec compare` for what the other shows; files on disk."""
+    kept = {path.name: path.read_bytes() for path in studio.folder.iterdir()}
+    page, other = story.page, story.page.context.new_page()
+    page.goto(f"{studio.origin}/add")
+    page.get_by_role("button", name="Undo").click()
+    page.get_by_role("button", name="Save", exact=True).wait_for(state="detached")
+    page.get_by_role("link", name="Diagnose").click()
+    other.goto(f"{studio.origin}/measurements")
+    other.get_by_label("use laser-b.csv").click()
+    other.get_by_label("Model file").click()
+    other.get_by_role("option", name="better.toml").click()
+    other.locator("header", has_text="better.toml · 1 measurement").wait_for()
+    page.get_by_role("button", name="Add", exact=True).first.click()
+    other.get_by_role("button", name="Compare the model with the measurements").click()
+    page.get_by_role("button", name="Cancel").wait_for()
+    other.wait_for_selector(".chart[data-drawn=yes]")
+    page.get_by_text("The error falling").wait_for()
+    assert "model.toml · 2 measurements" in page.locator("header").inner_text()
+    page.get_by_role("button", name="Redo").and_(page.locator("[disabled]")).wait_for()
+    model = rtec.load_model(studio.folder / "better.toml", studio.folder / "turning-centre.toml")
+    alone = rtec.compare(model, [studio.folder / "laser-b.csv"])
+    assert other.locator(".lead").first.inner_text() == alone.page(figures=False).lead
+    assert "better.toml · 1 measurement" in other.locator("header").inner_text()
+    assert {path.name: path.read_bytes() for path in studio.folder.iterdir()} == kept
+    other.close()
