@@ -17,6 +17,7 @@ Ints = NDArray[np.int64]
 
 CHANCE = 0.05
 """A term that chance would bring forth among so many candidates with this probability, or more, is not sure."""
+ROUNDING = 1e-12
 
 
 def surety(fit: Estimate, candidates: int) -> Floats:
@@ -35,12 +36,18 @@ def surety(fit: Estimate, candidates: int) -> Floats:
 
 
 def spared(fit: Estimate, columns: Ints) -> bool:
-    """Whether coefficients stay although they are not sure: left-out stretches of hours miss them by `rivals.NEAR`.
+    """Whether coefficients stay although they are not sure: left-out stretches of hours miss them by `choose.NEAR`.
 
     They are long against quick drift and few, so the test above has little power there. Left-out runs are no
-    such witness: their neighbours share their drift.
+    such witness: their neighbours share their drift. Nor are one or two of the stretches: with the signs of what each
+    misses drawn by lot, as much would rarely be missed together.
     """
-    return _told_by_stretches(fit, columns) and missed(fit, columns) >= NEAR
+    if not _told_by_stretches(fit, columns) or missed(fit, columns) < NEAR:
+        return False
+    folds = np.unique([c.fold for c in fit.linear.cells], return_inverse=True)[1]
+    more = np.bincount(folds, _without(fit, columns) - fit.cells[0])
+    signs = 1.0 - 2.0 * (np.arange(2 ** len(more))[:, None] >> np.arange(len(more)) & 1)
+    return float(np.mean(signs @ more >= (1.0 - ROUNDING) * more.sum())) <= CHANCE
 
 
 def far_for_chance(candidates: int, blocks: int) -> float:
@@ -52,8 +59,12 @@ def far_for_chance(candidates: int, blocks: int) -> float:
 
 def missed(fit: Estimate, columns: Ints) -> float:
     """By what share the held-out error grows without some coefficients."""
-    without = fit.linear.pick(np.setdiff1d(np.arange(fit.linear.width), columns)).held_out()[0]
-    return fit.rms(without) / max(fit.held_out, 1e-300) - 1.0
+    return fit.rms(_without(fit, columns)) / max(fit.held_out, 1e-300) - 1.0
+
+
+def _without(fit: Estimate, columns: Ints) -> Floats:
+    """Sum of squared weighted residuals of each cell held out, without some coefficients, (cells,)."""
+    return fit.linear.pick(np.setdiff1d(np.arange(fit.linear.width), columns)).held_out()[0]
 
 
 def _distances(normal: Normal, fit: Estimate) -> Floats:

@@ -11,6 +11,8 @@ from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.model import FittedEffect
 from rtec.wording import number, percent, significant
 
+ABOVE = 1.5
+"""A residual of more than so many times the noise floor is not called noise without a word on the drift."""
 WORDS = {
     "um": "µm", "urad": "µrad", "degc": "K", "degC": "°C", "deg": "°", "krpm": "(1000/min)", "kn": "kN",
     "100kg": "(100 kg)", "1": "", "krpm2": "(1000/min)²", "krpm_to_p": "(1000/min)^p", "s2": "s²", "m2": "m²",
@@ -127,7 +129,9 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             f"residual is {number(d.refit)} {unit} (`rtec improve` refits them)"
         )
     limit = f" (half of the catalogue from {significant(smallest, 2)} {unit} on)" if math.isfinite(smallest) else ""
-    return f"no effect is missing that these readings could show{limit}: {levels}"
+    drift = d.judged.drift if d.judged is not None and d.rms_residual > ABOVE * d.noise_floor else 0.0
+    slow = f"; {number(drift)} {unit} is slow drift that no recorded channel explains" if drift > d.noise_floor else ""
+    return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
 
 
 def _together(d: Diagnosis) -> str:
@@ -209,8 +213,8 @@ def hardly(usual: Sequence[float], smallest: Sequence[float], unit: str) -> str:
     low, high, name = significant(min(usual), 1), significant(max(usual), 1), UNITS[unit]
     makes = low if low == high else f"{low} to {high}"
     return (
-        f"its driver hardly changed: at its usual size it adds {makes} {name} here; detectable from "
-        f"{significant(min(smallest), 2)} {name}"
+        f"at its usual size it adds {makes} {name} to these readings; it would be seen from "
+        f"{significant(min(smallest), 2)} {name} on"
     )
 
 
@@ -250,9 +254,14 @@ def unit_of_channel(name: str) -> str:
     return {"v": "mm/s", "a": "mm/s2", "d": "1", "T": "degC"}.get(head, "mm")
 
 
-def notes(names: Sequence[str]) -> tuple[str, ...]:
-    """What was done to the data."""
-    out = ["slow temperatures are smoothed for the search; a model gets them as they are read"]
+def notes(names: Sequence[str], warm: bool) -> tuple[str, ...]:
+    """What was done to the data.
+
+    Args:
+        names: of the measurements.
+        warm: whether temperatures were recorded.
+    """
+    out = ["slow temperatures are smoothed for the search; a model gets them as they are read"] if warm else []
     if len(names) > 1:
         out.append(f"one result for {len(names)} measurements: {', '.join(names)}")
     return tuple(out)

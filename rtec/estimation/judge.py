@@ -109,6 +109,11 @@ class Judgement:
         """Root mean square of the noise."""
         return floor.pooled(self.readings, np.array([f.value for f in self.floors]), self.scale)
 
+    @cached_property
+    def drift(self) -> float:
+        """Root mean square of the slow drift that no recorded channel explains; no part of the noise floor."""
+        return floor.pooled(self.readings, np.array([f.drift for f in self.floors]), self.scale)
+
     @property
     def floor_from(self) -> str:
         """Where the noise floor comes from."""

@@ -59,8 +59,14 @@ def _before_and_after(a: Added) -> Section:
     table = Table(("model", f"fitted readings, {unit}", f"held-out runs, {unit}"), rows)
     words = [
         f"The mean square on held-out runs {'falls' if fall > 0 else 'rises'} by {percent(abs(fall))}.",
-        "With temperatures smoothed both ways in time, which the loop cannot do, the residual would be "
-        f"{number(a.smoothed)} {unit}.",
+        *(
+            [
+                "With temperatures smoothed both ways in time, which the loop cannot do, the residual would be "
+                f"{number(a.smoothed)} {unit}."
+            ]
+            if any(set(f.effect.channels(a.model.machine)) & set(a.model.machine.sensor_names) for f in a.model.effects)
+            else []
+        ),
         *map(sentence, a.notes),
     ]
     return Section("Before and after", words, table)
@@ -87,8 +93,9 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         first, last = r.steps[0], r.steps[-1]
         unit = UNITS[last.unit]
         before, after = two_numbers(first.before.held_out, last.after.held_out)
+        added = counted(sum(len(s.labels) for s in r.steps), "effect")
         lead = (
-            f"{refit}{counted(len(r.steps), 'effect')} added: the residual on held-out runs fell from {before} to "
+            f"{refit}{added} added: the residual on held-out runs fell from {before} to "
             f"{after} {unit}; the noise floor is {number(last.floor)} {unit}. It ended because {WHY_ENDED[r.reason]}."
         )
     steps = [

@@ -110,7 +110,7 @@ def _nowhere(i: Compared) -> str:
         return "No single place or line stands out, yet it is no noise: it follows the recorded channels."
     if i.drift_goes_with:
         return f"No single place stands out, but most of it {i.drift_goes_with}."
-    return "No place stands out: it is slow drift that no recorded channel explains."
+    return "No place stands out: it is slow drift, and no single recorded channel explains most of it."
 
 
 def _name(item: Compared, c: Comparison) -> str:

@@ -142,6 +142,21 @@ def test_three_runs_of_a_long_wave_come_again() -> None:
     assert "No place stands out" not in said
 
 
+def test_a_wave_that_is_read_on_the_fly_comes_again() -> None:
+    """Oracle: a wave along the axis, once there and once back; no place is read twice within a hundredth of a mm."""
+    m = laser([SCALE], 3)
+    there = np.linspace(1.0, 199.0, 300)
+    x = np.concatenate([there, there[::-1] + 0.3])
+    n, still = len(x), {k: v[0] for k, v in m.channels.items() if k.startswith("T_")}
+    wave = 60.0 * np.sin(2 * np.pi * x / 45.0) + 0.4 * np.sin(np.arange(n) ** 2)
+    m = replace(
+        m, run=np.repeat([1, 2], 300), time_s=np.linspace(0.0, 0.2 * (n - 1), n), readings={"reading_um": wave},
+        channels={"x": x, "d_x": np.repeat([1.0, -1.0], 300), **{k: np.full(n, v) for k, v in still.items()}},
+    )  # fmt: skip
+    page = compare_page(compare(model(), [m]), figures=False)
+    assert "most of it comes again at the same places" in page.lead
+
+
 def test_floor_from_repeats_does_not_depend_on_what_the_model_misses() -> None:
     """Oracle: the same noise, with and without an effect that the model lacks."""
     with_it = compare(model(SCALE), [laser([SCALE, BACKLASH], 6)]).items[0]

@@ -172,7 +172,7 @@ def test_what_could_not_be_checked_has_one_row_an_effect() -> None:
         s for s in diagnosis_page(d, figures=False).sections if s.heading == "Not testable with these readings"
     ]
     assert section.table is not None
-    told = [row[0].split("(")[0] for row in section.table.rows if "hardly changed" in row[1]]
+    told = [row[0].split("(")[0] for row in section.table.rows if "at its usual size" in row[1]]
     assert sorted(told) == sorted({n.effect for n in faint})
     assert "whatever their size" not in " ".join(section.text)
 

@@ -97,21 +97,38 @@ def _explained(s: Series, y: Floats, columns: Floats) -> tuple[float, Floats]:
 
 
 def comes_again(readings: Readings, s: Series, left: Floats) -> float:
-    """Share of the mean square of a residual, (n,), that other runs show at the same places, going the same way."""
+    """Share of the mean square of a residual, (n,), that other runs show at the same places, going the same way.
+
+    Where places hardly come again, as in a record taken on the fly, what the other runs read nearest to each place
+    along the only axis that moves, whichever way.
+    """
     state = readings.states[s.source]
-    keys = [np.round(readings.poses_mm[s.source][s.row] / SAME_MM)]
+    poses = readings.poses_mm[s.source][s.row]
+    keys = [np.round(poses / SAME_MM)]
     keys += [np.sign(state.value(a.direction_channel)[s.row])[:, None] for a in readings.machine.axes]
     place = np.unique(np.concatenate(keys, axis=1), axis=0, return_inverse=True)[1].ravel()
     if len(np.unique(place)) < 2 or s.run[0] == s.run[-1]:
         return 0.0
     y = without_runs(s, left)
     count = np.bincount(place)[place] - 1
-    others = (np.bincount(place, y)[place] - y) / np.maximum(count, 1)
-    again = count > 0
+    again, others = count > 0, (np.bincount(place, y)[place] - y) / np.maximum(count, 1)
     if again.sum() < MOST_OF_IT * len(y):
-        return 0.0
+        moving = np.flatnonzero(np.ptp(poses, axis=0) > SAME_MM)
+        if len(moving) != 1:
+            return 0.0
+        again, others = np.ones(len(y), dtype=bool), _nearest_in_other_runs(poses[:, moving[0]], s, y)
     rest = y[again] - others[again]
     return 1.0 - float(rest @ rest) / max(float(y[again] @ y[again]), 1e-300)
+
+
+def _nearest_in_other_runs(place: Floats, s: Series, y: Floats) -> Floats:
+    """What all other runs together read at each place, between the readings beside it, (n,)."""
+    out = np.empty(len(y))
+    for run in np.unique(s.run):
+        mine = s.run == run
+        order = np.argsort(place[~mine], kind="stable")
+        out[mine] = np.interp(place[mine], place[~mine][order], y[~mine][order])
+    return out
 
 
 def drift_goes_with(readings: Readings, s: Series, left: Floats, smooth: Floats) -> str:

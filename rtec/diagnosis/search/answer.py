@@ -333,7 +333,10 @@ class _Answer:
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
                 *outlier_words(prepared.wrong),
-                *words.notes([m.name for m in readings.measurements]),
+                *words.notes(
+                    [m.name for m in readings.measurements],
+                    any(t in state.channels for state in readings.states for t in readings.machine.sensor_names),
+                ),
             ),
             noise=tuple(
                 n.words(f"{readings.measurements[s.source].name} {s.column}", s.unit)

@@ -100,6 +100,8 @@ def _told(one: Effect, other: Effect) -> tuple[str, str]:
 def _generic(one: Effect, other: Effect) -> str:
     """What separates two effects that the catalogue does not name together: move what drives only one of them."""
     mine, yours = _drivers(one), _drivers(other)
+    if (one.effect, one.component) == (other.effect, other.component) and mine == yours:
+        return ""  # forms of one effect, of more numbers or fewer, are no other cause
     only, others = sorted(mine - yours), sorted(yours - mine)
     if one.component != other.component:
         return (
