@@ -162,7 +162,7 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
             known = np.where(wrong, np.nan, rough)
             off = rough - neighbours(known, rough, linked, reach)
             sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
-            found = _bursts(off, known, sigma, linked, near[0], still, reach, long)
+            found = _bursts(off, known, sigma, linked, near, still, reach, long)
             if not still:
                 found &= ~np.logical_or.reduce([_again(off, p, found) for p in (place, *near)])
             far |= found
@@ -273,7 +273,14 @@ def _sigmas(off: Floats, sigma: float, run: Ints) -> Floats:
 
 
 def _bursts(
-    off: Floats, known: Floats, sigma: Floats, linked: Ints, near: Ints, still: bool, reach: int, long: tuple[int, int]
+    off: Floats,
+    known: Floats,
+    sigma: Floats,
+    linked: Ints,
+    near: Sequence[Ints],
+    still: bool,
+    reach: int,
+    long: tuple[int, int],
 ) -> Bools:
     """Far readings, single or a few in a row, whose neighbours on both sides are not, (n,).
 
@@ -291,11 +298,12 @@ def _bursts(
     # Of one sign and one stretch: 0 where a reading is not far.
     kind = np.where(size > FAR * sigma, np.sign(off), 0.0)
     edge = np.flatnonzero(np.concatenate([[True], (np.diff(kind) != 0) | (np.diff(linked) != 0), [True]]))
-    visits, stretch = np.bincount(near), np.bincount(linked)
+    visits, stretch = [np.bincount(p)[p] for p in near], np.bincount(linked)
     for a, b in itertools.pairwise(edge.tolist()):
         if not kind[a] or not long[0] <= b - a <= long[1] or stretch[linked[a]] < 3 * (b - a):
             continue
-        if b - a > 1 and not still and (visits[near[a:b]] - _own(near[a:b])).min() < VISITS:
+        others = [v[a:b] - _own(p[a:b]) for v, p in zip(visits, near, strict=True)] if b - a > 1 and not still else []
+        if others and np.max(others, axis=0).min() < VISITS:
             continue
         before, after = known[max(a - reach, 0) : a], known[b : b + reach]
         sides = before[linked[max(a - reach, 0) : a] == linked[a]], after[linked[b : b + reach] == linked[a]]

@@ -68,21 +68,27 @@ def test_a_burst_where_other_visits_show_nothing_is_wrong() -> None:
     assert not found(spoilt(m, again, [9.0] * len(again)))
 
 
+def with_places_of_their_own(seed: int) -> Measurement:
+    """Sixteen runs there and back past 26 targets each way, of which none comes twice."""
+    rng = np.random.default_rng(seed)
+    there = (np.arange(26) + rng.uniform(0.02, 0.98, (16, 26))) * 23.0
+    back = (np.arange(26) + rng.uniform(0.02, 0.98, (16, 26)))[:, ::-1] * 23.0
+    x, way = np.concatenate([there, back], axis=1).ravel(), np.tile(np.repeat([1.0, -1.0], 26), 16)
+    curve = 4.0 * np.sin(x / 150.0) + 0.5 * rng.standard_normal(len(x))
+    return replace(
+        measurement(runs([52] * 16)), channels={"x": x, "d_x": way}, readings={"reading_um": curve},
+        instrument=Probe(ProbeSetup(zero="setup"), component="EXX"),
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_bursts_at_places_of_their_own_are_wrong_where_other_runs_pass_nearby(seed: int) -> None:
     """Oracle: what was added. No target comes twice; two to five in a row are far off in one run of sixteen.
 
     A hump of some targets that all runs see is the machine, and kept.
     """
-    rng = np.random.default_rng(seed)
-    there = (np.arange(26) + rng.uniform(0.02, 0.98, (16, 26))) * 23.0
-    back = (np.arange(26) + rng.uniform(0.02, 0.98, (16, 26)))[:, ::-1] * 23.0
-    x, way = np.concatenate([there, back], axis=1).ravel(), np.tile(np.repeat([1.0, -1.0], 26), 16)
-    curve = 4.0 * np.sin(x / 150.0) + 0.5 * rng.standard_normal(len(x))
-    m = replace(
-        measurement(runs([52] * 16)), channels={"x": x, "d_x": way}, readings={"reading_um": curve},
-        instrument=Probe(ProbeSetup(zero="setup"), component="EXX"),
-    )  # fmt: skip
+    m = with_places_of_their_own(seed)
+    x = m.channels["x"]
     assert not found(m)
     rows = [60, 61, 200, 201, 202, 203, 204, 412, 413, 414, 415]
     assert found(spoilt(m, rows, [15.0] * 11)) == rows
@@ -143,6 +149,13 @@ def test_ends_that_are_off_in_every_pass_are_the_machine(where: str, off_mm: flo
     )  # fmt: skip
     assert not found(spoilt(m, rows, by))
     assert found(spoilt(m, [20], [8.0])) == [20]
+
+
+@pytest.mark.parametrize("run", range(16))
+def test_a_burst_around_the_end_of_the_travel_is_wrong(run: int) -> None:
+    """Oracle: what was added. Two readings before the reversal and three behind it, at places of their own."""
+    rows = (52 * run + np.arange(24, 29)).tolist()
+    assert found(spoilt(with_places_of_their_own(1), rows, [45.0] * 5)) == rows
 
 
 def test_a_burst_across_a_reversal_is_wrong() -> None:
