@@ -88,6 +88,8 @@ def _name(effect: Effect) -> Right:
 
 def _doubts(found: Diagnosis) -> frozenset[str]:
     kinds: set[str] = {d.kind for d in found.doubts}
+    if found.unknown is not None and found.unknown.aliases_mm:
+        kinds.add("alias")
     if found.findings and any("targets stand every" in a.why for a in found.findings[0].confused_with):
         kinds.add("alias")
     return frozenset(kinds)

@@ -150,6 +150,8 @@ class Unknown:
         r2: share of the residual's variance that it explains on runs left out.
         where: where along its channels it is, in words; empty where there is nothing to say.
         with_time: the channel rises with time in this record, so that a drift would look alike.
+        step_mm: of equal steps between the targets; None where they are not equal, or it is no wave along an axis.
+        aliases_mm: other periods that targets at these steps show alike.
         expression, parameters, feeds: the nearest simple expression for `rtec add`, as `--expr`, `--param` and
             `--component` take them; empty where there is none.
     """
@@ -165,6 +167,8 @@ class Unknown:
     parameters: tuple[str, ...] = ()
     feeds: str = ""
     with_time: bool = False
+    step_mm: float | None = None
+    aliases_mm: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -371,4 +375,6 @@ def _unknown(u: Unknown | None) -> dict[str, Any] | None:
         "parameters": list(u.parameters),
         "feeds": u.feeds,
         "with_time": u.with_time,
+        "step_mm": u.step_mm,
+        "aliases_mm": list(u.aliases_mm),
     }

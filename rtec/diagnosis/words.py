@@ -115,8 +115,11 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
     if d.verdict == "unknown_effect" and d.unknown is not None:
         where = " and ".join(map(named, d.unknown.channels))
         period = d.unknown.period
-        how = f"with a period of {significant(period.value, 4)} {spoken(period.unit)}" if period else "smoothly"
+        periods = " or ".join(significant(p, 4) for p in (period.value, *d.unknown.aliases_mm)) if period else ""
+        how = f"with a period of {periods} {spoken(period.unit)}" if period else "smoothly"
         at = f", {d.unknown.where}" if d.unknown.where else ""
+        if d.unknown.step_mm is not None:
+            at += f"; targets every {d.unknown.step_mm:.4g} mm show these periods alike, unequal steps do not"
         near = "; it rises with time in this record, so a drift would look alike" if d.unknown.with_time else ""
         if d.findings and d.adequacy is not None:
             share = percent(max(d.adequacy, 0.0))

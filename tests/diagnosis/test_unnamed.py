@@ -22,6 +22,21 @@ def test_a_place_along_an_axis_is_no_catalogue_effect_of_many_numbers(what: str,
     assert not d.together
 
 
+def test_a_wave_without_a_name_is_said_with_all_periods_that_equal_steps_show_alike() -> None:
+    """Oracles: a cosine at the targets, which is the same for each period; the hidden one is 0.86 to 0.96 steps."""
+    trial = build("aliases", "alias", 31000)
+    d = diagnose(model_of(trial), measurements_of(trial), draws=50)
+    assert d.unknown is not None
+    assert d.unknown.period is not None
+    assert d.unknown.step_mm == pytest.approx(25.0)
+    targets = 25.0 * np.arange(24)
+    waves = [np.cos(2.0 * np.pi * targets / p) for p in (d.unknown.period.value, *d.unknown.aliases_mm)]
+    assert len(waves) == 3
+    assert np.allclose(waves[1:], waves[0])
+    assert any(0.86 * 25.0 < p < 0.96 * 25.0 for p in d.unknown.aliases_mm)
+    assert "targets every 25 mm show these periods alike" in d.sentence
+
+
 def test_a_curve_of_the_whole_travel_is_still_named() -> None:
     """Ten knots put in by hand: no hump and no step says them with fewer numbers."""
     truth = [

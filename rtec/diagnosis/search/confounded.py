@@ -183,6 +183,8 @@ PER_WAVE = 2.0
 """Steps in a period from which on it is not folded."""
 ORDERS = (1, 2)
 """Multiples of the steps' own frequency whose aliases are told."""
+ALIASES = 2
+"""So many of them, the longest, beside a curve and beside a wave without a name."""
 RESOLVED_MM = 1e-3
 
 
@@ -193,15 +195,14 @@ def period_mm(effect: Effect, theta: Mapping[str, float]) -> float | None:
     return next((theta[name] for name in PERIODS if name in theta), getattr(effect, "lambda_mm", None))
 
 
-def step_mm(readings: Readings, channel: str, component: str) -> float | None:
+def step_mm(readings: Readings, channel: str, seen: NDArray[np.bool_]) -> float | None:
     """The step between targets along an axis where all are equal; None where they are not, or are few.
 
     Args:
         readings: the readings.
         channel: position channel of the axis.
-        component: whose readings count.
+        seen: which readings count, (m,).
     """
-    seen = readings.arms(component) != 0.0
     places = np.unique(np.round(readings.channel(channel)[seen] / RESOLVED_MM) * RESOLVED_MM)
     if len(places) < LEAST_TARGETS:
         return None
@@ -315,7 +316,7 @@ def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats
     axis = next((a for a in readings.machine.axes if a.name == getattr(effect, "axis", None)), None)
     if axis is None or effect.effect not in CURVES:
         return None
-    step = step_mm(readings, axis.channel, effect.component)
+    step = step_mm(readings, axis.channel, readings.arms(effect.component) != 0.0)
     if step is None:
         return None
     along = _Along(readings, base, effect.component, axis.channel)
@@ -324,7 +325,7 @@ def curve_or_wave(readings: Readings, base: Floats, effect: Effect, part: Floats
     best, period = max(cosines), 1.0 / float(tried[int(np.argmax(cosines))])
     if best < WAVE:
         return None
-    others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:2])
+    others = ", ".join(f"{p:.4g}" for p in aliases_mm(period, step)[:ALIASES])
     why = f"targets stand every {step:.4g} mm, and there a wave of {others} mm draws the same curve (cosine {best:.2f})"
     test = f"unequal steps along {axis.name}, or a few targets between two of these"
     return Alike("cyclic_pole", effect.component, why, test, label=f"a wave near the step ({effect.component})")
@@ -344,7 +345,7 @@ def fold(readings: Readings, base: Floats, effect: Effect, theta: Mapping[str, f
     if period is None or axis is None or not theta:
         return None
     channel = next(a.channel for a in readings.machine.axes if a.name == axis)
-    step, nominal = step_mm(readings, channel, effect.component), False
+    step, nominal = step_mm(readings, channel, readings.arms(effect.component) != 0.0), False
     if step is None:
         step, nominal = nominal_step_mm(readings, channel, effect.component), True
     if step is None:

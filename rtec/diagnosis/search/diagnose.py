@@ -17,11 +17,12 @@ from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, doubts
 from rtec.diagnosis.heat import own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
-from rtec.diagnosis.search.confounded import PERIODS, WITHIN
+from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen
+from rtec.diagnosis.search.shapes import groups
 from rtec.diagnosis.search.unnamed import Shaped, adequacy, best_shapes, without_idle
 from rtec.diagnosis.usable import check_enough
 from rtec.effects import Effect
@@ -363,9 +364,15 @@ class _Search:
         by_time = "time_s" in top.shape.variables
         top = without_idle(top, self._tops, self.readings, self.prepared.base, self.refits.fit, self.refits.left_out)
         self._top_shape, shape = top, top.shape
-        period = None
+        period, step = None, None
         if shape.period is not None:
             period = Number(shape.period, None, words.unit_of_channel(shape.variables[0]))
+            if shape.variables[0] in [a.channel for a in self.model.machine.axes]:
+                step = step_mm(self.readings, shape.variables[0], groups(self.readings)[shape.group])
+        others = aliases_mm(shape.period, step)[:ALIASES] if shape.period and step else ()
         chance = math.exp(-min(top.log_evidence, 50.0))
         by_time &= "time_s" not in top.shape.variables and top.shape.variables[0] in self.model.machine.sensor_names
-        return Unknown(shape.group, shape.variables, shape.kind, period, chance, top.drop, with_time=by_time)
+        return Unknown(
+            shape.group, shape.variables, shape.kind, period, chance, top.drop,
+            with_time=by_time, step_mm=step, aliases_mm=others,
+        )  # fmt: skip
