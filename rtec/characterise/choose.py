@@ -42,14 +42,12 @@ def find_rivals(table: "HeldOutTable", chosen: Sequence[int]) -> list[UndecidedT
             continue
         rest = [j for j in chosen if j != i]
         best: dict[tuple[str, ...], UndecidedTerm] = {}
+        copies = table.copies.get(i, [])
         tried = [k for k in table.shortlist(rest, TRIED, rivals=True) if _may_stand_for(table.candidates[k], mine)]
-        errors = [here, *np.sqrt(table.held_out_beside(rest, tried)).tolist()]
-        # What makes the very readings of one of them does as well.
-        alike = [(k, there) for one, there in zip([i, *tried], errors, strict=True) for k in table.same_as(one)]
-        for k, there in alike:
+        others = [*(k for k in copies if _may_stand_for(table.candidates[k], mine)), *tried]
+        errors = [here] * (len(others) - len(tried)) + np.sqrt(table.held_out_beside(rest, tried)).tolist()
+        for k, there in zip(others, errors, strict=True):
             other = table.candidates[k]
-            if not _may_stand_for(other, mine):
-                continue
             which = (other.component, other.effect) if other.component != mine.component else other.channels
             if there > here * (1 + NEAR) or (which in best and best[which].held_out <= there):
                 continue
@@ -184,10 +182,6 @@ class HeldOutTable:
         speeds = {self._of_speed(i) for i in chosen} - {None}
         return [i for i in room if self._of_speed(i) not in speeds][:most]
 
-    def same_as(self, i: int) -> list[int]:
-        """A candidate, and those whose columns are its."""
-        return [i, *self.copies.get(i, [])]
-
     def confounded(self, chosen: Sequence[int]) -> list[tuple[int, int, float]]:
         """Plain effects that were not chosen and that make the same readings as what was.
 
@@ -291,10 +285,6 @@ PATIENCE = 2
 SIMPLER = 0.005
 """Of candidates whose left-out errors differ by less than this share, the simplest is taken."""
 SWAPS = 3
-ODD = ("cross", "region")
-"""Kinds of what simple guides do not do: not kept where plain effects do as well."""
-LEADS = 4
-"""Of two plain effects that may take the place of odd ones, the one is among so many that explain most."""
 KINDS = (
     "position",
     "direction",
@@ -356,7 +346,6 @@ def choose(
             break
         best = min((table.errors(c) for c in (better, _best(table, path))), key=np.sum)
         chosen = _joined(table, _drop(table, better, forced, best), forced)
-    chosen = _plainer(table, chosen, forced)
     held_out = float(np.sqrt(table.held_out(chosen)))
     rivals, same = find_rivals(table, chosen), table.confounded(chosen)
     return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
@@ -461,36 +450,20 @@ def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[
         pick = _simplest(table, tried, errors)
         there = errors[tried.index(pick)]
         better = errors.min() < here * (1 - PAYS) and there < here
-        if better or (_simpler_shape(table, pick, i) and there <= here * (1 + SIMPLER)):
+        if better or (_simpler_shape(table, pick, i) and there <= here * _room_for_simpler(table, pick, i)):
             now, changed = [*rest, pick], True
     return now if changed else None
 
 
 def _simpler_shape(table: HeldOutTable, i: int, k: int) -> bool:
     """Whether a candidate is a simpler shape than the regions or cross-talk that another one is."""
-    plain = not table.candidates[i].feature and table.candidates[k].kind in ODD
+    plain = not table.candidates[i].feature and table.candidates[k].kind in ("cross", "region")
     return plain and _complexity(table, i) < _complexity(table, k)
 
 
-def _plainer(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
-    """The choice with regions or cross-talk and one more term replaced by two plain effects, where that is as good.
-
-    Cross-talk with a yaw, say, may be chosen for a squareness with a scale; no exchange of single terms leads back.
-    """
-    plain = {k for k, c in enumerate(table.candidates) if table.usable[k] and _plain(c)}
-    for i in (i for i in chosen if table.candidates[i].kind in ODD and i not in forced):
-        as_good = table.held_out(chosen) * (1 + SIMPLER)
-        best = None
-        for j in (j for j in chosen if j != i and j not in forced):
-            rest = [k for k in chosen if k not in (i, j)]
-            ahead = [k for k in table.shortlist(rest, TRIED) if k in plain]
-            for first in ahead[:LEADS]:
-                others = [k for k in ahead if k != first]
-                errors = table.held_out_beside([*rest, first], others)
-                if others and errors.min() <= as_good:
-                    as_good, best = float(errors.min()), [*rest, first, others[int(np.argmin(errors))]]
-        chosen = best or chosen
-    return chosen
+def _room_for_simpler(table: HeldOutTable, i: int, k: int) -> float:
+    """By which factor the left-out error may rise for a simpler shape: not at all where it is in another component."""
+    return 1 + SIMPLER * (table.candidates[i].component == table.candidates[k].component)
 
 
 def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:

@@ -21,7 +21,7 @@ from rtec.estimation.visible import axis_of, moves
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Instrument
 from rtec.metrology.procedures.iso230_2 import hidden_period
-from rtec.wording import significant
+from rtec.wording import counted, significant
 
 Floats = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ FEW_BLOCKS = 8
 LITTLE_INFORMATION = 0.05
 OPPOSITE = 0.5
 RIVALS = 6
-"""Of so many effects that do as well it is said how well; of the others the names."""
+"""So many effects that do as well are named."""
 
 
 def all_warnings(
@@ -211,7 +211,7 @@ def _undecided(rivals: Sequence[UndecidedTerm]) -> list[Warn]:
             if r.instead_of == mine:
                 kinds.setdefault(r.candidate.split(" of ")[0], []).append(r)
         said = "; ".join(_as_well(alike) for alike in list(kinds.values())[:RIVALS])
-        more = f"; and {', '.join(list(kinds)[RIVALS:])}" if len(kinds) > RIVALS else ""
+        more = f"; and {counted(len(kinds) - RIVALS, 'more effect')}" if len(kinds) > RIVALS else ""
         component = next(r.component for r in rivals if r.instead_of == mine)
         out.append(
             Warn(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.characterise.candidates import TermCandidate
-from rtec.characterise.choose import HeldOutTable, TermChoice, choose, one_standard_error
+from rtec.characterise.choose import HeldOutTable, choose, one_standard_error
 from rtec.characterise.grouping import tidied
 from rtec.diagnosis.extend.add import add
 from rtec.errors import MeasurementError, ModelError
@@ -108,32 +108,16 @@ def test_a_simpler_shape_that_does_as_well_takes_the_place_of_one_that_was_chose
     """Oracle: what made the readings: a scale and a backlash; alone a cross-talk like both does better."""
     rng = np.random.default_rng(3)
     scale, backlash = rng.normal(size=(2, 8, 40))
-    found = chosen_of({"scale": scale, "cross_talk": scale + 0.5 * backlash, "backlash": backlash}, rng)
+    y = 2.0 * scale + 1.5 * backlash + 0.3 * rng.normal(size=(8, 40))
+    columns = np.stack([scale, scale + 0.5 * backlash, backlash, y], axis=2)
+    gram, fold = columns.transpose(0, 2, 1) @ columns, np.arange(8)
+    square = np.einsum("fij,fij->j", columns, columns)
+    normal = Normal(gram, fold, fold, np.full(8, 40), np.zeros(8), owner=np.arange(3), raw=square)
+    kinds = {"scale": "position", "cross_talk": "cross", "backlash": "direction"}
+    terms = {n: Term(effect(n, "EXX", axis="X", **({"other": "Y"} if n == "cross_talk" else {})), {}) for n in kinds}
+    found = choose(normal, [TermCandidate(terms[n], kind) for n, kind in kinds.items()])
     assert found.steps[1].label == "cross_talk(EXX)", "else this shows nothing"
     assert found.chosen == (0, 2)
-
-
-def test_two_plain_effects_take_the_place_of_cross_talk_and_one_more() -> None:
-    """Oracle: what made the readings; cross-talk less a cubic is the same; no exchange of one leads back."""
-    rng = np.random.default_rng(5)
-    scale, backlash, cubic = rng.normal(size=(3, 8, 40))
-    cross = 2.0 * scale + 1.5 * backlash + cubic
-    found = chosen_of({"scale": scale, "cross_talk": cross, "backlash": backlash, "polynomial_position": cubic}, rng)
-    assert [s.label for s in found.steps[1:3]] == ["cross_talk(EXX)", "polynomial_position(EXX) degree 3"]
-    assert found.chosen == (0, 2)
-
-
-def chosen_of(columns: dict[str, Floats], rng: np.random.Generator) -> TermChoice:
-    """A choice among effects with such columns, (8 folds, 40); the readings are a scale, a backlash and noise."""
-    y = 2.0 * columns["scale"] + 1.5 * columns["backlash"] + 0.3 * rng.normal(size=(8, 40))
-    whole = np.stack([*columns.values(), y], axis=2)
-    fold, square = np.arange(8), np.einsum("fij,fij->j", whole, whole)
-    few: dict[str, Any] = {"readings": np.full(8, 40), "lost": np.zeros(8), "owner": np.arange(len(columns))}
-    normal = Normal(whole.transpose(0, 2, 1) @ whole, fold, fold, raw=square, **few)
-    kinds = {"cross_talk": "cross", "backlash": "direction"}
-    more: dict[str, dict[str, Any]] = {"cross_talk": {"other": "Y"}, "polynomial_position": {"degrees": (3,)}}
-    terms = {n: Term(effect(n, "EXX", axis="X", **more.get(n, {})), {}) for n in columns}
-    return choose(normal, [TermCandidate(terms[n], kinds.get(n, "position")) for n in columns])
 
 
 def test_drift_of_minutes_is_no_temperature() -> None:
