@@ -1,6 +1,7 @@
 """What all tests share: hypothesis without a clock and with a fixed seed; a short folder for sockets; who runs what."""
 
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -28,6 +29,14 @@ def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def pytest_xdist_auto_num_workers() -> int:
     """One worker a core, and one for the tests on the real clock, which wait for most of their time."""
     return len(os.sched_getaffinity(0)) + 1
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Strip the names of groups from what failed, which a run without workers does not know."""
+    if session.config.getoption("dist", "no") == "loadgroup" and session.config.cache is not None:
+        failed = session.config.cache.get("cache/lastfailed", {})
+        session.config.cache.set("cache/lastfailed", {re.sub(r"@[^@\]]+$", "", test): True for test in failed})
 
 
 @pytest.hookimpl(tryfirst=True)

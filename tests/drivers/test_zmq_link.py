@@ -142,16 +142,15 @@ def test_another_start_holds_until_ordered(tmp_path: Path) -> None:
             cell.boot, cell.output, cell._seq = "b2", {"X": 0, "Z": 0}, 0
         told(link, counts_of, "restarted; the correction holds until it is ordered to resume")
         assert "restarted" in link.must_resume
-        sent = len(cell.commands)
         with pytest.raises(DriverFault, match="ordered to resume"):
-            link.apply(np.array([12, 0]))
+            link.apply(np.array([30, 0]))
         degc, times = np.full(8, np.nan), np.zeros(8, np.int64)
         link.read_temperatures(degc, times)
         link.resume()
         assert soon(CLOCK, lambda: counts_of(link)) == [1000, -2000]
         told(link, lambda it: it.apply(np.array([40, 0])), "must take over its output first")
-        assert len(cell.commands) == sent
         assert soon(CLOCK, lambda: command(link, 3, 1))
+        assert {c["output"]["X"] for c in cell.commands} == {12, 3}, "what was refused was not sent"
 
 
 def test_garbage_is_told_and_passes(tmp_path: Path) -> None:
