@@ -80,6 +80,8 @@ def fitted_model(
 ) -> Model:
     """Fit as `characterise` does, for predictions only: it judges nothing, which takes longer than the fit.
 
+    Files that contradict the others are left out without a word.
+
     Raises:
         MeasurementError, ModelError: as `characterise` does.
     """
@@ -89,7 +91,7 @@ def fitted_model(
 
 
 def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
-    """The readings without wrong ones and without files that contradict the others, and what is said of these."""
+    """Leave out wrong readings, and files that contradict the others; warn of such files."""
     _check(measurements)
     given = clean(measurements, leave_out_h=leave_out_h)
     found = contradiction(Judgement(Model(measurements[0].machine), given))

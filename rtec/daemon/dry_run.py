@@ -61,7 +61,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
                 break
             clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
         if not sample.counts_time_ns[0]:
-            ports.counts.read_counts(sample.counts[0])  # without any position nothing can be said: its error is
+            ports.counts.read_counts(sample.counts[0])  # no counts, no position: the device's own error
     flags = flags & ~int(STALE) | stale  # what was fresh at one look is alive
     return {
         "inputs": input_rows(setup, sample),

@@ -35,14 +35,14 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
 )
 """Doubts beside which no effect of the machine is named."""
 DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature"}
-"""Doubts beside which nothing can be said to be missing, nor not."""
+"""Doubts beside which it stays open whether an effect is missing."""
 
 TOGETHER = 0.98
 """Correlation of position and time from which on they are one."""
 MOVES = 0.05
 """Share of the travel from which on an axis moves."""
 FEWEST = 5
-"""Readings below which nothing can be said of an order."""
+"""Fewest readings that show whether position and time rise together."""
 BETTER = 0.5
 """An edit of the record is proposed where it leaves less than this share of the residual,"""
 NEAR_FLOOR, ABOVE = 1.25, 1.5

@@ -12,7 +12,7 @@ from rtec.model import FittedEffect
 from rtec.wording import number, percent, significant
 
 ABOVE = 1.5
-"""A residual of more than so many times the noise floor is not called noise without a word on the drift."""
+"""Of a residual above so many noise floors it is said how much is slow drift."""
 WORDS = {
     "um": "µm", "urad": "µrad", "degc": "K", "degC": "°C", "deg": "°", "krpm": "(1000/min)", "kn": "kN",
     "100kg": "(100 kg)", "1": "", "krpm2": "(1000/min)²", "krpm_to_p": "(1000/min)^p", "s2": "s²", "m2": "m²",

@@ -33,7 +33,7 @@ def test_one_test_shows_squareness_and_servo_mismatch_as_one() -> None:
     """Oracle: a lag τ at feed v is τ v cos θ of an axis, so τ v sin θ cos θ of the bar; an angle α is α r of that."""
     found = characterise(recordings(LATE, [Bar(0.0, 150.0, "cw", 1000.0)]))
     angle = next(c for c in found.coefficients if c.effect.startswith("squareness"))
-    assert abs(angle.value + 80.0) > 50.0, "else there is nothing to be said"
+    assert abs(angle.value + 80.0) > 50.0, "else the fit has separated them"
     assert any("squareness(EC0Y) + 111 · servo_lag(EYY, Y) - 111 · servo_lag(EXX, X)" in text for text in said(found))
     assert pytest.approx(111.1, abs=0.1) == 1000.0 / 60.0 / 0.150
 
@@ -71,7 +71,7 @@ def test_a_common_lag_is_in_the_errors_of_servo_gains() -> None:
     found = {c.effect: c for c in characterise(measured(late, bars, 0.1, 1)).coefficients}
     for name, sign in (("inertia(EXX, X)", -0.5), ("inertia(EYY, Y)", 0.5)):
         gain, true = found[name], 0.5 * (lag + sign * lead) ** 2
-        assert gain.value - true == pytest.approx(2 * sign * lag * lead, rel=0.15), "else there is nothing to be said"
+        assert gain.value - true == pytest.approx(2 * sign * lag * lead, rel=0.15), "else no error need hold it"
         assert gain.se == pytest.approx(lag * lead, rel=0.1)
     assert found["servo_lag(EXX, X)"].se < 0.01  # type: ignore[operator]
 
