@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.model import FittedEffect
-from rtec.wording import number, percent, significant
+from rtec.wording import NONE, number, percent, significant, with_error
 
 ABOVE = 1.5
 """Of a residual above so many noise floors it is said how much is slow drift."""
@@ -48,6 +48,18 @@ def spoken(unit: str) -> str:
     return f"{top or '1'}/{parts[0]}" if len(parts) == 1 else f"{top or '1'}/({'·'.join(parts)})"
 
 
+def fitted_numbers(f: Finding) -> str:
+    """The first fitted numbers of a candidate with their standard errors and units; without a value where open."""
+    parts = []
+    for name, n in f.parameters.items():
+        if n.se is None:  # not determined by these data
+            parts.append(f"{name} {NONE}")
+            continue
+        value, se = with_error(n.value, n.se)
+        parts.append(f"{name} {value}{'' if se == NONE else f' ± {se}'} {spoken(n.unit)}".strip())
+    return "; ".join(parts[:MOST_NUMBERS]) + (" …" if len(parts) > MOST_NUMBERS else "")
+
+
 def titled(channel: str, unit: str = "") -> str:
     """A channel as the title of an axis of a figure: `x` is "X, mm", `s_y` "distance since Y turned round, mm".
 
@@ -71,6 +83,7 @@ def named(channel: str) -> str:
 
 
 TOGETHER = "to be added together with rank 1"
+MOST_NUMBERS = 4
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 
 

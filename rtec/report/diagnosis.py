@@ -10,14 +10,14 @@ from shlex import quote
 from rtec.diagnosis.doubts import BLAMES_NO_EFFECT
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
-from rtec.diagnosis.words import UNITS, hardly, labels, sentence, spoken
+from rtec.diagnosis.words import MOST_NUMBERS, UNITS, fitted_numbers, hardly, labels, sentence
 from rtec.effects import Effect
 from rtec.report.evidence import evidence
 from rtec.report.page import Figure, Page, Section, Table, typed
 from rtec.version import __version__
-from rtec.wording import NONE, counted, number, percent, probability, with_error
+from rtec.wording import NONE, counted, number, percent, probability
 
-SHOWN, WHERE, MOST_NUMBERS, BRIEF = 8, 5, 4, 3
+SHOWN, WHERE, BRIEF = 8, 5, 3
 BETTER = 0.005
 """Share of the mean square; falls of less are none."""
 
@@ -175,7 +175,7 @@ def _candidates(d: Diagnosis) -> Table:
         [
             f"{f.rank}",
             label,
-            _numbers(f),
+            fitted_numbers(f),
             number(f.size_um),
             percent(f.heldout_drop) if f.heldout_drop >= BETTER else "does not fall",
             probability(f.confidence),
@@ -209,17 +209,6 @@ def _short(d: Diagnosis, f: Finding) -> str:
     if f.rank == 1 and f.accepted:
         return f"probability {probability(f.confidence)}"
     return (f.why_not or _doubt(d, f)).removesuffix(" than rank 1").removesuffix(" from these data")
-
-
-def _numbers(f: Finding) -> str:
-    parts = []
-    for name, n in f.parameters.items():
-        if n.se is None:  # not determined by these data
-            parts.append(f"{name} {NONE}")
-            continue
-        value, se = with_error(n.value, n.se)
-        parts.append(f"{name} {value}{'' if se == NONE else f' ± {se}'} {spoken(n.unit)}".strip())
-    return "; ".join(parts[:MOST_NUMBERS]) + (" …" if len(parts) > MOST_NUMBERS else "")
 
 
 def _confused(d: Diagnosis) -> list[Section]:

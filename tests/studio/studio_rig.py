@@ -93,12 +93,13 @@ def chromium() -> Iterator["Browser"]:
 
 @dataclass
 class Watched:
-    """A tab, what it asked for and complained of, the commands that its pages showed, and how far they jumped."""
+    """A tab, what it asked for and complained of, commands and words that its pages showed, and how far they jumped."""
 
     page: "Page"
     requests: list[str] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     commands: list[str] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
     jumped: float = 0.0
 
 

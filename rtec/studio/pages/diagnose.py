@@ -7,7 +7,7 @@ import numpy as np
 from nicegui import ui
 
 from rtec.diagnosis.result import Diagnosis, Finding, Verdict
-from rtec.diagnosis.words import UNITS, labels
+from rtec.diagnosis.words import UNITS, fitted_numbers, labels
 from rtec.effects import Effect
 from rtec.studio import actions, figures
 from rtec.studio.chart import Chart
@@ -140,6 +140,7 @@ def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
             with ui.element("div"):
                 fall = percent(f.heldout_drop) if f.heldout_drop > 0.005 else "does not fall"
                 Words("p", f"Size: {number(f.size_um)} {unit}")
+                Words("p", f"Fitted: {fitted_numbers(f)}")
                 Words("p", f"Held-out error: {'falls by ' if f.heldout_drop > 0.005 else ''}{fall}")
                 Words("p", f"Odds: {odds(f.confidence)}, probability {probability(f.confidence)}")
         if f.why_not:

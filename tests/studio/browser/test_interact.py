@@ -245,7 +245,7 @@ def test_explore_moves_vector_and_bars_as_the_model_says(page: "Page", better: "
     page.get_by_label("direction of X").get_by_role("button", name="−").click()
     says(model, at | {"dir_X": -1.0})
     play = next(f for f in model.effects if "backlash" in f.label)
-    page.get_by_label(play.label).click()
+    page.get_by_label(f"Backlash, reversal value: {play.label}").click()
     says(replace(model, effects=tuple(f for f in model.effects if f is not play)), at | {"dir_X": -1.0})
 
 

@@ -4,6 +4,7 @@ Oracles: the command line's own files, byte for byte; the hidden effect that the
 of its requests.
 """
 
+import re
 import shlex
 import shutil
 import tomllib
@@ -80,6 +81,7 @@ def story(browser: "Browser", studio: RunningStudio, tables: list[Path]) -> Watc
     page.get_by_role("button", name="Diagnose: which effect is missing?").click()
     page.get_by_role("button", name="Find the missing effect").click()
     page.get_by_role("button", name="Test again").wait_for()
+    watched.told.append(page.get_by_text("Fitted: B ").first.inner_text())
     page.get_by_role("button", name="Add", exact=True).first.click()
     page.get_by_text("The error falling").wait_for()
     page.get_by_label("File for the model").fill("better.toml")
@@ -109,6 +111,8 @@ def test_the_hidden_effect_is_in_the_saved_model(story: Watched, studio: Running
     model = tomllib.loads((studio.folder / "better.toml").read_text(encoding="utf-8"))
     play = next(e for e in model["effect"] if e["effect"] == "backlash")
     assert abs(play["coefficient"]["B"]["value"] - 4.0) < 0.3
+    value, error = map(float, re.findall(r"\d+\.\d+", story.told[0]))
+    assert abs(value - 4.0) < max(3.0 * error, 0.3)
     last = model["history"][-1]
     assert last["rms_after"] < 0.5 * last["rms_before"]
     assert story.page.locator("h1").inner_text() == "Add and watch"
@@ -185,7 +189,7 @@ def test_the_machine_and_the_part_of_the_model_are_shown(story: Watched) -> None
     page.get_by_text("A turned cylinder of 200 mm would measure 200.").wait_for()
     before = headline.inner_text()
     changed = "before => !document.body.innerText.includes(before)"
-    page.get_by_label("backlash(EXX, X)").click()
+    page.get_by_label("Backlash, reversal value: backlash(EXX, X)").click()
     page.wait_for_function(changed, arg=before)
     before = headline.inner_text()
     field = page.get_by_label("X, mm, number")
