@@ -5,8 +5,11 @@ They mean something on a quiet computer only.
 
 import os
 import re
+import socket
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -43,6 +46,21 @@ CLICK = """(() => {
   look();
 })()"""
 """Clicks the link to a page as soon as it is there, and waits until that page's heading is drawn."""
+BARE = """
+import sys
+from nicegui import ui
+
+@ui.page("/")
+def page():
+    with ui.element("h1"):
+        heading = ui.label("Bare")
+    with ui.element("nav").classes("side"):
+        with ui.element("a").props('href="/live"').on("click.prevent", lambda: heading.set_text("Live")):
+            ui.label("Live")
+
+ui.run(host="127.0.0.1", port=int(sys.argv[1]), show=False, reload=False)
+"""
+"""NiceGUI's own start with the least page that the same click can be tried on."""
 BEATS = """() => {
   window.beats_ms = []; window.beating = true;
   const beat = async () => { while (window.beating) { const began = performance.now();
@@ -77,23 +95,49 @@ def memory_mb(pid: int) -> float:
 
 def start(browser: "Browser", folder: Path) -> None:
     """From starting the process until a control that is clicked reacts and that is drawn; then the same of a page of a
-    server that is up.
+    server that is up; both beside NiceGUI with one heading and one link, in turn.
 
     The browser is open already, as a user's is, with an empty tab that has loaded nothing before. The page itself
     clicks, in the first frame that has the control: Playwright would look for it every half second only. Of each time
     the least of several starts is shown: others use this computer too.
     """
     names = ("address", "answer begun", "page shown", "a control reacts")
-    cold, warm = [], []
+    times: dict[tuple[str, str], list[list[float]]] = {}
     for _ in range(STARTS):
-        began = RealClock().now_ns()
-        with running_studio(folder) as studio:
-            cold.append([since_s(began), *reacted(browser, studio.address, began)])
-            warm += [reacted(browser, studio.address, RealClock().now_ns()) for _ in range(2)]
-    for what, times, named in (("start of the process", cold, names), ("page of a server that is up", warm, names[1:])):
-        least = np.min(times, axis=0)
-        said = ", ".join(f"{name} {s:.2f} s" for name, s in zip(named, least, strict=True))
-        say(f"{what}, least of {len(times)}: {said}; the last one's median {np.median(times, axis=0)[-1]:.2f} s")
+        for what, serving in (("rtec studio", running_studio), ("bare NiceGUI", bare)):
+            began = RealClock().now_ns()
+            with serving(folder) as studio:
+                cold = [since_s(began), *reacted(browser, studio.address, began)]
+                times.setdefault((what, "start of the process"), []).append(cold)
+                for _ in range(2):
+                    warm = [0.0, *reacted(browser, studio.address, RealClock().now_ns())]
+                    times.setdefault((what, "page of a server that is up"), []).append(warm)
+    for (what, part), each in times.items():
+        least, median = np.min(each, axis=0), np.median(each, axis=0)
+        said = ", ".join(f"{name} {s:.2f} s" for name, s in zip(names, least, strict=True) if s)
+        ratio = least[-1] / np.min(times["bare NiceGUI", part], axis=0)[-1]
+        say(f"{what}, {part}, least of {len(each)}: {said} ({ratio:.2f} of bare); its median {median[-1]:.2f} s")
+
+
+@contextmanager
+def bare(folder: Path) -> Iterator[RunningStudio]:
+    """A server of `BARE` on a free port, once it answers."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    process = subprocess.Popen(
+        [sys.executable, "-c", BARE, str(port)], cwd=folder, stdout=subprocess.DEVNULL, text=True
+    )
+    try:
+        while True:
+            with socket.socket() as asked:
+                if asked.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            RealClock().sleep_until_ns(RealClock().now_ns() + 5_000_000)
+        yield RunningStudio(folder, f"http://127.0.0.1:{port}/", process)
+    finally:
+        process.terminate()
+        process.wait(20)
 
 
 def since_s(began_ns: int) -> float:
