@@ -108,8 +108,8 @@ class _Explorer:
         with ui.element("div").classes("card"):
             Words("h2", "Effects")
             for k, f in enumerate(model.effects):
-                name = f"{type(f.effect).about.title}: {f.label}"
-                label(ui.checkbox(name, value=True, on_change=partial(self._toggle, k)), name)
+                words = f"{type(f.effect).about.title}: {f.label}"
+                label(ui.checkbox(words, value=True, on_change=partial(self._toggle, k)), words)
 
     def _slider(self, key: str, name: str, low: float, high: float, value: float) -> None:
         """A slider, beside it a field for numbers in German and in English; without a key it is the magnification."""
