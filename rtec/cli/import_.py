@@ -82,7 +82,9 @@ def _proposal(
         told = told | {"source": {**told.get("source", {}), "reader": reader}}
     given = {}
     for text in answers:
-        key, mark, value = text.rpartition("=")
+        # A name of a column may hold "=", and so may an answer that is a table: probe={z={direction="Z"}}.
+        key, mark, value = text.partition("={") if "={" in text else text.rpartition("=")
+        value = mark.removeprefix("=") + value
         if not mark:
             raise typer.BadParameter(f"{text!r}: write KEY=VALUE", param_hint="--answer")
         given[key.strip()] = value.strip()

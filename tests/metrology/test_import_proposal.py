@@ -316,6 +316,31 @@ def test_questions_and_answers(tmp_path: Path) -> None:
     assert "T_x_nut_degc" not in column
 
 
+def test_readings_of_drift_probes_are_named_by_the_set_up(tmp_path: Path) -> None:
+    """Oracle: the table written here; one probe, whose table in the answer holds signs of equality itself."""
+    file = tmp_path / "drift.csv"
+    file.write_text("t/min;n/rpm;dz/um\n" + "".join(f"{2 * i};4000;{0.25 * i:.2f}\n" for i in range(9)))
+    p = propose(file, None, {}, {"instrument": "spindle_drift", "machine": "mill"})
+    assert [(q.key, q.hint) for q in p.questions if q.key == "setup.probe"] == [
+        ("setup.probe", 'such as {z={direction="Z"}}: name and direction of each')
+    ]
+    given = ("instrument=spindle_drift", 'setup.probe={dz={direction="Z"}}', "machine=mill")
+    answers = [x for a in given for x in ("--answer", a)]
+    assert status(["import", str(file), *answers, "-o", str(tmp_path / "z")]) == 0
+    header, first, *_ = (tmp_path / "z.csv").read_text().splitlines()
+    assert (header, first) == ("run,time_s,spindle_rpm,reading_dz_um", "1,0,4000,0")
+    assert '[setup.probe.dz]\ndirection = "Z"' in (tmp_path / "z.toml").read_text()
+
+
+def test_what_the_file_says_itself_may_be_answered_and_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "feeds.csv"
+    file.write_text("t_s,X [mm],dev [um]\n" + "".join(f"{i},{10 * i},{0.5 * i}\n" for i in range(9)))
+    known = {"instrument": "laser_linear", "machine": "mill", "axis": "X"}
+    assert propose(file, None, {}, known).content["measurement"]["axis"] == "X"
+    with pytest.raises(MeasurementError, match="'axis' is no question here"):
+        propose(file, None, {}, known | {"axis": "Y"})
+
+
 def test_on_a_terminal_it_asks_what_the_file_does_not_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

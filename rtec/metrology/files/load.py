@@ -14,6 +14,7 @@ from rtec.errors import MeasurementError
 from rtec.machine import Machine
 from rtec.metrology.files.checks import CheckedRows, check_order, remarks
 from rtec.metrology.files.columns import check_columns, on_circle, still_right
+from rtec.metrology.files.directions import approached
 from rtec.metrology.files.faults import Faults
 from rtec.metrology.files.save import save_measurement
 from rtec.metrology.files.table import Raw, header_of, look_over, parquet_names, read_csv, read_parquet
@@ -69,13 +70,16 @@ def load_measurement(path: Path, machine: Machine, leniency: Leniency | None = N
     columns = machine.columns
     run = raw.columns["run"].astype(np.int64)
     channels = {columns[c]: v for c, v in raw.columns.items() if c in columns}
+    sides = approached(instrument, machine, channels)
+    written = {channel: column for column, channel in columns.items()}
+    notes += [f"no column {written[c]}: the axis is taken to go past both ends of each way" for c in sides]
     return Measurement(
         name=table.stem,
         instrument=instrument,
         machine=machine,
         run=run,
         time_s=raw.columns["time_s"],
-        channels=on_circle(instrument, machine, channels, run, str(table)),
+        channels=on_circle(instrument, machine, channels | sides, run, str(table)),
         readings={c: raw.columns[c] for c in instrument.columns()},
         sha256=digest.hexdigest(),
         notes=tuple(dict.fromkeys([*head.notes, *still_right(instrument, notes)])),

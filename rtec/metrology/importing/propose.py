@@ -47,6 +47,7 @@ NEEDED = {
     "squareness": ("reference_axis",),
 }
 """Keys of `[setup]` that an instrument needs unless a component is named, beside those that its set-up demands."""
+EXAMPLES = {"probe": 'such as {z={direction="Z"}}: name and direction of each'}
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,8 @@ def propose(
     roles = ColumnRoles(table, machine, told, asked.ask, is_log=events is not None or read.name == "json_lines")
     content |= roles.content()
     content["setup"] = dict(told.get("setup", {})) | _setup(content["measurement"], told, asked)
-    asked.check()
+    content["column"] = _of_probes(content["column"], content["setup"])
+    asked.check(content["measurement"])
     if asked.assumed:
         notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asked.assumed]
         content["measurement"]["notes"] = [*content["measurement"].get("notes", ()), *notes]
@@ -408,10 +410,10 @@ class _Answers:
             )
         return given
 
-    def check(self) -> None:
-        """Refuse answers that nobody asked for."""
-        for key in self.answers:
-            if key not in self.asked:
+    def check(self, known: Mapping[str, Any]) -> None:
+        """Refuse answers that nobody asked for, unless they are what the file says itself."""
+        for key, answer in self.answers.items():
+            if key not in self.asked and known.get(key) != answer:
                 raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, self.asked)}")
 
 
@@ -432,10 +434,21 @@ def _setup(measurement: Mapping[str, Any], told: Mapping[str, Any], asked: _Answ
         text = (
             f"{name} of the {instrument}?" if needed else f"{name}, from the tool tip to where the {instrument} reads?"
         )
-        answer = asked.ask(f"setup.{name}", text, choices, default)
+        answer = asked.ask(f"setup.{name}", text, choices, default, EXAMPLES.get(name, ""))
         if answer is not None:
             out[name] = answer if choices else _value(answer, name, asked.source)
     return out
+
+
+def _of_probes(columns: Mapping[str, Any], setup: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns; readings named by the probes of a set-up, in their order, where there are as many of them."""
+    probes = setup.get("probe")
+    readings = [name for name in columns if name.startswith("reading")]
+    if not isinstance(probes, dict) or len(probes) != len(readings):
+        return dict(columns)
+    names = [f"reading_{p}_um" for p in probes]
+    renamed = {} if set(names) == set(readings) else dict(zip(readings, names, strict=True))
+    return {renamed.get(name, name): column for name, column in columns.items()}
 
 
 def _literals(annotation: Any) -> tuple[Any, ...]:

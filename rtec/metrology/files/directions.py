@@ -1,0 +1,55 @@
+"""From which side targets were approached, where a table has no column that says so."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.machine import Axis, Machine
+from rtec.metrology.instruments.base import Instrument
+
+Floats = NDArray[np.float64]
+LEAST = 3
+"""Targets between two ends, below which nothing is concluded from their number of readings."""
+
+
+def approached(instrument: Instrument, machine: Machine, channels: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Directions of approach of an instrument that reads targets at rest, by direction channel.
+
+    An axis that reads the target at the end of a way once more has gone past it and returned (ISO 230-2), and one that
+    jumps back to begin the same way again has gone past the first target. The positions alone show neither: by them the
+    axis has not moved, or moved the other way. This is so where each end is read exactly twice as often as a target
+    between them, or where every way goes to one side. Any other order says nothing, and gives nothing here.
+
+    Returns:
+        -1 or +1 for each reading, (n,), of each such axis; none that has a direction or a velocity of its own.
+    """
+    moving = [a for a in machine.axes if a.channel in channels and np.ptp(channels[a.channel]) > a.dead_band_mm]
+    if not instrument.at_rest or len(moving) != 1:
+        return {}
+    axis = moving[0]
+    if {axis.direction_channel, axis.velocity_channel} & set(channels):
+        return {}
+    found = _approach(axis, channels[axis.channel])
+    return {} if found is None else {axis.direction_channel: found}
+
+
+def _approach(axis: Axis, position_mm: Floats) -> Floats | None:
+    first = np.flatnonzero(np.append(True, np.abs(np.diff(position_mm)) > axis.dead_band_mm))
+    count = np.diff(np.append(first, len(position_mm)))
+    way = np.sign(np.diff(position_mm[first]))
+    turns = np.flatnonzero(way[1:] != way[:-1]) + 1  # stops at which the axis turns round
+    between = np.setdiff1d(np.arange(1, len(first) - 1), turns)
+    if len(between) < LEAST or len(set(count[between])) > 1:
+        return None
+    once = int(count[between[0]])
+    if len(turns) and np.all(count[turns] == 2 * once):
+        arriving = np.append(way[0], way)
+        out = np.repeat(arriving, count)
+        for stop in turns:
+            out[first[stop] + once : first[stop] + 2 * once] = way[stop]
+        return out
+    side = way[between[0]]
+    if np.all(count == once) and np.all(way[between] == side) and np.all(way[between - 1] == side):
+        return np.full(len(position_mm), side)
+    return None

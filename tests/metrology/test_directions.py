@@ -1,0 +1,62 @@
+"""Directions of approach that a table does not say. Oracle: a slide that is moved by hand here, with its overrun."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtec.metrology.files.load import load_measurement
+from rtec.metrology.measurement import Measurement
+from tests.support.measurement_examples import TOML, machine
+
+TARGETS = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]
+
+
+def walked(stops: list[float], past_mm: float) -> list[int]:
+    """Direction of the last motion at each stop of a slide that goes past both ends of each way by so much."""
+    out, at, low, high = [], -past_mm, min(stops), max(stops)
+    for i, stop in enumerate(stops):
+        if stop in (low, high) and i and stops[i - 1] == stop:
+            at += past_mm if stop == high else -past_mm
+        elif i and abs(stop - stops[i - 1]) == high - low:
+            at = stop - past_mm  # back to the beginning, and past it
+        out.append(int(np.sign(stop - at)))
+        at = stop
+    return out
+
+
+def measured(folder: Path, stops: list[float], more: str = "", values: str = "") -> Measurement:
+    rows = "\n".join(f"1,{2.5 * i},{x}{values},0.1" for i, x in enumerate(stops))
+    (folder / "laser-x.csv").write_text(f"run,time_s,x_mm{more},reading_um\n{rows}\n")
+    (folder / "laser-x.toml").write_text(TOML)
+    return load_measurement(folder / "laser-x.csv", machine())
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_an_end_that_is_read_once_more_was_left_and_approached_from_the_other_side(tmp_path: Path, times: int) -> None:
+    there_and_back = [*TARGETS, *TARGETS[::-1], *TARGETS, *TARGETS[::-1]]
+    stops = [x for x in there_and_back for _ in range(times)]
+    m = measured(tmp_path, stops)
+    assert m.channels["d_x"].tolist() == [d for d in walked(there_and_back, 5.0) for _ in range(times)]
+    assert "no column dir_x: the axis is taken to go past both ends of each way" in m.notes
+
+
+def test_ways_that_all_go_to_one_side_approach_every_target_so(tmp_path: Path) -> None:
+    assert measured(tmp_path, TARGETS * 3).channels["d_x"].tolist() == walked(TARGETS * 3, 5.0) == [1] * 18
+    assert measured(tmp_path, TARGETS[::-1]).channels["d_x"].tolist() == [-1] * 6
+
+
+@pytest.mark.parametrize(
+    ("stops", "more", "values"),
+    [
+        ([*TARGETS, *TARGETS[-2::-1]], "", ""),  # turned round at the end itself
+        ([*TARGETS, *TARGETS[::-1]], ",dir_x", ",1"),
+        ([*TARGETS, *TARGETS[::-1]], ",vx_mm_s", ",3"),
+        ([0.0, 10.0, 10.0, 20.0, 30.0, 30.0, 20.0, 10.0], "", ""),
+        ([0.0, 10.0], "", ""),
+    ],
+)
+def test_any_other_order_is_left_to_the_positions(tmp_path: Path, stops: list[float], more: str, values: str) -> None:
+    m = measured(tmp_path, stops, more, values)
+    assert not any("go past" in n for n in m.notes)
+    assert ("d_x" in m.channels) == (more == ",dir_x")
