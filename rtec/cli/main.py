@@ -3,6 +3,7 @@
 Exit status: 0 done; 1 a check or limit failed; 2 wrong use or bad input; 130 interrupted.
 """
 
+import os
 import signal
 import sys
 import threading
@@ -117,6 +118,7 @@ def main() -> None:
     """Run the command line and leave with its status."""
     program = sys.modules["__main__"]  # without a name, a process that is started does not import this one once more
     program.__spec__ = program.__file__ = None
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is there: as in `rtec.parallel`, from the start
     sys.unraisablehook = unraisable
     warnings.showwarning = _warned
     sys.exit(status(sys.argv[1:]))

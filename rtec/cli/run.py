@@ -1,6 +1,8 @@
 """`rtec run`: the daemon, with a live table while it runs and a summary at the end."""
 
 import dataclasses
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -213,10 +215,18 @@ def run(
     path = log or (None if step else new_log_path(setup))
     for axis, um in setup.step_um.items():
         typer.echo(f"sign check: axis {axis} goes by {um:+g} µm; it goes back when you end this with Ctrl-C", err=True)
-    with RunScreen(setup, duration, path, quiet=as_json) as screen:
-        supervisor = Supervisor(setup, path, screen.update, screen.started, on_event=screen.event)
-        with Control(setup, supervisor, RealClock()):
-            report = supervisor.run(duration)
+    screen = RunScreen(setup, duration, path, quiet=as_json)
+    supervisor = Supervisor(setup, path, screen.update, screen.started, on_event=screen.event, forks=True)
+
+    with closing(Control(setup, supervisor, RealClock())) as control:
+        control.listen()  # first of all: that another daemon runs is said before a device is touched
+
+        @contextmanager
+        def beside() -> Iterator[None]:
+            with screen, control:
+                yield
+
+        report = supervisor.run(duration, beside())
     if as_json:
         print_json(_facts(report))
     else:

@@ -17,6 +17,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from multiprocessing.util import register_after_fork
 from typing import Any, Final, Self
 
 from rtec.control.desk import Daemon, Desk, Peer
@@ -166,7 +167,13 @@ class Control:
         self._end: Callable[[], object] | None = None
         self._pace = Pace(clock, REQUEST_NS)
 
-    def __enter__(self) -> Self:
+    def listen(self) -> None:
+        """Have the sockets, which entering does too; whoever connects meanwhile waits for it.
+
+        Raises:
+            RtecError: one cannot be had; another daemon has it.
+        """
+        register_after_fork(self, Control._let_go)
         try:
             if self._table.local:
                 path = socket_path(self._setup.path)
@@ -176,8 +183,12 @@ class Control:
             if self._table.prometheus is not None:
                 self._http = _loopback(self._table.prometheus)
         except BaseException:
-            self._close()
+            self.close()
             raise
+
+    def __enter__(self) -> Self:
+        if self._local is None and self._http is None:
+            self.listen()
         if self._local is not None or self._http is not None:
             self._thread.start()
         return self
@@ -188,7 +199,15 @@ class Control:
             with suppress(RuntimeError):  # it has ended by itself
                 end()
         self._thread.end(END_S)
-        self._close()
+        self.close()
+
+    def _let_go(self) -> None:
+        """Close them; in a copy of this process, so that nobody finds a loop there whose supervisor is gone."""
+        for local in (self._local, self._status):
+            if local is not None:
+                local.socket.close()
+        if self._http is not None:
+            self._http.close()
 
     def _until_free(self, path: Any) -> None:
         """A daemon that is just ending gets two seconds for it, as for its state."""
@@ -196,13 +215,13 @@ class Control:
         while answers(path) and self._clock.now_ns() < last_ns:
             self._clock.sleep_until_ns(self._clock.now_ns() + LOOK_NS)
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Give the sockets back; leaving does it."""
         for local in (self._local, self._status):
             if local is not None:
                 local.remove()
-                local.socket.close()
-        if self._http is not None:
-            self._http.close()
+        self._let_go()
+        self._local = self._status = self._http = None
 
     def _work(self) -> None:
         asyncio.run(self._serve())

@@ -13,6 +13,7 @@
 
 import ctypes
 import gc
+import multiprocessing
 import os
 import queue
 import signal
@@ -21,6 +22,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from multiprocessing import parent_process, resource_tracker
+from multiprocessing.context import ForkContext, SpawnContext
 from types import FrameType
 from typing import TYPE_CHECKING, Final, Self
 
@@ -120,6 +122,19 @@ def signals_wait() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def child_context(forks: bool) -> ForkContext | SpawnContext:
+    """How a child is started: as a copy of this process, which has loaded everything, or by a new interpreter.
+
+    A copy has none of the other threads, and what they were just doing stays half done in it; so it is made only where
+    this is the only thread.
+
+    Args:
+        forks: this process is rtec's own, and holds nothing open that a child must not have.
+    """
+    alone = forks and threading.active_count() == 1
+    return multiprocessing.get_context("fork") if alone else multiprocessing.get_context("spawn")
 
 
 def starter() -> int:

@@ -4,12 +4,11 @@ It is a process beside the loop's. What it writes to disk a thread of its own wr
 that neither the loop nor an operator's order waits for a disk.
 """
 
-import multiprocessing
 import os
 import queue
 import signal
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any, Final
 
 from rtec.daemon.disk import MOST_SECONDS, DiskThread
 from rtec.daemon.fastpath import Orders, fast_path
-from rtec.daemon.process import Notifier, signals, signals_wait
+from rtec.daemon.process import Notifier, child_context, signals, signals_wait
 from rtec.daemon.reload import ReloadDesk
 from rtec.daemon.ring import Ring
 from rtec.daemon.run_log import Keeper, log_folder, new_log
@@ -66,6 +65,7 @@ class Supervisor:
         on_start: told when the loop begins.
         on_rows: told every row that passes.
         on_event: told every event, from any thread; does not wait.
+        forks: the loop and its workers begin as copies of this process, as `rtec.daemon.process.child_context` has it.
 
     Attributes:
         parts: of the daemon, kept alive (`rtec.daemon.supervision`); whoever runs a thread in this process adds one.
@@ -79,7 +79,9 @@ class Supervisor:
         on_start: Callable[[], None] | None = None,
         on_rows: Rows | None = None,
         on_event: Callable[[Event], None] | None = None,
+        forks: bool = False,
     ) -> None:
+        self._forks = forks
         self.layout = Layout(setup.machine.axis_names, setup.machine.sensor_names)
         self.warnings: list[str] = []
         self._on_status, self._on_start = on_status or (lambda _: None), on_start or (lambda: None)
@@ -159,8 +161,12 @@ class Supervisor:
         """End the run in order, as Ctrl-C does; from any thread."""
         self._ended = True
 
-    def run(self, duration_s: float | None) -> Report:
+    def run(self, duration_s: float | None, beside: AbstractContextManager[object] | None = None) -> Report:
         """Run for so long, or until a signal. A sign check lasts longer by its way back.
+
+        Args:
+            duration_s: how long, s; None: until a signal.
+            beside: entered once the loop's process is there, left before that is seen gone: whatever starts threads.
 
         Raises:
             RtecError: another daemon keeps its state in the same file; the fast path could not start, or died.
@@ -168,20 +174,20 @@ class Supervisor:
         try:
             if self._disk_state is not None:
                 self._disk_state.lock(self._clock)
-            return self._run(duration_s)
+            return self._run(duration_s, nullcontext() if beside is None else beside)
         finally:
             self._memory.close()
             if self._disk_state is not None:
                 self._disk_state.close()
 
-    def _run(self, duration_s: float | None) -> Report:
+    def _run(self, duration_s: float | None, beside: AbstractContextManager[object]) -> Report:
         cycles = None if duration_s is None else max(1, round(duration_s * self.setup.file.run.rate_hz))
         if self.setup.step_um:
             self._step_orders.lasts_s, cycles = duration_s, None
         capacity = max(64, round(RING_SECONDS * self.setup.file.run.rate_hz))
-        context = multiprocessing.get_context("spawn")
-        workers = Workers(self.setup, self._clock, self.parts)
-        with Ring.create(self.layout, capacity) as ring, signals(self._on_signal), workers:
+        context = child_context(self._forks)
+        workers = Workers(self.setup, self._clock, self.parts, self._forks)
+        with signals(self._on_signal), workers, Ring.create(self.layout, capacity) as ring:
             ring.orders.mode = MODES_BY_NAME[self.setup.file.run.mode]
             here, there = context.Pipe()
             told = Orders(self.setup.path, ring.name, cycles, self._places, workers.memories, self.setup.step_um)
@@ -190,7 +196,8 @@ class Supervisor:
                 process.start()
             there.close()
             try:
-                return self._supervise(ring, here, process, workers)
+                with beside:
+                    return self._supervise(ring, here, process, workers)
             finally:
                 ring.stop_requested = 1
                 process.join(STOP_TIMEOUT_S)

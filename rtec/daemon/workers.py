@@ -5,12 +5,11 @@ A device that gives temperatures or the spindle speed and nothing else is opened
 (`WorkerPort`) looks at that memory. The supervisor starts the workers (`Workers`); `KeptWorker` starts one again that
 died, with growing waits, and ends one that hangs.
 
-Workers are spawned by the supervisor, never by the loop's process: that one has locked memory, threads and real-time
+Workers are started by the supervisor, never by the loop's process: that one has locked memory, threads and real-time
 priority, none of which a child should begin with.
 """
 
 import ctypes
-import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from rtec.daemon.process import SIGNALS, signals_wait, starter
+from rtec.daemon.process import SIGNALS, child_context, signals_wait, starter
 from rtec.daemon.published import FAILED, NEVER, OPEN, STARTING, Published, PublishedReader
 from rtec.daemon.supervision import DaemonPart, DaemonParts, fault
 from rtec.errors import DriverError, DriverFault, DriverTimeout, DriverUnavailable, RtecError
@@ -228,14 +227,14 @@ def late(memory: Published, begun_ns: int, clock: Clock) -> bool:
 class KeptWorker:
     """One worker and its restarts."""
 
-    def __init__(self, task: WorkerTask, clock: Clock, part: DaemonPart) -> None:
-        self._task, self._clock, self._part = task, clock, part
+    def __init__(self, task: WorkerTask, clock: Clock, part: DaemonPart, forks: bool = False) -> None:
+        self._task, self._clock, self._part, self._forks = task, clock, part, forks
         self._process: Any = None
         self._begun_ns = 0
 
     def start(self) -> None:
         """Start it; what an earlier one left in the memory is forgotten."""
-        context = multiprocessing.get_context("spawn")
+        context = child_context(self._forks)
         self._task.memory.forget()
         self._process = context.Process(
             target=work, args=(self._task,), name=f"rtec-worker-{self._task.name}", daemon=True
@@ -318,12 +317,13 @@ class Workers:
         setup: what runs.
         clock: the monotonic one.
         parts: each worker is one of them.
+        forks: as `rtec.daemon.process.child_context` has it.
 
     Attributes:
         memories: by device, for the loop's process.
     """
 
-    def __init__(self, setup: "Setup", clock: Clock, parts: DaemonParts) -> None:
+    def __init__(self, setup: "Setup", clock: Clock, parts: DaemonParts, forks: bool = False) -> None:
         role, machine = setup.file.role, setup.machine
         self.memories: dict[str, Published] = {}
         self._kept: Sequence[KeptWorker] = []
@@ -333,7 +333,7 @@ class Workers:
             does = (name in role.temperatures, name == role.spindle)
             part = parts.add(f"device {name}", device=True)
             task = WorkerTask(name, setup.file.device[name], machine, setup.path, *does, memory)
-            kept.append(KeptWorker(task, clock, part))
+            kept.append(KeptWorker(task, clock, part, forks))
         self._kept = kept
 
     def __enter__(self) -> Self:

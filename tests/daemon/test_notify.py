@@ -177,10 +177,10 @@ class Service:
         return self.process.returncode
 
     def loop_pid(self) -> int:
-        """The child that does the cycles: the one that was given a ring."""
+        """The child that does the cycles: of a run without workers the only one but for Python's own."""
         children = Path(f"/proc/{self.process.pid}/task").glob("*/children")
         pids = [pid for file in children for pid in file.read_text().split()]
-        (found,) = [p for p in pids if b"spawn_main" in Path(f"/proc/{p}/cmdline").read_bytes()]
+        (found,) = [p for p in pids if b"resource_tracker" not in Path(f"/proc/{p}/cmdline").read_bytes()]
         return int(found)
 
 

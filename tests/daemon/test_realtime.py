@@ -5,6 +5,10 @@ import os
 import subprocess
 import sys
 
+import pytest
+
+from rtec.daemon.process import child_context
+
 CODE = """
 import gc, json, os
 from rtec.loop.run_file import Realtime
@@ -26,3 +30,12 @@ def test_what_is_granted_holds_and_what_is_refused_is_said() -> None:
     assert len(said) <= 1
     if os.geteuid() == 0 and fifo and locked_kib:
         assert said == []
+
+
+@pytest.mark.parametrize(("forks", "threads", "way"), [(True, 1, "fork"), (True, 2, "spawn"), (False, 1, "spawn")])
+def test_a_copy_is_made_only_of_a_process_of_one_thread(
+    forks: bool, threads: int, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: fork(2): the copy has one thread, and every lock that another one held is held for ever."""
+    monkeypatch.setattr("threading.active_count", lambda: threads)
+    assert child_context(forks).get_start_method() == way

@@ -59,6 +59,10 @@ class Running:
             clock.sleep_until_ns(clock.now_ns() + PERIOD_NS)
         raise AssertionError("the daemon did not begin")
 
+    def children(self) -> list[int]:
+        """The processes that it started."""
+        return [int(p) for p in Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()]
+
     def end(self) -> dict[str, Any]:
         """End it in order; give its summary."""
         self.process.send_signal(signal.SIGTERM)
@@ -197,8 +201,14 @@ def test_no_daemon_and_a_killed_one(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     running = Running(config, tmp_path / "log.arrows")
     try:
         running.until_it_runs()
-        os.killpg(running.process.pid, signal.SIGKILL)
+        for pid in running.children():  # the loop outlives its supervisor, and keeps none of its sockets
+            os.kill(pid, signal.SIGSTOP)
+        running.process.kill()
+        running.process.wait()
+        assert socket_path(config).exists()
+        assert not answers(socket_path(config))
     finally:
+        os.killpg(running.process.pid, signal.SIGKILL)
         running.process.communicate()
     assert socket_path(config).exists()
     assert here("status", config).returncode == 2

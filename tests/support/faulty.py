@@ -90,9 +90,8 @@ REHEARSAL = 100
 
 
 CTRL_C_AT_ONCE = """
-import os, signal, sys
-if any("spawn_main" in word for word in sys.orig_argv):
-    os.killpg(0, signal.SIGINT)
+import os, signal
+os.register_at_fork(after_in_child=lambda: os.killpg(0, signal.SIGINT))
 """
 
 

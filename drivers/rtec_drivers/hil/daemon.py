@@ -74,7 +74,7 @@ def run_on_buses(
             watch.look(status)
             look(status)
 
-        supervisor = Supervisor(setup, log, show, begin)
+        supervisor = Supervisor(setup, log, show, begin, forks=True)
         watch.resume, watch.place = supervisor.order_resume, f"{folder}/"
         report = supervisor.run(duration_s)
         if report.interrupted:

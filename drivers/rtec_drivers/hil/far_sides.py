@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Sequence
+from multiprocessing.util import register_after_fork
 from pathlib import Path
 from typing import Any, Self
 
@@ -32,6 +33,7 @@ class FarSides:
         self.warnings: list[str] = []
         self._config, self._folder, self._every_ms, self._gateware = config, folder, every_ms, gateware
         self._processes: dict[str, subprocess.Popen[str]] = {}
+        register_after_fork(self, FarSides._let_go)  # they end with this process, not with a copy of it
 
     def __enter__(self) -> Self:
         """Start them; return when their ports are there.
@@ -109,7 +111,7 @@ class FarSides:
         why = said[-1] if said else f"exit code {process.returncode}"
         return DriverUnavailable(f"the bench's process {part!r} ended: {why}")
 
-    def _end(self) -> None:
+    def _let_go(self) -> None:
         for process in self._processes.values():
             for pipe in (process.stdin, process.stdout, process.stderr):
                 if pipe is not None and not pipe.closed:
@@ -117,6 +119,9 @@ class FarSides:
                         pipe.close()
                     except BrokenPipeError:
                         continue
+
+    def _end(self) -> None:
+        self._let_go()
         for process in self._processes.values():
             try:
                 process.wait(END_S)
