@@ -65,8 +65,10 @@ discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many a
 	$(BIN)/python -m tests.discovery
 	$(BIN)/rtec bench discovery --seeds 1000:1006 --jobs 2
 
-proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines
+proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines; tests of rates on all of theirs
 	$(BIN)/python -m tests.ball_bar.ball_bar_proof
+	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n 0 tests/metrology/test_grid_encoder.py \
+	  tests/diagnosis/test_compare_locate.py tests/real/test_real_fit.py
 
 reference: $(STAMP)  ## the page of all keys, off the models that check the files
 	$(BIN)/rtec explain --all > docs/reference/keys.md

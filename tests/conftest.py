@@ -13,9 +13,14 @@ from hypothesis import settings
 # What is compiled once serves each worker and each of the hundreds of rtec processes that tests start.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# A second thread for linear algebra waits for the first by spinning; beside other tests that is time they need.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 settings.register_profile("rtec", deadline=None, derandomize=True)
 settings.load_profile("rtec")
+
+LONGEST_NAME = 300
+"""Characters of a parameter in the name of a test."""
 
 
 @pytest.fixture
@@ -24,6 +29,13 @@ def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="rtec-") as name:
         monkeypatch.setenv("RUNTIME_DIRECTORY", name)
         yield Path(name)
+
+
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Cut long texts: the name of a test goes to every worker, and into every report on it."""
+    if isinstance(val, str | bytes) and len(val) > LONGEST_NAME:
+        return f"{val[:40]!r} and {len(val) - 40} more"
+    return None
 
 
 def pytest_xdist_auto_num_workers() -> int:

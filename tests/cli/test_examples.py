@@ -166,7 +166,6 @@ def test_an_example_has_only_options_that_there_are(example: str) -> None:
         pass
 
 
-@pytest.mark.xdist_group("real-clock")
 @pytest.mark.parametrize("example", RUN)
 def test_an_example_runs_as_printed(
     example: str,

@@ -17,7 +17,6 @@ from tests.support.foreign_tables import ANSWERS, WRITTEN, rows
 
 ROOT = Path(__file__).parents[2]
 PARTS = ("rtec", "drivers", "configs", "pyproject.toml", "README.md", "LICENSE")
-pytestmark = pytest.mark.xdist_group("real-clock")
 
 
 def shell(*words: str | Path, folder: Path, given: str = "") -> str:

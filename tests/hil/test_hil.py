@@ -142,7 +142,8 @@ def test_a_short_soak(tmp_path: Path) -> None:
 )
 def test_nothing_is_left_behind(tmp_path: Path, number: signal.Signals, sign: str) -> None:
     """Ctrl-C, a polite and an impolite end: before the buses, while they start, while the daemon runs and logs."""
-    config, folder = hil_rig.short(tmp_path), tmp_path / "t"
+    # What is simulated before the buses is short, the run that is interrupted is not.
+    config, folder = hil_rig.short(tmp_path, settle_s=1.0, off_s=10.0, on_s=2.0), tmp_path / "t"
     process = hil_rig.start(folder, sign, "hil", config)
     status, said = hil_rig.interrupt(process, number)
     assert status == {signal.SIGINT: 130, signal.SIGTERM: 130, signal.SIGKILL: -9}[number], said

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rtec.characterise import Characterisation, characterise, read_wanted
 from rtec.machine import Machine, machine_from
 from rtec.metrology.measurement import Measurement
+from tests.support import proof
 from tests.support.characterise_examples import Probe, ProbeSetup
 from tests.support.real_data import real_file
 
@@ -30,7 +31,7 @@ COMPONENT = "EX0spindle"
 """The source does not say which way each probe looks; any shift of the spindle serves."""
 CHANNELS = ("ch1", "ch2", "ch3", "ch4", "ch5")
 OTHER_SPLITS_H = (20.0, 24.0, 28.0, 36.0, 40.0)
-"""Set before anything was computed at them."""
+"""Set before anything was computed at them; the suite takes every other one."""
 SPEED = f"spindle_growth:{COMPONENT}"
 SIXTEEN = f"mount_expansion:{COMPONENT}:sensor=*"
 
@@ -121,15 +122,16 @@ def test_choice_is_as_good_as_the_simple_model_that_looked_better(channel: str) 
 
 
 def test_choice_is_as_good_at_most_other_divisions_of_the_record() -> None:
-    """Oracle: the same comparison where the record is divided elsewhere, 25 times.
+    """Oracle: the same comparison where the record is divided elsewhere, 25 times in `make proof`.
 
     Not everywhere: 24 h hold three speeds only, and the speeds that come later are beyond what was seen. Were the
     choice no better than the simple models, 18 of 25 would come by chance in one case of fifty (the 25 are not
     independent, so that is a bound of common sense, not of statistics).
     """
-    rms = [judged(channel, split) for split in OTHER_SPLITS_H for channel in CHANNELS]
-    assert sum(r.chosen <= r.picked for r in rms) >= 18
-    assert sum(r.chosen <= r.speed for r in rms) >= 18
+    rms = [judged(channel, split) for split in OTHER_SPLITS_H[:: proof.of(1, 2)] for channel in CHANNELS]
+    least = 18 / 25 * len(rms)
+    assert sum(r.chosen <= r.picked for r in rms) >= least
+    assert sum(r.chosen <= r.speed for r in rms) >= least
 
 
 def test_ch3_holds_on_hours_it_never_saw() -> None:

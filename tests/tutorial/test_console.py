@@ -25,7 +25,6 @@ OWN = {
 """Pages whose `sh` blocks another test runs."""
 ELSEWHERE = {"rtec demo": "tests/demo/test_demo.py"}
 """Commands that take long, and the test that runs them."""
-pytestmark = pytest.mark.xdist_group("real-clock")
 
 
 def fences(page: Path) -> list[tuple[str, str]]:
