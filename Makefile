@@ -68,7 +68,8 @@ discovery: $(STAMP)  ## effects hidden in simulated measurements, and how many a
 proof: $(STAMP)  ## the ball bar's diagnosis of some 1600 random machines; tests of rates on all of theirs
 	$(BIN)/python -m tests.ball_bar.ball_bar_proof
 	RTEC_WHOLE_PROOF=1 $(BIN)/python -m pytest -n 0 tests/metrology/test_grid_encoder.py \
-	  tests/diagnosis/test_compare_locate.py tests/real/test_real_fit.py
+	  tests/diagnosis/test_compare_locate.py tests/real/test_real_fit.py tests/discovery/test_discovery.py \
+	  tests/sim/test_campaign.py tests/daemon/test_ring.py tests/hil/test_kill.py
 
 reference: $(STAMP)  ## the page of all keys, off the models that check the files
 	$(BIN)/rtec explain --all > docs/reference/keys.md

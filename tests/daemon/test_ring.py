@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from rtec.daemon.ring import Ring
 from rtec.errors import RtecError
 from rtec.loop.records import Commands, Layout, Samples
+from tests.support import proof
 
 LAYOUT = Layout(("X", "Z"), ("T_spindle", "T_bed", "T_air"))
 SHM = Path("/dev/shm")  # noqa: S108
@@ -178,7 +179,7 @@ def _full_speed(name: str, n: int) -> None:
 @pytest.mark.parametrize(("capacity", "max_rows"), [(16, 16), (64, 7), (4096, 4096)])
 def test_two_processes_at_full_speed(capacity: int, max_rows: int) -> None:
     """No torn row, rows in order, and the rows missing from the sequence are exactly those counted as overruns."""
-    n = 30_000
+    n = proof.of(30_000, 10_000)
     with Ring.create(LAYOUT, capacity) as ring:
         producer = multiprocessing.get_context("spawn").Process(target=_full_speed, args=(ring.name, n))
         producer.start()

@@ -12,6 +12,7 @@ from tests.discovery.generator.cases import BY_NAME, Case, single
 from tests.discovery.generator.truths import TRUTHS
 from tests.discovery.score import Outcome
 from tests.discovery.work import one
+from tests.support import proof
 
 SEED = 400
 SINGLES = (
@@ -31,9 +32,14 @@ OUTSIDE = (("odd_period", "ou"), ("resonance", "white"))
 GROUP = "discovery"
 
 
+SUITE = ("cyclic_screw", "backlash", "backlash_position", "axis_expansion", "spindle_speed_shift", "guide_lift")
+"""Those that every run has; the others are in `make proof`."""
+
+
 @pytest.fixture(scope="module")
 def singles() -> list[Outcome]:
-    return [one("evidence", single(SEED + i, BY_NAME[name], noise)) for i, (name, noise) in enumerate(SINGLES)]
+    chosen = [(i, *s) for i, s in enumerate(SINGLES) if proof.WHOLE or s[0] in SUITE]
+    return [one("evidence", single(SEED + i, BY_NAME[name], noise)) for i, name, noise in chosen]
 
 
 @pytest.mark.xdist_group(GROUP)
@@ -46,18 +52,18 @@ def test_every_hidden_effect_is_in_the_catalogue() -> None:
 
 @pytest.mark.xdist_group(GROUP)
 def test_hidden_effects_are_named(singles: list[Outcome]) -> None:
-    """At least 8 of 10 first, 9 among three; with 95 % and 98 % as goals fewer come once in 90 and 60 seeds."""
+    """At least 8 of 10 first, 9 among three; with 95 % and 98 % as goals of ten fewer come once in 90 and 60 seeds."""
     said = [f"{o.case.label}: {[str(n) for n in o.answer.names[:3]]} {o.failure}" for o in singles]
-    assert sum(o.right == 1 for o in singles) >= 8, said
-    assert sum(1 <= o.right <= 3 for o in singles) >= 9, said
+    assert sum(o.right == 1 for o in singles) >= 0.8 * len(singles), said
+    assert sum(1 <= o.right <= 3 for o in singles) >= 0.9 * len(singles), said
 
 
 @pytest.mark.xdist_group(GROUP)
 def test_what_is_claimed_holds_the_truth(singles: list[Outcome]) -> None:
-    """Of those claimed at most one group lacks it, and most are claimed."""
+    """Of ten that are claimed at most one group lacks it, and most are claimed."""
     claimed = [o for o in singles if o.answer.accepted]
-    assert len(claimed) >= 8
-    assert sum(o.in_group for o in claimed) >= len(claimed) - 1
+    assert len(claimed) >= 0.8 * len(singles)
+    assert sum(o.in_group for o in claimed) >= 0.9 * len(claimed)
 
 
 @pytest.mark.xdist_group(GROUP)
@@ -65,7 +71,7 @@ def test_improving_brings_the_error_down_where_nobody_looked(singles: list[Outco
     """Oracle: the same with the true shapes fitted, and the noise alone in the runs left out."""
     own, oracle = cut(singles)
     assert own > oracle - 0.15
-    assert sum(o.at_floor for o in singles) >= 8
+    assert sum(o.at_floor for o in singles) >= 0.8 * len(singles)
 
 
 @pytest.mark.xdist_group(GROUP)

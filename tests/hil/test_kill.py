@@ -15,9 +15,9 @@ import pytest
 
 from rtec.correction.flags import MODE_HOLD, MODE_ON
 from tests.hil.test_run import faulty_run, only_log
-from tests.support import faulty, setups
+from tests.support import faulty, proof, setups
 
-KILLS = 200
+KILLS = proof.of(200, 80)
 
 pytestmark = pytest.mark.xdist_group("real-clock")
 
@@ -33,13 +33,13 @@ def killed(folder: Path, kind: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", ["box", "register"])
-def test_two_hundred_kills(tmp_path: Path, kind: str) -> None:
+def test_kills_at_random_points(tmp_path: Path, kind: str) -> None:
     """No jump, no count lost, no order of the operator forgotten, whether the actuator can tell its ledger or not."""
     found = killed(tmp_path, kind)
     assert (found["alive"], len(found["begins"])) == (KILLS, KILLS)
     commands = np.array(found["commands"])
     output = commands[:, 3:]
-    assert len(commands) > 10_000
+    assert len(commands) > 50 * KILLS
     assert np.ptp(output[:, 0]) > 20
 
     # One cycle's 0.1 counts are one count at most, however long nobody commanded. A register cannot say that it never

@@ -23,6 +23,7 @@ from rtec.sim.campaign.campaign import simulate
 from rtec.sim.campaign.request import DRIFT_PROBES
 from rtec.sim.campaign.settings import Settings
 from rtec.sim.campaign.truth import truth_of
+from tests.support import proof
 
 pytestmark = pytest.mark.xdist_group("campaign")  # what is fitted once is used by all of them
 
@@ -124,7 +125,11 @@ def whole() -> Characterisation:
     return characterise([*lasers(), *ball_bars(), *plates(), *drift()])
 
 
-@pytest.mark.parametrize("alone", [lasers, ball_bars, plates, drift], ids=["laser", "ball bar", "grid", "drift"])
+ALONE = {"laser": lasers, "ball bar": ball_bars, "drift": drift} | ({"grid": plates} if proof.WHOLE else {})
+"""The grid alone takes long, and is in `make proof`."""
+
+
+@pytest.mark.parametrize("alone", ALONE.values(), ids=list(ALONE))
 def test_all_in_one_call_beat_each_alone(alone: Callable[[], list[Measurement]]) -> None:
     """Oracle: the true error of the tool tip where and when nothing was read."""
     together = left_um(whole().model)
