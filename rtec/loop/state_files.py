@@ -15,6 +15,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing.util import register_after_fork
 from pathlib import Path
 from typing import Final
 
@@ -193,6 +194,7 @@ class DiskState:
         self.path = path
         self._fd = self._next = -1
         self._marked = False
+        register_after_fork(self, DiskState._let_go)  # a copy of this process that hangs would keep it locked
 
     def lock(self, clock: Clock) -> None:
         """Take the file for this process; a daemon that is just ending gets two seconds for it.
@@ -255,6 +257,10 @@ class DiskState:
         if self._fd >= 0:
             if os.fstat(self._fd).st_nlink and not any(os.pread(self._fd, IMAGE_BYTES, 0)):
                 self.path.unlink(missing_ok=True)
+            self._let_go()
+
+    def _let_go(self) -> None:
+        if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 

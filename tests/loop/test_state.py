@@ -1,7 +1,10 @@
 """The kept state: nothing that is cut off, wherever, is taken for whole. Oracle: what was written before."""
 
+import fcntl
+import multiprocessing
 import os
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -338,6 +341,30 @@ def test_two_daemons_never_write_one_state(tmp_path: Path) -> None:
     first.close()
     second.lock(clock)
     second.close()
+
+
+def test_a_copy_of_the_process_keeps_no_state_locked(tmp_path: Path) -> None:
+    """A worker that hangs when its daemon is killed must not keep the next one from starting. Oracle: `flock`."""
+    disk = DiskState(tmp_path / "run.state")
+    disk.lock(VirtualClock(1))
+    kept = disk.path.stat()
+    here, there = multiprocessing.Pipe()
+    context = multiprocessing.get_context("fork")
+    process = context.Process(target=_holds, args=(there, kept))
+    process.start()
+    assert here.recv() == []
+    with disk.path.open("rb") as other, pytest.raises(BlockingIOError):
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)  # this process still has it
+    disk.close()
+    here.send("end")
+    process.join()
+
+
+def _holds(there: Connection, kept: os.stat_result) -> None:
+    """Tell which of its descriptors are of a file; stay until told to end."""
+    opened = [fd for fd in Path("/proc/self/fd").iterdir() if fd.exists()]
+    there.send([fd.name for fd in opened if os.path.samestat(fd.stat(), kept)])
+    there.recv()
 
 
 @pytest.mark.parametrize("kind", ["fifo", "folder"])
