@@ -241,7 +241,7 @@ def why_not(mine: float, best: float, gain: float, same: bool) -> str:
     if same:
         return "as likely as rank 1 from these data"
     if gain <= 0.0:
-        return "does not lower the error on held-out runs"
+        return "does not lower the error on held-out runs or targets"
     behind = best - mine
     # 1.4 times is nothing that anybody would act upon.
     return "as likely as rank 1" if behind < math.log(1.5) else f"{times_less(behind)} than rank 1"

@@ -15,6 +15,7 @@ from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
 from rtec.estimation.visible import VisibleComponent, visible_components
 from rtec.machine import Machine
+from rtec.machine.chain import component_unit
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,8 @@ INSTANTS = 160
 PAUSE, PAUSES = 3.0, 80
 """So many times the usual time between readings is a pause; so many of the longest are tried."""
 MOST_PERIODS = 480
+ONE_ARM = 1e-3
+"""Lever arms that differ by less than this share are one."""
 MOST = 48
 """Combinations of non-linear parameters that are tried, at most."""
 REAL = {"degc": 0.3, "rpm": 30.0, "kg": 5.0, "n": 5.0, "mm": 0.05, "mm_s": 0.5, "other": 1e-9}
@@ -70,7 +73,7 @@ def library(
         for name, kind in kinds.items():
             if only is not None and name not in only:
                 continue
-            usual = instances(kind, around)
+            usual = [e for e in instances(kind, around) if not _of_position(e, seen, readings)]
             late = [e for e in map(_late, there) if e is not None and e.component == seen.name and type(e) is kind]
             found = [_candidate(e, readings) for e in [*usual, *(e for e in late if e not in usual)]]
             out += [c for c in found if c is not None]
@@ -82,6 +85,19 @@ def library(
     untried = [u for u in untried if u.effect not in skipped]
     untried += [Untried(name, "", f"the plug-in is skipped: {fault}") for name, fault in skipped.items()]
     return [c for c in out if type(c.effect) not in SKIPPED], untried
+
+
+def _of_position(effect: Effect, seen: VisibleComponent, readings: Readings) -> bool:
+    """Whether an effect has an angle that grows evenly, and shifts read it at one arm only.
+
+    That is a scale, a squareness or a straightness to these readings, and each of them is a candidate itself.
+    """
+    if 1 not in getattr(effect, "degrees", ()) or component_unit(seen.name) != "urad":
+        return False
+    arms = readings.arms(seen.name)
+    mine = [arms[s.part] for s in readings.series if arms[s.part].any()]
+    shifts = all(s.unit == "um" for s in readings.series if arms[s.part].any())
+    return shifts and float(np.ptp(np.concatenate(mine))) < ONE_ARM * float(np.abs(np.concatenate(mine)).max())
 
 
 def visible(readings: Readings) -> list[VisibleComponent]:

@@ -194,7 +194,7 @@ def _candidates(d: Diagnosis) -> Table:
 def _doubt(d: Diagnosis, f: Finding) -> str:
     """Why the first candidate was not accepted."""
     if f.heldout_drop <= 0.0:
-        return "does not lower the error on held-out runs"
+        return "does not lower the error on held-out runs or targets"
     if d.unknown is not None and d.adequacy is not None:
         return f"explains only {percent(max(d.adequacy, 0.0))} of what a shape without a name does"
     if any(b.kind in BLAMES_NO_EFFECT for b in d.doubts):

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from rtec.diagnosis import words
+from rtec.diagnosis.search.answer import determined
 from rtec.diagnosis.search.confounded import aliases_mm, fold, step_mm
 from rtec.diagnosis.search.diagnose import diagnose
+from rtec.effects import Parameter
 from rtec.estimation.candidates import library
 from rtec.estimation.outliers import clean
 from rtec.estimation.readings import read
@@ -156,3 +158,19 @@ def test_the_size_that_would_have_been_seen() -> None:
         for count in (most / 4, most)
     )
     assert 0.9 * low < found.smallest < 1.1 * high
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "se", "known"),
+    [
+        (Parameter("s0", "mm", low=0.005, high=20.0), 0.01, 1.3e14, False),
+        (Parameter("s0", "mm", low=0.005, high=20.0), 0.3, 0.1, True),
+        (Parameter("k", "um_per_m", typical=10.0), 130.9, 16252.0, False),
+        (Parameter("k", "um_per_m", typical=10.0), 0.0, 49.0, True),
+    ],
+)
+def test_an_error_beyond_all_that_is_looked_for_tells_nothing(
+    parameter: Parameter, value: float, se: float, known: bool
+) -> None:
+    """Oracle: the range of the search, and a hundred times the usual size."""
+    assert determined(parameter, value, se) is known

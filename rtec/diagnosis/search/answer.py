@@ -21,7 +21,7 @@ from rtec.diagnosis.search.refit import Prepared, Refitted
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped
-from rtec.effects import Effect
+from rtec.effects import Effect, Parameter
 from rtec.errors import RtecError
 from rtec.estimation import floor
 from rtec.estimation.candidates import EffectCandidate, Untried
@@ -36,6 +36,8 @@ Floats = NDArray[np.float64]
 
 DECIDED = 0.99
 """A number of which a smaller share is decided by itself has no error to be told."""
+UNHEARD = 100.0
+"""A standard error that is so many times a number, and its usual size, tells nothing."""
 LOOKED_AT = 60
 """Candidates whose shape is compared with the winner's."""
 BETTER = 0.9
@@ -91,6 +93,12 @@ class SearchResult:
     doubts: tuple[Doubt, ...]
     chain: tuple[Refitted, ...] = ()
     undecided: RunsDiffer | None = None
+
+
+def determined(p: Parameter, value: float, se: float) -> bool:
+    """Whether readings say more of a number than where it is looked for, or what nobody has ever seen."""
+    span = p.high - p.low
+    return se < (span if math.isfinite(span) else UNHEARD * max(abs(value), p.typical))
 
 
 def answer(searched: SearchResult) -> Diagnosis:
@@ -275,7 +283,7 @@ class _Answer:
         spread = np.where(resolved(white) > DECIDED, np.sqrt(np.maximum(np.diag(inverse(white)), 0.0)), 0.0)
         spread = np.concatenate([spread[first : first + len(linear)], spread[t.fit.columns.shape[1] :]])
         numbers = {
-            p.name: Number(v, float(se) if se > 0.0 else None, p.unit)
+            p.name: Number(v, float(se) if se > 0.0 and determined(p, v, float(se)) else None, p.unit)
             for p, v, se in zip(
                 (*linear, *effect.nonlinear(machine)), (*map(float, values), *at.values()), spread, strict=True
             )

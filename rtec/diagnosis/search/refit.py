@@ -30,6 +30,7 @@ from rtec.estimation.gls import ROUNDS, Fit, fit_columns, held_out_gain, solve, 
 from rtec.estimation.noise import Whitener, find_noise, least_noise, without_drift
 from rtec.estimation.outliers import Clean, WrongReading
 from rtec.estimation.readings import Readings, looked_at
+from rtec.estimation.targets import predicts_targets
 from rtec.model import Model
 from rtec.model.fit import SearchScale
 from rtec.parallel import each
@@ -346,7 +347,7 @@ class Refits:
             evidence = fit.log_likelihood - without.log_likelihood - self._cost(columns, variant.count)
             evidence -= look.search_cost(number) + self._choice_cost(number)
             evidence += plausibility(self.candidates[number].effect, fit.values[base.shape[1] :], self.readings.machine)
-            return Refitted(number, theta, columns, fit, evidence, *self.left_out(fit.whitener, columns))
+            return Refitted(number, theta, columns, fit, evidence, *self._judged(number, fit.whitener, base, columns))
 
         # What does worse on runs left out is no winner, whatever its evidence.
         return sorted(each(tried, looks, len(self.readings)), key=lambda t: (not t.holds, -t.log_evidence))
@@ -398,8 +399,8 @@ class Refits:
             fit = self.fit(np.concatenate([base, columns], axis=1))
             gain = fit.log_likelihood - first.fit.log_likelihood - self._cost(columns, variant.count)
             evidence = first.log_evidence + gain - found.search_cost(number) - self._choice_cost(number)
-            drop, left_out = self.left_out(fit.whitener, fit.columns[:, width:])
-            return Refitted(number, theta, columns, fit, evidence, drop, left_out, base.shape[1])
+            judged = self._judged(number, fit.whitener, base, fit.columns[:, width:])
+            return Refitted(number, theta, columns, fit, evidence, *judged, base.shape[1])
 
         return self._with_rivals(
             found, each(tried, self._distinct(found)[:BESIDE], len(self.readings)), [self._name(first.number)]
@@ -458,7 +459,7 @@ class Refits:
                 fit = self.fit(np.concatenate([last.fit.columns, columns], axis=1))
                 gain = fit.log_likelihood - last.fit.log_likelihood - self._cost(columns, variant.count)
                 gain -= found.search_cost(number) + self._choice_cost(number)
-                drop, left_out = self.left_out(fit.whitener, fit.columns[:, width:])
+                drop, left_out = self._judged(number, fit.whitener, last.fit.columns, fit.columns[:, width:])
                 if gain > bar and 1.0 - drop < (1.0 - MORE) * (1.0 - last.drop):
                     evidence = last.log_evidence + gain
                     more.append(
@@ -563,6 +564,21 @@ class Refits:
             gain = fit.log_likelihood - self._cost(columns, columns.shape[1] + searched)
             best = gain if best is None else max(best, gain)
         return (best or 0.0) - self.without.log_likelihood
+
+    def _judged(self, number: int, whitener: Whitener, beside: Floats, columns: Floats) -> tuple[float, float]:
+        """`left_out`; nothing falls with a wave that does not predict the targets that were held out.
+
+        Args:
+            number: of the candidate.
+            whitener: the noise.
+            beside: columns without the candidate, (m, p).
+            columns: beyond the current model, with it, (m, k).
+        """
+        drop, gain = self.left_out(whitener, columns)
+        candidate = self.candidates[number]
+        if drop > 0.0 and not predicts_targets(self.readings, beside, candidate.effect, candidate.thetas):
+            return 0.0, min(gain, 0.0)
+        return drop, gain
 
     def left_out(self, whitener: Whitener, columns: Floats) -> tuple[float, float]:
         """Relative fall of the mean square on runs left out, and the gain in whitened squares for each fold."""
