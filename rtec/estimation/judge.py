@@ -1,7 +1,7 @@
 """One judgement of a model on measurements: the same residual, noise floor and held-out error in every command."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -128,6 +128,11 @@ class Judgement:
         """Noise beside the model's own columns."""
         return found_on_stretches(self.readings, lambda _, keep: self.base.columns[keep])
 
+    @property
+    def _weights(self) -> tuple[Whitener, Plain]:
+        """Those of both kinds of least squares."""
+        return self.noise, self._plain[0]
+
     @cached_property
     def refitted(self) -> float:
         """Residual with the model's own numbers refitted by ordinary least squares."""
@@ -138,13 +143,20 @@ class Judgement:
     def _held_out(self) -> HeldOut:
         """On held-out runs, with the numbers refitted to the others by the better of both kinds of least squares."""
         columns = self.base.columns
-        weighted, plain = (held_out(w, columns, self.scale) for w in (self.noise, self._plain[0]))
+        weighted, plain = (held_out(w, columns, self.scale) for w in self._weights)
         return weighted if as_good(weighted, plain) else plain
 
     @property
     def held_out(self) -> float:
         """Root mean square error on held-out runs."""
         return self._held_out.rms
+
+    @cached_property
+    def untouched(self) -> float:
+        """The same of the model as it stands: only what is unknown of the set-up is fitted to the others."""
+        alone = replace(self.readings, values=self.readings.values - self.base.predicted)
+        weighted, plain = (held_out(replace(w, readings=alone), alone.setup, self.scale) for w in self._weights)
+        return (weighted if as_good(weighted, plain) else plain).rms
 
     @cached_property
     def by_measurement(self) -> tuple["MeasurementMet", ...]:

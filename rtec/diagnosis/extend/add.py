@@ -329,10 +329,10 @@ def _judged(
     grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
     now = Judgement(grown, given)
     was = Judgement(model, given, tuple(now.scale))
-    # To readings that the model was not fitted to, what it leaves is its error on held-out runs.
+    # Readings that the model was not fitted to are all held out from it as it stands.
     fresh = not any(m.fingerprint in model.measurements.values() for m in measurements)
-    held = min(was.held_out, was.residual) if fresh else was.held_out
-    before = Errors(was.residual, was.residual, held if new else was.residual)
+    held = min(was.held_out, was.untouched) if fresh else was.held_out
+    before = Errors(was.residual, was.residual, held if new else was.untouched)
     after_it = Errors(None, now.residual, now.held_out)
     noise, added = now.noise_floor, tuple(labels([*model.effects, *new])[len(model.effects) :])
     entry = entry_of(

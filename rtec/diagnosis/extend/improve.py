@@ -5,10 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 from rtec.diagnosis.extend.add import WORTH, Added, add, is_there, new_effect, residual_size, rivals_of, said
+from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
 from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
+from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import Clean, clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
@@ -24,6 +26,10 @@ AT_FLOOR = 1.05
 LITTLE = 0.02
 """A relative fall of the held-out error below this is not worth an effect."""
 MOST = 8
+FURTHER = (
+    "this is a further temperature of an effect that the model has, for a body between several sensors; it was taken "
+    "because it predicts held-out runs better, and it names no cause of its own"
+)
 
 
 @dataclass(frozen=True)
@@ -161,6 +167,10 @@ class _Growth:
         diagnoses: list[Diagnosis] = []
         self.best = min(self.best, residual_size(model.effects, self.given.readings))
         while len(steps) < MOST:
+            further = None if ask or not steps else self._further(model)
+            if further is not None:
+                model = self._taken(further, steps)
+                continue
             found = diagnose(
                 model, self.measurements, seed=seed, alpha=alpha, draws=draws, stage=self.stage, given=self.given
             )
@@ -177,12 +187,24 @@ class _Growth:
             added = self._first_gain(model, found, [picked, *others])
             if added is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
-            steps.append(added)
-            if self.step:
-                self.step(added)
-            model = added.model
-            self.best = min(self.best, residual_size(model.effects, self.given.readings))
+            model = self._taken(added, steps)
         return Improved(model, tuple(steps), tuple(diagnoses), "steps")
+
+    def _taken(self, added: Added, steps: list[Added]) -> Model:
+        """A step is made."""
+        steps.append(added)
+        if self.step:
+            self.step(added)
+        self.best = min(self.best, residual_size(added.model.effects, self.given.readings))
+        return added.model
+
+    def _further(self, model: Model) -> Added | None:
+        """A further temperature of an effect that is there, where it predicts held-out runs better."""
+        new = further_temperature(Judgement(model, self.given))
+        if new is None:
+            return None
+        added = add(model, [new], self.measurements, stage=self.stage, given=self.given)
+        return replace(added, notes=(FURTHER, *added.notes)) if self._gains(added) else None
 
     def _first_gain(self, model: Model, found: Diagnosis, findings: Sequence[Finding]) -> Added | None:
         """Add the first that predicts held-out runs better on the channels as the loop has them."""
@@ -192,9 +214,13 @@ class _Growth:
             if any(is_there(model, n) for n in new):
                 continue
             added = add(model, new, self.measurements, stage=self.stage, given=self.given)
-            if added.after.held_out <= (1.0 - LITTLE) * added.before.held_out and self._no_worse(added):
+            if self._gains(added):
                 return _with_rivals(added, found, finding)
         return None
+
+    def _gains(self, added: Added) -> bool:
+        """Whether an addition is worth its place."""
+        return added.after.held_out <= (1.0 - LITTLE) * added.before.held_out and self._no_worse(added)
 
     def _no_worse(self, added: Added) -> bool:
         """Whether a model leaves no more of the readings than the start did, and than every step before it."""

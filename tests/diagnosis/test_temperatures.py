@@ -1,0 +1,70 @@
+"""Further temperatures of an expansion; oracle: the temperatures that the readings were made from."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtec.bench.sets import measurements_of, model_of
+from rtec.bench.trials import build
+from rtec.diagnosis.extend.add import add
+from rtec.diagnosis.extend.improve import FURTHER, improve
+from rtec.diagnosis.extend.temperatures import further_temperature
+from rtec.effects.thermal import AxisExpansion
+from rtec.estimation.judge import Judgement
+from rtec.estimation.outliers import clean
+from rtec.metrology.measurement import Measurement
+from rtec.model import FittedEffect, Model
+
+
+def screw(sensor: str, lag: bool = False) -> AxisExpansion:
+    return AxisExpansion(component="EXX", axis="X", sensor=sensor, lag=lag)
+
+
+def made(parts: Mapping[str, float], seed: int) -> tuple[Model, Measurement]:
+    """A day of the rig, its readings made from some of its temperatures, µm/m/K, and white noise of 0.4 µm.
+
+    Returns:
+        A model that knows the nut's, fitted; and the measurement.
+    """
+    trial = build("lean", "warm_screw", seed)
+    model, (m,) = model_of(trial), measurements_of(trial)
+    state = m.state()
+    effects = (*model.effects, FittedEffect(screw("T_nut"), {"k": 1.0}))
+    grown = [FittedEffect(screw(sensor), {"k": k}) for sensor, k in parts.items()]
+    values = 0.4 * np.random.default_rng(seed).standard_normal(len(m))
+    for f in (*model.effects, *grown):
+        basis = f.effect.basis(model.machine, state, f.theta)
+        values += sum(v * np.asarray(b) for v, b in zip(f.values.values(), basis, strict=True))
+    m = replace(m, readings={"reading_um": values})
+    return add(replace(model, effects=effects), [], [m]).model, m
+
+
+@pytest.mark.parametrize("seed", [50, 51, 52])
+def test_one_temperature_is_enough_where_one_is_all(seed: int) -> None:
+    model, m = made({"T_nut": 4.0}, seed)
+    assert further_temperature(Judgement(model, clean([m], model.reference_degc))) is None
+
+
+def test_the_temperature_that_is_missing_is_found() -> None:
+    """The screw follows the nut and the bed."""
+    model, m = made({"T_nut": 4.0, "T_bed": -9.0}, 50)
+    found = further_temperature(Judgement(model, clean([m], model.reference_degc)))
+    assert found is not None
+    assert getattr(found.effect, "sensor", "") == "T_bed"
+
+
+def test_a_model_without_a_temperature_is_offered_none() -> None:
+    model, m = made({"T_nut": 4.0, "T_bed": -9.0}, 50)
+    alone = replace(model, effects=model.effects[:2])
+    assert further_temperature(Judgement(alone, clean([m], model.reference_degc))) is None
+
+
+def test_improve_takes_it_as_a_step_of_its_own_and_says_what_it_is() -> None:
+    """The air's part is too small to be named by itself; oracle: both temperatures, and the white noise of 0.4 µm."""
+    model, m = made({"T_nut": 4.0, "T_air": -2.0}, 50)
+    done = improve(replace(model, effects=model.effects[:2]), [m])
+    told = [s for s in done.steps if FURTHER in s.notes]
+    assert [s.labels for s in told] == [("axis_expansion(EXX, X, T_air)",)]
+    assert done.steps[-1].after.held_out == pytest.approx(0.4, rel=0.06)
