@@ -426,7 +426,7 @@ def measurements(draw: st.DrawFn) -> Measurement:
     sides = {c: column(st.sampled_from([-1.0, 0.0, 1.0])) for c in ("dir_x", "dir_z")}
     others = {c: column(FINITE) for c in sorted(set(m.columns) - set(sensors) - set(sides))}
     chosen = draw(st.sets(st.sampled_from(sorted({**sensors, **sides, **others}))))
-    columns = {c: v for c, v in {**sensors, **sides, **others}.items() if c in chosen or c == "x_mm"}
+    columns = {c: v for c, v in {**sensors, **sides, **others}.items() if c in chosen or c in ("x_mm", "dir_x")}
     readings = column(st.one_of(SMALL, st.just(float("nan"))))
     readings[draw(st.integers(0, n - 1))] = draw(SMALL)
     offsets = draw(st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3))
