@@ -60,3 +60,24 @@ def test_any_other_order_is_left_to_the_positions(tmp_path: Path, stops: list[fl
     m = measured(tmp_path, stops, more, values)
     assert not any("go past" in n for n in m.notes)
     assert ("d_x" in m.channels) == (more == ",dir_x")
+
+
+@pytest.mark.parametrize("stops_s", [0.0, 2.0])
+def test_an_axis_that_keeps_its_feed_between_readings_was_read_on_the_run(tmp_path: Path, stops_s: float) -> None:
+    """Two feeds, there and back; an axis that stops for two seconds at each target was at rest there."""
+    rows, now = [], 0.0
+    for feed in (600.0, 3000.0):
+        for way in (TARGETS, TARGETS[::-1]):
+            for x in way:
+                rows.append(f"1,{now:.3f},{x},{feed},0.1")
+                now += 10.0 * 60.0 / feed + stops_s
+            now += 5.0
+    (tmp_path / "laser-x.csv").write_text("run,time_s,x_mm,feed_mm_min,reading_um\n" + "\n".join(rows) + "\n")
+    (tmp_path / "laser-x.toml").write_text(TOML)
+    m = load_measurement(tmp_path / "laser-x.csv", machine())
+    if stops_s:
+        assert "v_x" not in m.channels
+        assert m.state().value("v_x").tolist() == [0.0] * 24
+    else:
+        assert m.channels["v_x"].tolist() == [10.0] * 6 + [-10.0] * 6 + [50.0] * 6 + [-50.0] * 6
+        assert sum("went at its feed while it was read" in n for n in m.notes) == 1

@@ -1,5 +1,6 @@
-"""From which side targets were approached, where a table has no column that says so."""
+"""How an axis moved where no column says so: from which side it came, and whether it was read on the run."""
 
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
@@ -9,8 +10,45 @@ from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.base import Instrument
 
 Floats = NDArray[np.float64]
+LIKE, MOST = 0.05, 0.8
+"""Speeds of ways that differ by less than this share from the feed, in this share of the readings, are the feed."""
 LEAST = 3
 """Targets between two ends, below which nothing is concluded from their number of readings."""
+
+
+def on_the_run(
+    instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], time_s: Floats
+) -> dict[str, Floats]:
+    """Velocity of an axis whose positions and times say that it went at its feed while it was read, by channel.
+
+    An axis that stops at its targets takes longer from one to the next than its feed would.
+
+    Returns:
+        mm/s with the sign of the motion, (n,); nothing where the feed was not recorded, or a velocity was.
+    """
+    moving = _moving(machine, channels)
+    if not instrument.at_rest or "feed_mm_min" not in channels or len(moving) != 1:
+        return {}
+    if moving[0].velocity_channel in channels:
+        return {}
+    feed = np.abs(channels["feed_mm_min"])
+    position = channels[moving[0].channel]
+    way = np.sign(np.diff(position))
+    # Ways: readings in a row that go to one side at one feed. What comes before the first of them may have been a rest.
+    new = np.concatenate([[True], (way[1:] != way[:-1]) | (feed[2:] != feed[1:-1]), [False]])
+    out, like = np.zeros(len(feed)), 0
+    edges = [*np.flatnonzero(new).tolist(), len(feed) - 1]
+    for a, b in itertools.pairwise(edges):
+        first = a + 1 if a else 0
+        lasted, went = time_s[b] - time_s[first], abs(position[b] - position[first])
+        if lasted > 0.0 and abs(60.0 * went - lasted * feed[b]) < LIKE * lasted * feed[b]:
+            like += b - first
+            out[first if out[a] else a : b + 1] = way[a] * feed[b] / 60.0
+    return {moving[0].velocity_channel: out} if like >= max(LEAST, MOST * (len(feed) - 2 * len(edges))) else {}
+
+
+def _moving(machine: Machine, channels: Mapping[str, Floats]) -> list[Axis]:
+    return [a for a in machine.axes if a.channel in channels and np.ptp(channels[a.channel]) > a.dead_band_mm]
 
 
 def approached(instrument: Instrument, machine: Machine, channels: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -24,7 +62,7 @@ def approached(instrument: Instrument, machine: Machine, channels: Mapping[str, 
     Returns:
         -1 or +1 for each reading, (n,), of each such axis; none that has a direction or a velocity of its own.
     """
-    moving = [a for a in machine.axes if a.channel in channels and np.ptp(channels[a.channel]) > a.dead_band_mm]
+    moving = _moving(machine, channels)
     if not instrument.at_rest or len(moving) != 1:
         return {}
     axis = moving[0]

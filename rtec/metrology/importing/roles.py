@@ -281,7 +281,7 @@ class ColumnRoles:
             kind = UNITS[unit].kind if unit else ""
             if kind == "turning" or (not unit and has(name, "spindle")):
                 self._take(name, "spindle_rpm", "the spindle's speed", **({} if unit else {"unit": "rpm"}))
-            elif kind == "speed" and has(name, "feed"):
+            elif kind == "speed" and (has(name, "feed") or words_of(name)[:1] == ["f"]):
                 self._take(name, "feed_mm_min", "feed")
             elif kind == "mass":
                 self._take(name, "load_kg", "load")
