@@ -51,6 +51,13 @@ def two_numbers(one: float, two: float) -> tuple[str, str]:
     return next((pair for pair in pairs if pair[0] != pair[1]), (number(one), number(two)))
 
 
+def sizes(*values: float) -> tuple[str, ...]:
+    """Errors in µm or µrad beside each other, with two decimals, or so many that each has two digits; at most six."""
+    least = min((abs(v) for v in values if math.isfinite(v) and abs(v) >= 1e-6), default=1.0)
+    digits = min(max(2, 1 - math.floor(math.log10(float(f"{least:.1e}")))), 6)
+    return tuple(number(v, digits) for v in values)
+
+
 def percent(share: float) -> str:
     """A share as a percentage: "97 %", "5.2 %"; neither 0 nor 100 where it is neither."""
     if not math.isfinite(share):

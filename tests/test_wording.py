@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtec.wording import counted, number, percent, probability, significant, two_numbers, with_error
+from rtec.wording import counted, number, percent, probability, significant, sizes, two_numbers, with_error
 
 ROOT = Path(__file__).parents[1]
 
@@ -20,6 +20,21 @@ ROOT = Path(__file__).parents[1]
 def test_decimals(value: float, digits: int, said: str) -> None:
     """Oracle: by hand; no negative zero."""
     assert number(value, digits) == said
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ((185.0512, 3.0), ("185.05", "3.00")),
+        ((0.0123, 0.0112), ("0.012", "0.011")),
+        ((7.04, 0.0996, 0.2), ("7.04", "0.10", "0.20")),
+        ((0.00004, 1e-9), ("0.000040", "0.000000")),
+        ((0.0, math.nan), ("0.00", "–")),
+    ],
+)
+def test_errors_that_are_compared_have_two_digits(values: tuple[float, ...], said: tuple[str, ...]) -> None:
+    """Oracle: by hand."""
+    assert sizes(*values) == said
 
 
 def test_sign_of_nothing_is_plus() -> None:

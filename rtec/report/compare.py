@@ -17,7 +17,7 @@ from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
 from rtec.version import __version__
-from rtec.wording import number, percent, significant
+from rtec.wording import number, percent, significant, sizes
 
 Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
@@ -86,9 +86,10 @@ def _said(first: Compared, c: Comparison) -> str:
     unit = UNITS[first.unit]
     of = f"{_name(first, c)}: the" if len(c.items) > 1 else "The"
     worse = f" {sentence(WORSE)}" if (first.explained or 0.0) < 0.0 else ""
+    left, measured, floor = sizes(first.left.rms, first.measured.rms, first.floor)
     said = (
-        f"{of} residual is {number(first.left.rms)} {unit} of {number(first.measured.rms)} {unit} measured "
-        f"(root mean square); the noise floor is {number(first.floor)} {unit}.{worse}"
+        f"{of} residual is {left} {unit} of {measured} {unit} measured (root mean square); the noise floor is "
+        f"{floor} {unit}.{worse}"
     )
     if first.worst and first.worst[0].apart is not None:
         return f"{said} {sentence(first.worst[0].words)}"

@@ -9,7 +9,7 @@ from rtec.estimation.outliers import left_out
 from rtec.report.figures import Png
 from rtec.report.page import Figure, Page, Section, Table, note_words, typed
 from rtec.version import __version__
-from rtec.wording import NONE, counted, number, significant, with_error
+from rtec.wording import NONE, counted, number, significant, sizes, with_error
 
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 WORTH_TELLING = 0.3
@@ -26,14 +26,15 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
         figures: whether to draw.
     """
     unit = UNITS[r.unit]
+    held, inside, floor = sizes(r.held_out_rms, r.inside_rms, r.judged.noise_floor)
     warnings = [f"{w.text}. What to do: {w.remedy}." for w in r.warnings]
     shown = [w for w in r.warnings if w.code != "outliers"]
     first = f" {counted(len(warnings), 'warning')}; the first: {shown[0].text.split(';')[0]}." if shown else ""
     return Page(
         title=f"Model of {r.model.machine.name}",
         lead=f"{counted(len(r.model.effects), 'effect')}, {counted(len(r.coefficients), 'coefficient')}: the residual "
-        f"is {number(r.held_out_rms)} {unit} on held-out readings and {number(r.inside_rms)} {unit} in sample "
-        f"(root mean square); the noise floor is {number(r.judged.noise_floor)} {unit}.{left_out(r.outliers)}{first}",
+        f"is {held} {unit} on held-out readings and {inside} {unit} in sample "
+        f"(root mean square); the noise floor is {floor} {unit}.{left_out(r.outliers)}{first}",
         numbers=[
             (f"{number(r.held_out_rms)}\u00a0{unit}", "residual on held-out readings"),
             (f"{number(r.inside_rms)}\u00a0{unit}", "residual in sample"),
