@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
 from rtec.model import FittedEffect
-from rtec.wording import NONE, number, percent, significant, with_error
+from rtec.wording import NONE, number, percent, significant, sizes, with_error
 
 ABOVE = 1.5
 """Of a residual above so many noise floors it is said how much is slow drift."""
@@ -82,6 +82,8 @@ def named(channel: str) -> str:
     return titled(channel).rpartition(", ")[0] or titled(channel)
 
 
+LITTLE = 2.0
+"""What would be seen only from so many times the residual on is little to have seen."""
 TOGETHER = "to be added together with rank 1"
 MOST_NUMBERS = 4
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
@@ -138,13 +140,22 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
             share = percent(max(d.adequacy, 0.0))
             near += f"; the closest effect, {d.findings[0].label}, explains {share} of what can be explained"
         return f"an effect is missing that is not in the catalogue: the residual depends {how} on {where}{at}{near}"
-    levels = f"the residual is {number(d.rms_residual)} {unit}, the noise floor {number(d.noise_floor)} {unit}"
+    residual, floor = sizes(d.rms_residual, d.noise_floor)
+    levels = f"the residual is {residual} {unit}, the noise floor {floor} {unit}"
     if d.out_of_date:
         return (
             f"no effect is missing, but the model's numbers are out of date: {levels}; refitted to these readings the "
             f"residual is {number(d.refit)} {unit} (`rtec improve` refits them)"
         )
-    limit = f" (half of the catalogue from {significant(smallest, 2)} {unit} on)" if math.isfinite(smallest) else ""
+    limit = ""
+    if math.isfinite(smallest):
+        size = f"from {significant(smallest, 2)} {unit} on"
+        little = smallest > LITTLE * d.rms_residual
+        limit = (
+            f" (they show little: half of the effects tested only {size})"
+            if little
+            else f" (half of those tested {size})"
+        )
     drift = d.judged.drift if d.judged is not None and d.rms_residual > ABOVE * d.noise_floor else 0.0
     slow = f"; {number(drift)} {unit} is slow drift that no recorded channel explains" if drift > d.noise_floor else ""
     return f"no effect is missing that these readings could show{limit}: {levels}{slow}"
@@ -167,7 +178,7 @@ def _together(d: Diagnosis) -> str:
 
 
 def _of_the_residual(size: float, residual: float, unit: str) -> str:
-    part, whole = number(size), number(residual)
+    part, whole = sizes(size, residual)
     if float(part) <= float(whole):
         return f"{part} {unit} of the {whole} {unit} residual"
     return f"{part} {unit}; the residual is {whole} {unit} because the model's numbers compensate a part of it"

@@ -56,6 +56,9 @@ def test_numbers_that_no_longer_fit_are_told() -> None:
     still = diagnose(known, [laser([BACKLASH], 5)])
     assert not still.out_of_date
     assert "out of date" not in still.sentence
+    little, enough = (words.with_sentence(still, times * still.rms_residual).sentence for times in (2.5, 1.5))
+    assert "(they show little: half of the effects tested only from" in little
+    assert "(half of those tested from" in enough
 
 
 def test_aliases_are_one_wave_at_the_targets() -> None:
