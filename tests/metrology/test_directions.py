@@ -81,3 +81,9 @@ def test_an_axis_that_keeps_its_feed_between_readings_was_read_on_the_run(tmp_pa
     else:
         assert m.channels["v_x"].tolist() == [10.0] * 6 + [-10.0] * 6 + [50.0] * 6 + [-50.0] * 6
         assert sum("went at its feed while it was read" in n for n in m.notes) == 1
+
+
+def test_numbers_as_large_as_a_file_can_hold_say_nothing(tmp_path: Path) -> None:
+    """Oracle: numpy's warnings are errors here."""
+    m = measured(tmp_path, [0.0, 1.7e308, -1.7e308, 1.0, 2.0], ",feed_mm_min", ",1e308")
+    assert not {"v_x", "d_x"} & set(m.channels)

@@ -185,10 +185,14 @@ class Subscriber:
                 return retained == "1", content
 
 
-def certificates(folder: Path, *names: str) -> Path:
+def certificates(folder: Path, *names: str, linked: bool = False) -> Path:
     """An authority, and a certificate with its key for each name, as NAME.pem and NAME.key; for the loopback.
 
-    With what RFC 5280 asks of both, on which Python insists from 3.13 on.
+    Args:
+        folder: for the files.
+        names: of the certificates, beside that of the authority, `ca`.
+        linked: each names the key that signed it. Python insists on that from 3.13 on; a client of OPC UA that trusts
+            a certificate itself would then want the authority's, too.
     """
     keys = {name: rsa.generate_private_key(public_exponent=65537, key_size=2048) for name in ("ca", *names)}
     for name, key in keys.items():
@@ -198,9 +202,11 @@ def certificates(folder: Path, *names: str) -> Path:
             issuer, subject, key.public_key(), x509.random_serial_number(), BEGIN, BEGIN + END
         )
         builder = builder.add_extension(x509.BasicConstraints(name == "ca", None), critical=True)
-        own, authority = key.public_key(), keys["ca"].public_key()
-        builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(own), critical=False)
-        builder = builder.add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(authority), critical=False)
+        if linked:
+            key_of = x509.AuthorityKeyIdentifier.from_issuer_public_key(keys["ca"].public_key())
+            builder = builder.add_extension(key_of, critical=False)
+        own = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
+        builder = builder.add_extension(own, critical=False)
         allowed = (True, True, True, True, False, name == "ca", False, False, False)
         builder = builder.add_extension(x509.KeyUsage(*allowed), critical=True)
         if name != "ca":

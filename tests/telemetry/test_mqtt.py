@@ -180,9 +180,9 @@ def test_a_full_disk_at_the_broker(setup: Setup, daemon: LivingDaemon, tmp_path:
 def test_tls_and_password(setup: Setup, daemon: LivingDaemon, tmp_path: Path) -> None:
     """Certificates of both sides, a name and a password; a broker of another authority is refused."""
     del daemon
-    certificates(tmp_path, "broker", "client")
+    certificates(tmp_path, "broker", "client", linked=True)
     (tmp_path / "other").mkdir()
-    certificates(tmp_path / "other")
+    certificates(tmp_path / "other", linked=True)
     (tmp_path / "password").write_text("secret\n", encoding="utf-8")
     (tmp_path / "users").write_text("mill:secret\n", encoding="utf-8")
     subprocess.run(["mosquitto_passwd", "-U", str(tmp_path / "users")], check=True)
