@@ -80,7 +80,7 @@ def fitted_model(
 ) -> Model:
     """Fit as `characterise` does, for predictions only: it judges nothing, which takes longer than the fit.
 
-    Files that contradict the others are left out without a word.
+    Files that contradict the others are left out without a warning.
 
     Raises:
         MeasurementError, ModelError: as `characterise` does.

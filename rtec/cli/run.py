@@ -219,7 +219,7 @@ def run(
     supervisor = Supervisor(setup, path, screen.update, screen.started, on_event=screen.event, forks=True)
 
     with closing(Control(setup, supervisor, RealClock())) as control:
-        control.listen()  # first of all: that another daemon runs is said before a device is touched
+        control.listen()  # a second daemon is refused before it opens a device
 
         @contextmanager
         def beside() -> Iterator[None]:

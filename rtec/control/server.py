@@ -168,10 +168,10 @@ class Control:
         self._pace = Pace(clock, REQUEST_NS)
 
     def listen(self) -> None:
-        """Have the sockets, which entering does too; whoever connects meanwhile waits for it.
+        """Open the sockets, as entering does. Whoever connects before that waits for an answer.
 
         Raises:
-            RtecError: one cannot be had; another daemon has it.
+            RtecError: a socket cannot be opened; another daemon has it.
         """
         register_after_fork(self, Control._let_go)
         try:
@@ -202,7 +202,7 @@ class Control:
         self.close()
 
     def _let_go(self) -> None:
-        """Close them; in a copy of this process, so that nobody finds a loop there whose supervisor is gone."""
+        """Close the sockets. A copy of this process does it, too: a loop without its supervisor must not answer."""
         for local in (self._local, self._status):
             if local is not None:
                 local.socket.close()

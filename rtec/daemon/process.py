@@ -127,8 +127,8 @@ def signals_wait() -> Iterator[None]:
 def child_context(forks: bool) -> ForkContext | SpawnContext:
     """How a child is started: as a copy of this process, which has loaded everything, or by a new interpreter.
 
-    A copy has none of the other threads, and what they were just doing stays half done in it; so it is made only where
-    this is the only thread.
+    A copy lacks the other threads, and what they were doing stays half done in it. So a process with several threads
+    starts a new interpreter.
 
     Args:
         forks: this process is rtec's own, and holds nothing open that a child must not have.

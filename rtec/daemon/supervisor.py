@@ -166,7 +166,7 @@ class Supervisor:
 
         Args:
             duration_s: how long, s; None: until a signal.
-            beside: entered once the loop's process is there, left before that is seen gone: whatever starts threads.
+            beside: what starts threads; entered after the loop's process has started, left before that has ended.
 
         Raises:
             RtecError: another daemon keeps its state in the same file; the fast path could not start, or died.

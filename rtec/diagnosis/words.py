@@ -12,7 +12,7 @@ from rtec.model import FittedEffect
 from rtec.wording import NONE, number, percent, significant, sizes, with_error
 
 ABOVE = 1.5
-"""Of a residual above so many noise floors it is said how much is slow drift."""
+"""Residual, in noise floors, above which the sentence gives the part that is slow drift."""
 WORDS = {
     "um": "µm", "urad": "µrad", "degc": "K", "degC": "°C", "deg": "°", "krpm": "(1000/min)", "kn": "kN",
     "100kg": "(100 kg)", "1": "", "krpm2": "(1000/min)²", "krpm_to_p": "(1000/min)^p", "s2": "s²", "m2": "m²",
@@ -83,7 +83,7 @@ def named(channel: str) -> str:
 
 
 LITTLE = 2.0
-"""What would be seen only from so many times the residual on is little to have seen."""
+"""Times the residual: where half of the effects tested would be seen only above it, the readings show little."""
 TOGETHER = "to be added together with rank 1"
 MOST_NUMBERS = 4
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}

@@ -153,7 +153,7 @@ class Judgement:
 
     @cached_property
     def untouched(self) -> float:
-        """The same of the model as it stands: only what is unknown of the set-up is fitted to the others."""
+        """The same of the model with its own numbers; only the unknowns of the set-up are fitted to the other runs."""
         alone = replace(self.readings, values=self.readings.values - self.base.predicted)
         weighted, plain = (held_out(replace(w, readings=alone), alone.setup, self.scale) for w in self._weights)
         return (weighted if as_good(weighted, plain) else plain).rms

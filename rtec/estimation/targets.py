@@ -1,8 +1,8 @@
 """Whether a wave along an axis predicts targets that were held out, not only runs over the same targets.
 
-Every run reads the same few targets, so what a screw does at each of them comes again in every run that is held out. Of
-hundreds of periods some wave passes near any few numbers: 18 at random lose half of their mean square to it. Targets
-that were held out, with the period searched without them, tell a wave from a pattern.
+Every run reads the same few targets, so the error at each of them comes again in every held-out run. Among hundreds of
+periods there is a wave near any few numbers: it takes half of the mean square of 18 random ones. So targets are held
+out, and the period is searched without them: a wave predicts them, a pattern does not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,18 +17,18 @@ from rtec.estimation.readings import Readings
 Floats = NDArray[np.float64]
 
 FEW = 60
-"""Of more targets than these no searched wave is a pattern."""
+"""Most targets that are held out in turn; a wave that fits more of them is no pattern."""
 TARGET_MM = 0.02
 BEND = 3
-"""Degree of what a curve along the axis may take beside the wave."""
+"""Degree of the curve along the axis that is fitted beside the wave."""
 FOLDS = 8
 LEAST = 0.2
-"""The mean square at held-out targets falls by more than this share: of 18 random numbers, in one case of 30."""
+"""Share by which a wave lowers the mean square at held-out targets; 18 random numbers exceed it once in 30."""
 RIDGE = 1e-9
 
 
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
-    """Whether a wave is one by held-out targets; true of what is no wave of searched period, or read in many places.
+    """Whether a wave predicts held-out targets; true, too, of another effect, and where more than `FEW` were read.
 
     Args:
         readings: the readings.

@@ -329,7 +329,7 @@ def _judged(
     grown = replace(model, effects=effects, valid_range=ranges_of(model, effects, given.readings, margin))
     now = Judgement(grown, given)
     was = Judgement(model, given, tuple(now.scale))
-    # Readings that the model was not fitted to are all held out from it as it stands.
+    # The model was not fitted to these readings: with its own numbers, all of them are held out.
     fresh = not any(m.fingerprint in model.measurements.values() for m in measurements)
     held = min(was.held_out, was.untouched) if fresh else was.held_out
     before = Errors(was.residual, was.residual, held if new else was.untouched)

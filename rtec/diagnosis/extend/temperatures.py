@@ -1,9 +1,9 @@
 """Further temperatures of an effect that the model has.
 
 A body that no sensor is on lies between those that have one: it follows several temperatures, each with its own delay.
-That there is such an effect is known already, so a further temperature has to prove no cause, only that the readings
-are likelier with it and that runs which were left out are predicted better. Along an axis only: what shifts everything
-alike with a temperature is not told from a drift of the instrument, and two temperatures take up any slow drift.
+The effect is known already. So a further temperature proves no cause: the readings must be likelier with it, and
+held-out runs must be predicted better. Only effects along an axis get one. A shift that is the same at all positions
+cannot be distinguished from a drift of the instrument, and two temperatures fit any slow drift.
 """
 
 import math
@@ -27,8 +27,8 @@ from rtec.model import FittedEffect, Model
 Floats = NDArray[np.float64]
 
 LIKELIER = math.log(50.0)
-"""So much likelier, as a logarithm, the readings must be: on records where one temperature was all, chance gave 3.3 at
-the most in 24, though the best of some fifty was taken."""
+"""Least gain in log likelihood. The best of some fifty further temperatures gained 3.3 at most in 24 records that
+depend on one temperature only."""
 
 
 def further_temperature(judged: Judgement) -> FittedEffect | None:

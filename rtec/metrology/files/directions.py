@@ -10,14 +10,13 @@ from rtec.machine import Axis, Machine
 from rtec.metrology.instruments.base import Instrument
 
 Floats = NDArray[np.float64]
-# Numbers as large as a file can hold are checked elsewhere; here they say nothing.
 LIKE, MOST = 0.05, 0.8
-"""Speeds of ways that differ by less than this share from the feed, in this share of the readings, are the feed."""
+"""An axis went at its feed where its speed differs by less than the first share, in the second share of readings."""
 LEAST = 3
-"""Targets between two ends, below which nothing is concluded from their number of readings."""
+"""Fewest targets between two ends whose number of readings shows an order."""
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
 def on_the_run(
     instrument: Instrument, machine: Machine, channels: Mapping[str, Floats], time_s: Floats
 ) -> dict[str, Floats]:
@@ -53,7 +52,7 @@ def _moving(machine: Machine, channels: Mapping[str, Floats]) -> list[Axis]:
     return [a for a in machine.axes if a.channel in channels and np.ptp(channels[a.channel]) > a.dead_band_mm]
 
 
-@np.errstate(over="ignore", invalid="ignore")
+@np.errstate(over="ignore", invalid="ignore")  # huge numbers give no direction
 def approached(instrument: Instrument, machine: Machine, channels: Mapping[str, Floats]) -> dict[str, Floats]:
     """Directions of approach of an instrument that reads targets at rest, by direction channel.
 
