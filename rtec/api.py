@@ -403,7 +403,7 @@ def improve(
     measurements: MeasurementLike | Iterable[MeasurementLike],
     *,
     ask: "Callable[[ProposedStep], Finding | None] | None" = None,
-    ask_refit: "Callable[[Added], bool] | None" = None,
+    ask_made: "Callable[[Added], bool] | None" = None,
     step: "Callable[[Added], None] | None" = None,
     seed: int = 1,
     machine: MachineLike | None = None,
@@ -417,7 +417,8 @@ def improve(
         model: that grows; it is not changed itself, the new one is `Improved.model`.
         measurements: one or several, of any instruments.
         ask: which candidate to add, None to stop; without it the best one is added.
-        ask_refit: whether to keep a refit of the model's own numbers; without it one that is worth it is kept.
+        ask_made: whether to keep what is worth it and names no cause: a refit of the model's own numbers (no labels), a
+            further temperature of one of its effects; without it, it is kept.
         step: given the refit and each addition as soon as it is made and written.
         seed: of the random draws.
         machine: of the model; by default its file is looked for beside the model.
@@ -442,7 +443,7 @@ def improve(
         if step:
             step(added)
 
-    result = go_on(known, read, ask=ask, ask_refit=ask_refit, seed=seed, stage=progress, step=keep)
+    result = go_on(known, read, ask=ask, ask_made=ask_made, seed=seed, stage=progress, step=keep)
     written = done[-1] if done else None
     return _finished(result, written, paths, report, {"model_file": written})
 

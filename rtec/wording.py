@@ -46,16 +46,20 @@ def with_error(value: float, error: float | None) -> tuple[str, str]:
 
 
 def two_numbers(one: float, two: float) -> tuple[str, str]:
-    """Two errors in µm or µrad with two decimals, or with so many that their difference shows; at most eight."""
-    pairs = ((number(one, digits), number(two, digits)) for digits in range(2, 9))
+    """Two errors beside each other as `sizes` has them, or with so many decimals that they differ; at most eight."""
+    pairs = ((number(one, digits), number(two, digits)) for digits in range(decimals(one, two), 9))
     return next((pair for pair in pairs if pair[0] != pair[1]), (number(one), number(two)))
 
 
-def sizes(*values: float) -> tuple[str, ...]:
-    """Errors in µm or µrad beside each other, with two decimals, or so many that each has two digits; at most six."""
+def decimals(*values: float) -> int:
+    """Decimals with which each of some errors in µm or µrad has two digits: two for machine tools, at most six."""
     least = min((abs(v) for v in values if math.isfinite(v) and abs(v) >= 1e-6), default=1.0)
-    digits = min(max(2, 1 - math.floor(math.log10(float(f"{least:.1e}")))), 6)
-    return tuple(number(v, digits) for v in values)
+    return min(max(2, 1 - math.floor(math.log10(float(f"{least:.1e}")))), 6)
+
+
+def sizes(*values: float) -> tuple[str, ...]:
+    """Errors in µm or µrad beside each other, all with the decimals that give each of them two digits."""
+    return tuple(number(v, decimals(*values)) for v in values)
 
 
 def percent(share: float) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtec.bench.rig import campaign as c
 from rtec.bench.rig import noise
 from rtec.bench.rig.campaign import CampaignPlan, Errors, Record
-from rtec.bench.rig.heat import Day, day, growth_seen
+from rtec.bench.rig.heat import Day, bearing_seen, day, growth_seen
 from rtec.bench.rig.machine import PITCH_MM, SENSORS, description, displaced
 
 Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Trial:
         variables: channels that an effect outside the catalogue depends on.
         doubt: what is wrong with the record or with the machine file; empty where nothing is.
         machine: as the machine file has it.
-        law: what recorded channels tell of a truth that is of bodies without a sensor: columns by reading, (n, k).
+        law: columns of the truth, as far as recorded channels tell it; sizes and zero are free. By reading, (n, k).
     """
 
     group: str
@@ -106,6 +106,11 @@ def _known_scale(m: Maker, plan: CampaignPlan) -> tuple[Errors, tuple[tuple[Tabl
     )
 
 
+def _law(plan: CampaignPlan, *effect: Floats) -> dict[str, Floats]:
+    """Columns of scale error, backlash and an effect, (n,) or (n, k), as a laser reads them."""
+    return {"reading_um": np.column_stack([plan.q, plan.direction[plan.axis or "X"], *effect])}
+
+
 def _plus(*errors: Errors) -> dict[str, Floats]:
     out: dict[str, Floats] = {}
     for one in errors:
@@ -122,9 +127,11 @@ def load_shift(m: Maker) -> Parts:
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
     w = plan.load_kg / 100.0
+    shift = w / (1.0 + 0.03 * w)
     return {
-        "records": (m.record(plan, _plus(known, {"EXX": m.sized(w / (1.0 + 0.03 * w))})),),
+        "records": (m.record(plan, _plus(known, {"EXX": m.sized(shift)})),),
         "base": base,
+        "law": _law(plan, shift),
         "hidden": ((Right("load_deformation", "EXX"), Right("load_shift", "EXX")),),
     }
 
@@ -199,9 +206,11 @@ def plain_bow(m: Maker) -> Parts:
     """A screw with a bow, nothing else."""
     plan = c.line(m.rng)
     known, base = _known_scale(m, plan)
+    bow = np.cosh(1.1 * plan.scaled("X"))
     return {
-        "records": (m.record(plan, _plus(known, {"EXX": m.sized(np.cosh(1.1 * plan.scaled("X")))})),),
+        "records": (m.record(plan, _plus(known, {"EXX": m.sized(bow)})),),
         "base": base,
+        "law": _law(plan, bow),
         "hidden": ((Right("polynomial_position", "EXX"),),),
     }
 
@@ -216,7 +225,7 @@ def warm_screw(m: Maker) -> Parts:
         "records": (record,),
         "base": base,
         "hidden": ((Right("axis_expansion", "EXX"),),),
-        "law": {"reading_um": np.column_stack([plan.q, plan.direction["X"], seen])},
+        "law": _law(plan, seen),
     }
 
 
@@ -229,6 +238,7 @@ def servo(m: Maker) -> Parts:
     return {
         "records": (m.record(plan, _plus(known, {"EXX": m.sized(lag)})),),
         "base": base,
+        "law": _law(plan, lag),
         "hidden": ((Right("servo_lag", "EXX"),),),
     }
 
@@ -470,9 +480,11 @@ def three_on_plate(m: Maker) -> Parts:
 def spindle_heat(m: Maker) -> Parts:
     """The spindle grows with its bearing; its housing has a sensor."""
     plan = c.drift(m.rng)
+    record = m.record(plan, {"EZ0spindle": m.sized(m.of.of("bearing", plan.time_s))})
     return {
-        "records": (m.record(plan, {"EZ0spindle": m.sized(m.of.of("bearing", plan.time_s))}),),
+        "records": (record,),
         "hidden": ((Right("spindle_growth", ""), Right("mount_expansion", "", "T_spindle")),),
+        "law": {"reading_axial_um": bearing_seen(plan.time_s, record.channels)},
     }
 
 

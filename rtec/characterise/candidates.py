@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtec.characterise.coverage import accelerated, followed, highest_degree, places_mm, several_speeds
-from rtec.effects import effect_class
+from rtec.effects import Effect, effect_class
 from rtec.effects.base import component_kind
 from rtec.effects.registry import all_effects
 from rtec.estimation.candidates import library
@@ -36,6 +36,14 @@ THERMAL = {
 """Effects that `thermal` gives."""
 DEGREE = {"axis_expansion": 1, "axis_expansion_nonuniform": 2}
 """Power of the position that a temperature changes; 0 of the others."""
+
+
+Drive = tuple[str, ...]
+
+
+def drive(effect: Effect) -> Drive:
+    """Component, name and sensors of an effect, whatever its delay and its degrees."""
+    return effect.component, effect.effect, *(str(getattr(effect, n, "")) for n in ("sensor", "front", "back"))
 
 
 @dataclass(frozen=True, eq=True)

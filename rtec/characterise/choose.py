@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.candidates import BEND, TermCandidate
+from rtec.characterise.candidates import BEND, Drive, TermCandidate, drive
 from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
 from rtec.estimation.gram.normal import NOTHING, Normal, ridged, solve, squares_left
@@ -100,8 +100,10 @@ HIDDEN = 1e-4
 class HeldOutTable:
     """Left-out errors of choices, from the normal equations of all candidates."""
 
-    def __init__(self, normal: Normal, candidates: Sequence[TermCandidate]) -> None:
-        self.normal, self.candidates = normal, candidates
+    def __init__(
+        self, normal: Normal, candidates: Sequence[TermCandidate], single: Sequence[frozenset[Drive]] = ()
+    ) -> None:
+        self.normal, self.candidates, self.single = normal, candidates, single
         self.columns = [np.flatnonzero(normal.owner == i) for i in range(len(candidates))]
         self.most_features = max(1, min(MOST_FEATURES, len(normal.fold_numbers) // BLOCKS_EACH))
         self.freedom = float(np.sum([c.freedom for c in normal.cells]))
@@ -177,7 +179,8 @@ class HeldOutTable:
         total[~(self.shown if rivals else self.usable)] = 0.0
         order = [int(i) for i in np.argsort(-total, kind="stable") if total[i] > 0]
         features = self._features(chosen)
-        room = [i for i in order if self._room(i, features)]
+        drives = [drive(self.candidates[i].term.effect) for i in chosen]
+        room = [i for i in order if self._room(i, features) and not self._cancels(i, drives)]
         # One spindle heats one way, an oil film lifts one way: two powers of a speed would only haggle over it.
         speeds = {self._of_speed(i) for i in chosen} - {None}
         return [i for i in room if self._of_speed(i) not in speeds][:most]
@@ -232,6 +235,11 @@ class HeldOutTable:
         candidate = self.candidates[i]
         there = features.get(candidate.component, set())
         return not candidate.feature or candidate.feature in there or len(there) < self.most_features
+
+    def _cancels(self, i: int, drives: Sequence[Drive]) -> bool:
+        """Whether a candidate is one of those of which a choice may have one only, and has one."""
+        mine = drive(self.candidates[i].term.effect)
+        return any(mine in only and not only.isdisjoint(drives) for only in self.single)
 
     def _index(self, chosen: Sequence[int]) -> Ints:
         parts = [self.columns[i] for i in sorted(chosen)]
@@ -333,9 +341,18 @@ def choose(
     candidates: Sequence[TermCandidate],
     forced: Sequence[int] = (),
     progress: Progress | None = None,
+    single: Sequence[frozenset[Drive]] = (),
 ) -> TermChoice:
-    """Choose among candidates by their left-out errors; those that are forced stay."""
-    table = HeldOutTable(normal, candidates)
+    """Choose among candidates by their left-out errors; those that are forced stay.
+
+    Args:
+        normal: of all candidates.
+        candidates: among which it chooses.
+        forced: by number.
+        progress: told how far it is.
+        single: drives of which a choice may have one only, because two of them cancel.
+    """
+    table = HeldOutTable(normal, candidates, single)
     forced = independent(normal, [table.columns[i] for i in forced], forced)
     path, steps = _forward(table, forced, progress)
     chosen = _smallest_good(table, path)

@@ -1,13 +1,13 @@
 """Characterises a machine: measurements in, geometric-thermal model out."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.assemble import assemble, model_of
-from rtec.characterise.candidates import at_constant_temperature
+from rtec.characterise.candidates import Drive, at_constant_temperature, drive
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.grouping import apart, tidied
@@ -26,7 +26,10 @@ from rtec.estimation.gram.stream import Term, gather
 from rtec.estimation.gram.weights import rough_noise
 from rtec.estimation.held_out import cuts
 from rtec.estimation.judge import Judgement
+from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.outliers import Clean, clean
+from rtec.estimation.readings import Readings
+from rtec.estimation.targets import WAVES, predicts_targets
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.model.fit import Margin
@@ -41,6 +44,8 @@ SEARCHED = 20_000
 WORSE = 1.01
 """Parameters from the search that raise the held-out error by more than this go back to those of the choice."""
 QUADRATIC = 2
+PITCHES = 41
+"""Pitches that are tried for a wave without the targets that are held out."""
 
 
 def characterise(
@@ -91,17 +96,29 @@ def fitted_model(
 
 
 def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
-    """Leave out wrong readings, and files that contradict the others; warn of such files."""
+    """Leave out wrong readings, files that contradict the others, and runs whose zero has moved; warn of the latter."""
     _check(measurements)
     given = clean(measurements, leave_out_h=leave_out_h)
     found = contradiction(Judgement(Model(measurements[0].machine), given))
     if found is None:
-        return given, None
+        return _without_moved_zeros(given)
     if not found.odd:
         return given, Warn("contradiction", found.message, f"{found.check}; {found.again}")
     rest = [m for i, m in enumerate(measurements) if i not in found.odd]
     text = f"{found.message} ({'it was' if len(found.odd) == 1 else 'they were'} left out of the fit)"
     return clean(rest, leave_out_h=leave_out_h), Warn("contradiction", text, f"{found.check}; put right, fit again")
+
+
+def _without_moved_zeros(given: Clean) -> tuple[Clean, Warn | None]:
+    moved = moved_zeros(given.readings)
+    if not moved:
+        return given, None
+    off = np.full(len(given.readings), np.nan)
+    for m in moved:
+        off[m.readings] = m.by
+    were = "it was" if len(moved) == 1 else "they were"
+    text = f"{'; '.join(m.message.rstrip('?') for m in moved)} ({were} left out of the fit)"
+    return given.less(off), Warn("moved_zero", text, STEP)
 
 
 def _fit(
@@ -125,31 +142,83 @@ def _fit_to(
     scaled = [s.weighted(_rough_weights(s)) for s in sources]
     exact = wanted.exact if wanted else ()
     _check_channels(sources, exact)
-    chosen: list[Term] = []
-    screened: Screened | None = None
-    choice: TermChoice | None = None
-    if wanted is None or wanted.names:
-        tell("looking for what goes with what", 0, 1)
-        names = wanted.names if wanted else None
-        screened = screen(scaled, names)
-        choice = _choose(screened, wanted, tell)
-        # Once more, with what was found taken out: what stood behind something larger shows now.
-        screened = screen(scaled, names, [screened.candidates[i] for i in choice.chosen])
-        choice = _choose(screened, wanted, tell)
+    fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
+    if wanted is not None and not wanted.names:
+        return _sure(sources, fixed, [], _asked_terms(wanted), 0, tell), None, None
+    asked, rules = _asked_terms(wanted), _Rules()
+    while True:
+        screened, choice = _chosen(scaled, wanted, rules, tell)
         chosen = tidied(_with_constant(screened, choice))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
-    fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
-    tried = sum(c.offered for c in screened.candidates) if screened else 0
-    return _sure(sources, fixed, chosen, _asked_terms(wanted), tried, tell), screened, choice
+        fit = _sure(sources, fixed, chosen, asked, sum(c.offered for c in screened.candidates), tell)
+        further = _further_rules(given.readings, fit, len(fixed), asked, rules)
+        if further == rules:
+            return fit, screened, choice
+        rules = further
 
 
-def _choose(screened: Screened, wanted: AskedEffects | None, tell: Stage) -> TermChoice:
+@dataclass(frozen=True)
+class _Rules:
+    """What an earlier choice showed.
+
+    Attributes:
+        single: drives of which a choice may have one only: two of them cancel.
+        barred: drives that a choice may not have: waves that do not predict targets that were held out.
+    """
+
+    single: tuple[frozenset[Drive], ...] = ()
+    barred: frozenset[Drive] = frozenset()
+
+
+def _further_rules(
+    readings: Readings, fit: Estimate, fixed: int, asked: Callable[[Term], bool], rules: _Rules
+) -> _Rules:
+    """With what a fit shows that a choice must not have together, or not at all."""
+    cancelling = frozenset(drive(fit.terms[i].effect) for i in fit.undetermined if i >= fixed)
+    single = (*rules.single, cancelling) if cancelling and cancelling not in rules.single else rules.single
+    waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not asked(t)]
+    barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
+    return _Rules(single, barred)
+
+
+def _predicts(readings: Readings, fit: Estimate, wave: Term) -> bool:
+    """Whether a wave predicts targets that were held out, with a pitch that is found without them."""
+    machine = readings.machine
+    beside = [readings.columns(t.effect, t.theta) for t in fit.terms if t is not wave]
+    base = np.concatenate([np.zeros((len(readings), 0)), *beside], axis=1)
+    (pitch,) = wave.effect.nonlinear(machine) or (None,)
+    if pitch is None:
+        return predicts_targets(readings, base, wave.effect, [wave.theta])
+    near = np.linspace(pitch.low, pitch.high, PITCHES)
+    return predicts_targets(readings, base, wave.effect, [{pitch.name: float(p)} for p in near])
+
+
+def _chosen(
+    scaled: Sequence[Source], wanted: AskedEffects | None, rules: _Rules, tell: Stage
+) -> tuple[Screened, TermChoice]:
+    """Choose twice: with what was found taken out, what stood behind something larger shows."""
+    tell("looking for what goes with what", 0, 1)
+    names = wanted.names if wanted else None
+    screened = _without(screen(scaled, names), rules)
+    choice = _choose(screened, wanted, rules, tell)
+    screened = _without(screen(scaled, names, [screened.candidates[i] for i in choice.chosen]), rules)
+    return screened, _choose(screened, wanted, rules, tell)
+
+
+def _without(screened: Screened, rules: _Rules) -> Screened:
+    """Without candidates that are barred."""
+    return replace(
+        screened, candidates=tuple(c for c in screened.candidates if drive(c.term.effect) not in rules.barred)
+    )
+
+
+def _choose(screened: Screened, wanted: AskedEffects | None, rules: _Rules, tell: Stage) -> TermChoice:
     candidates = screened.candidates
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
     forced = [i for i, c in enumerate(candidates) if wanted is not None and c.offered and _asked(c.term.effect, c.kind)]
-    return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t))
+    return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t), rules.single)
 
 
 def _with_constant(screened: Screened, choice: TermChoice) -> list[Term]:

@@ -41,7 +41,8 @@ def discovery(
 
     Without --score it diagnoses the data sets itself, some 70 for each seed, about a second each. With --score MYTOOL
     it writes them into the folder MYTOOL, without the truth, and a table answers.csv to fill in; called again, it
-    scores that table. `docs/benchmark.md` describes the files.
+    scores that table. Predictions are held against the noise, and against the true law fitted to the same readings.
+    `docs/benchmark.md` describes the files.
     """
     from rtec.bench.folder import ANSWERS, SETS, BenchmarkRange, read_answers, read_range, write_sets
     from rtec.bench.own import own_answers

@@ -96,7 +96,7 @@ def add(
     `rtec add model.toml --refit --data laser-x.csv -o newer.toml`
 
     Refits on the channels as the loop sees them. Writes nothing and ends with status 1 if the error on held-out runs
-    does not fall by 0.1 %.
+    does not fall by 0.1 %, or if only the sum of two effects is determined.
     """
     from rtec import api
     from rtec.cli.common import interruptible, show, stages
@@ -169,7 +169,7 @@ def improve(
             model,
             files,
             ask=None if yes else _ask,
-            ask_refit=None if yes else _ask_refit,
+            ask_made=None if yes else _ask_made,
             step=lambda added: done.append("step" if added.labels else "refit"),
             seed=seed,
             machine=machine,
@@ -225,10 +225,11 @@ def _ask(choice: "ProposedStep") -> "Finding | None":
         typer.echo(f"{answer!r} is none of y, n, {', '.join(allowed)}")
 
 
-def _ask_refit(made: "Added") -> bool:
-    """Show the error before and after a refit of the model's own numbers, and ask."""
+def _ask_made(made: "Added") -> bool:
+    """Show the error before and after what names no cause, a refit or a further temperature, and ask."""
     from rtec.cli.common import show_page
     from rtec.report.additions import added_page
 
     show_page(added_page(made, figures=False), full=False)
-    return typer.confirm("Refit the model's own numbers?", default=True)
+    said = f"Add {', '.join(made.labels)}, a further temperature?" if made.labels else "Refit the model's own numbers?"
+    return typer.confirm(said, default=True)

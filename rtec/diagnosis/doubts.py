@@ -21,6 +21,7 @@ from rtec.estimation import floor
 from rtec.estimation.columns import ordered
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.judge import Judgement
+from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.readings import Readings, Series, looked_at
 from rtec.model import FittedEffect, Model
 
@@ -28,10 +29,18 @@ Floats = NDArray[np.float64]
 
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
-    "one_pass", "few_runs", "no_temperature", "other_sensor", "instrument_warm_up",
+    "moved_zero", "one_pass", "few_runs", "no_temperature", "other_sensor", "instrument_warm_up",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
-    {"wrong_channel", "swapped_sensors", "moved_origin", "contradiction", "corrected", "instrument_warm_up"}
+    {
+        "wrong_channel",
+        "swapped_sensors",
+        "moved_origin",
+        "contradiction",
+        "corrected",
+        "instrument_warm_up",
+        "moved_zero",
+    }
 )
 """Doubts beside which no effect of the machine is named."""
 DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature"}
@@ -99,6 +108,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += _corrected(judged, measured, predicted)
     if not found and edited is not None:
         found.append(edited.doubt(judged.residual))
+    step = f"{STEP[0].upper()}{STEP[1:]}."
+    found += [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
     found += [*_one_pass(readings), *_few_runs(readings)]
     return tuple(found)
 

@@ -85,6 +85,7 @@ def named(channel: str) -> str:
 LITTLE = 2.0
 """Times the residual: where half of the effects tested would be seen only above it, the readings show little."""
 TOGETHER = "to be added together with rank 1"
+BESIDE = "explains another part than rank 1; may be missing too"
 MOST_NUMBERS = 4
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 
@@ -205,9 +206,9 @@ def _one_of(d: Diagnosis) -> str:
 
 
 def _beside(d: Diagnosis, apart: Collection[tuple[str, str]]) -> str:
-    """What may be missing besides: the one that lowers the error on held-out runs most, and how many are like it."""
+    """What may be missing besides: the likeliest, and how many are like it."""
     others = [f for f in d.findings if (f.effect.effect, f.effect.component) in apart]
-    names = list(dict.fromkeys(f.label for f in sorted(others, key=lambda f: -f.heldout_drop)))
+    names = list(dict.fromkeys(f.label for f in others))
     more = f" (or one of {len(names) - 1} like it)" if len(names) > 1 else ""
     return f"{names[0]}{more}" if names else ""
 

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from rtec.effects import Effect, Parameter
 from rtec.errors import MeasurementError, ModelError
 from rtec.estimation.columns import slope
+from rtec.estimation.determined import undetermined
 from rtec.estimation.gls import HeldOut, held_out, solve
 from rtec.estimation.noise import Whitener, find_noise, refine
-from rtec.estimation.plain import Plain, as_good, covariance, plain_fit
+from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, weights
 from rtec.estimation.readings import Readings
 from rtec.model import FittedEffect
 from rtec.model.fit import SearchScale
@@ -25,6 +26,7 @@ from rtec.model.model import names_of
 from rtec.wording import significant
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LOOSE = 30.0
 """So many of its standard errors a number may move freely where the same readings are fitted again."""
@@ -49,6 +51,7 @@ class Joint:
         weights: of the fit; ordinary ones where generalised least squares predicts held-out runs worse.
         disputed: numbers of which both disagree by more than their errors, in words.
         plain: the ordinary fit.
+        undetermined: effects of which only the sum with others is known, by number.
     """
 
     effects: tuple[FittedEffect, ...]
@@ -58,6 +61,7 @@ class Joint:
     weights: Whitener | Plain
     disputed: tuple[str, ...] = ()
     plain: "Joint | None" = field(default=None, repr=False)
+    undetermined: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,9 @@ def joint_fit(
 
 
 def _joint(effects: Sequence[FittedEffect], readings: Readings, found: _Found) -> Joint:
-    return Joint(_numbers(effects, readings, found), found.noise, found.columns, found.left(readings), found.weights)
+    numbers, loose = _numbers(effects, readings, found)
+    left = found.left(readings)
+    return Joint(numbers, found.noise, found.columns, left, found.weights, undetermined=loose)
 
 
 APART = 3.0
@@ -280,8 +286,10 @@ def _values(
     return np.asarray(centre + solve(stacked, np.concatenate([target, np.zeros(len(centre))])))
 
 
-def _numbers(effects: Sequence[FittedEffect], readings: Readings, found: _Found) -> tuple[FittedEffect, ...]:
-    """Effects with the numbers found and their standard errors."""
+def _numbers(
+    effects: Sequence[FittedEffect], readings: Readings, found: _Found
+) -> tuple[tuple[FittedEffect, ...], tuple[int, ...]]:
+    """Effects with the numbers found and their standard errors; and those of which only the sum is known."""
     machine, at = readings.machine, 0
     columns, thetas, values, loose = found.columns, found.thetas, found.values, found.loose
     filled: list[FittedEffect] = []
@@ -297,7 +305,8 @@ def _numbers(effects: Sequence[FittedEffect], readings: Readings, found: _Found)
             owner.append((i, name))
     whole = np.concatenate([columns, *[s[:, None] for s in slopes]], axis=1)
     spread = np.concatenate([_prior(effects, readings, loose)[1], np.full(len(slopes), np.inf)])
-    errors = np.sqrt(np.maximum(np.diag(covariance(found.weights, whole, spread)), 0.0))
+    known = covariance(found.weights, whole, spread)
+    errors = np.sqrt(np.maximum(np.diag(known), 0.0))
     errors = np.where(np.abs(whole).max(axis=0, initial=0.0) > 0.0, errors, np.nan)  # nan: not seen
     out, at = [], 0
     for i, (f, before) in enumerate(zip(filled, effects, strict=True)):
@@ -305,7 +314,32 @@ def _numbers(effects: Sequence[FittedEffect], readings: Readings, found: _Found)
         at += len(f.values)
         places |= {name: columns.shape[1] + k for k, (j, name) in enumerate(owner) if j == i}
         out.append(FittedEffect(f.effect, f.values, f.theta, _errors_of(before, errors, places)))
-    return tuple(out)
+    of = np.repeat(np.arange(len(filled)), [len(f.values) for f in filled])
+    terms = np.append(np.arange(len(of)), columns.shape[1] + np.arange(len(owner)))
+    of = np.append(of, np.array([i for i, _ in owner], dtype=np.int64))
+    return tuple(out), _undetermined(readings, found, whole[:, terms], known[np.ix_(terms, terms)], of)
+
+
+def _undetermined(readings: Readings, found: _Found, columns: Floats, known: Floats, of: Ints) -> tuple[int, ...]:
+    """Effects of which only the sum with others is known.
+
+    Args:
+        readings: that were fitted.
+        found: the fit.
+        columns: of coefficients, then slopes, (m, k).
+        known: their covariance, (k, k).
+        of: which effect each is of, (k,).
+    """
+    left = found.left(readings)
+    weigh = found.weights if isinstance(found.weights, Plain) else weights(readings, found.noise, left)
+    flat, setup = weigh(np.column_stack([columns, left])), weigh(readings.setup)
+    flat = flat - setup @ solve(setup, flat)
+    source = np.array([s.source for s in readings.series])[readings.series_of]
+    parts = [flat[source == k] for k in range(len(readings.measurements))]
+    gram = np.stack([p.T @ p for p in parts])
+    count = found.columns.shape[1] - readings.setup.shape[1]
+    values = np.append(found.values[:count], np.zeros(len(of) - count))
+    return tuple(undetermined(gram[:, :-1, :-1], values, known, of, gram[:, -1, -1]))
 
 
 def _errors_of(before: FittedEffect, errors: Floats, places: Mapping[str, int]) -> dict[str, float]:

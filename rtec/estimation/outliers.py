@@ -13,7 +13,7 @@ own, the neighbours of one side decide. More than a few in a hundred are what th
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +54,8 @@ QUARTILE, QUARTILE_SIGMA = 0.75, 1.1503
 """Readings around one that tell how loud its part of the record is, by their third quartile: bursts are fewer."""
 SIGMA_PER_MAD, SMALL = 1.4826, 0.02
 STILL_MM = 1e-3
+EVEN = 0.01
+"""Part of a step of the display by which readings may miss its multiples: files hold rounded numbers."""
 TOLD = 12
 
 
@@ -94,6 +96,24 @@ class Clean:
         """The same readings with temperatures smoothed in time."""
         return self.readings.smoothed()
 
+    def less(self, off: Floats) -> "Clean":
+        """The same without more readings.
+
+        Args:
+            off: how far each of `readings` is off, (m,); NaN for those that stay.
+        """
+        wrong, kept = np.isfinite(off), self.kept.copy()
+        kept[np.flatnonzero(kept)[wrong]] = False
+        return Clean(self.readings.without(wrong), (*self.wrong, *_told(self.readings, off)), kept)
+
+
+def _told(readings: Readings, off: Floats) -> Iterator[WrongReading]:
+    for s in readings.series:
+        m = readings.measurements[s.source]
+        for i in np.flatnonzero(np.isfinite(off[s.part])):
+            row = int(s.row[i])
+            yield WrongReading(m.name, s.column, row, int(m.run[row]), float(off[s.part][i]), s.unit)
+
 
 def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, leave_out_h: float | None = None) -> Clean:
     """Read measurements and leave out what is wrong.
@@ -106,14 +126,8 @@ def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, lea
     """
     whole = read(measurements, reference_degc, smooth=False, leave_out_h=leave_out_h)
     off = wrong_readings(whole)
-    wrong = np.isfinite(off)
-    told = []
-    for s in whole.series:
-        m = whole.measurements[s.source]
-        for i in np.flatnonzero(wrong[s.part]):
-            row = int(s.row[i])
-            told.append(WrongReading(m.name, s.column, row, int(m.run[row]), float(off[s.part][i]), s.unit))
-    return Clean(whole.without(wrong) if told else whole, tuple(told), ~wrong)
+    every = Clean(whole, (), np.ones(len(whole), dtype=np.bool_))
+    return every.less(off) if np.isfinite(off).any() else every
 
 
 def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
@@ -156,17 +170,18 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     rough = _rough(readings, s, values, linked)
     rough = rough - _of_visits(rough, place)
     spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
+    least = max(SMALL * spread, HALF * _display_step(values), 1e-9)
     off, wrong, far = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     for reach, long in ((REACH, (1, BURST)), (LONG_REACH, (2, LONG_BURST))):
         for _ in range(ROUNDS):
             known = np.where(wrong, np.nan, rough)
             off = rough - neighbours(known, rough, linked, reach)
-            sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), SMALL * spread, 1e-9), s.run)
+            sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), least), s.run, wrong)
             found = _bursts(off, known, sigma, linked, near, still, reach, long)
             if not still:
                 found &= ~np.logical_or.reduce([_again(off, p, found) for p in (place, *near)])
             far |= found
-            found &= ~_again_elsewhere(off, anyway, starts, found)
+            found &= ~_mostly(_again_elsewhere(off, anyway, starts, found), found)
             if not found.any():
                 break
             wrong |= found
@@ -245,11 +260,11 @@ def _of_visits(rough: Floats, place: Ints) -> Floats:
     return out
 
 
-def _sigmas(off: Floats, sigma: float, run: Ints) -> Floats:
+def _sigmas(off: Floats, sigma: float, run: Ints, wrong: Bools) -> Floats:
     """Robust standard deviation around each reading, (n,), at least that of all: a loud run is no row of mistakes.
 
-    Of the nearest readings of its own run; of a short run also of those before and after it. Only where a reading is
-    far by the standard deviation of all does it matter.
+    Of the nearest readings of its own run that are not known to be wrong, (n,); of a short run also of those before and
+    after it. Only where a reading is far by the standard deviation of all does it matter.
     """
     n, out = len(off), np.full(len(off), sigma)
     kind = np.where(np.abs(off) > FAR * sigma, np.sign(off), 0.0)
@@ -265,9 +280,9 @@ def _sigmas(off: Floats, sigma: float, run: Ints) -> Floats:
         near = first[part, None] + np.arange(AROUND)
         mine, near = near < end[part, None], np.minimum(near, n - 1)
         # A long burst would be a third of a short run, and tell that the run is loud.
-        mine &= ~(long[near] & (row[near] == row[far[part], None]))
+        mine &= ~(long[near] & (row[near] == row[far[part], None])) & ~wrong[near]
         size = np.sort(np.where(mine, np.abs(off[near]), np.inf), axis=1)
-        place = np.rint(QUARTILE * (mine.sum(axis=1) - 1)).astype(np.int64)
+        place = np.rint(QUARTILE * np.maximum(mine.sum(axis=1) - 1, 0)).astype(np.int64)
         out[far[part]] = np.maximum(sigma, size[np.arange(len(part)), place] / QUARTILE_SIGMA)
     return out
 
@@ -376,6 +391,22 @@ def _again_elsewhere(off: Floats, any_way: Sequence[Ints], starts: tuple[Ints, F
     if starts is not None:
         again += [_again(off * turned, starts[0], found) for turned in (1.0, starts[1])]
     return np.asarray(np.logical_or.reduce([np.zeros(len(off), dtype=bool), *again]))
+
+
+def _mostly(again: Bools, found: Bools) -> Bools:
+    """What holds of at least half of each row of readings that were found together, (n,): a burst is one mistake."""
+    row = np.cumsum(np.diff(found, prepend=found[:1]))
+    share = np.bincount(row, again) / np.bincount(row)
+    return np.asarray(found & (share[row] >= HALF))
+
+
+def _display_step(values: Floats) -> float:
+    """Step of the display of which all readings, (n,), are multiples apart; 0 where there is none."""
+    apart = np.diff(np.unique(np.round(values, 6)))
+    if not len(apart):
+        return 0.0
+    step = float(apart.min())
+    return step if np.abs(apart / step - np.rint(apart / step)).max() < EVEN else 0.0
 
 
 def _again(off: Floats, place: Ints, found: Bools, apart: int = 1) -> Bools:

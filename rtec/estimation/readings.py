@@ -205,7 +205,8 @@ class Readings:
     def _basis(self, effect: Effect, theta: Mapping[str, float], source: int) -> list[Floats]:
         state = self.states[source]
         values = effect.basis(self.machine, state, theta)
-        return [np.broadcast_to(np.asarray(v, dtype=np.float64), (len(state),)) for v in values]
+        whole = [np.asarray(v, dtype=np.float64) for v in values]
+        return [v if v.shape == (len(state),) else np.broadcast_to(v, (len(state),)) for v in whole]
 
 
 def read(

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.effects import Effect
+from rtec.effects.cyclic import CouplingMisalignment, CyclicPole, CyclicScrew, InterpolationError
 from rtec.estimation.gls import solve, without_nuisance
 from rtec.estimation.readings import Readings
 
 Floats = NDArray[np.float64]
 
+WAVES = (CyclicScrew, CouplingMisalignment, InterpolationError, CyclicPole)
 FEW = 60
 """Most targets that are held out in turn; a wave that fits more of them is no pattern."""
 TARGET_MM = 0.02
@@ -30,15 +32,18 @@ RIDGE = 1e-9
 def predicts_targets(readings: Readings, base: Floats, effect: Effect, thetas: Sequence[Mapping[str, float]]) -> bool:
     """Whether a wave predicts held-out targets; true, too, of another effect, and where more than `FEW` were read.
 
+    A wave of known period is asked as well: with several of them any few numbers are met.
+
     Args:
         readings: the readings.
         base: columns of what is known beside it, (m, p).
         effect: that is looked for.
-        thetas: periods that were tried.
+        thetas: periods that were tried; one where it is known.
     """
     machine = readings.machine
     axis = next((a for a in machine.axes if (a.channel,) == effect.channels(machine)), None)
-    if axis is None or not effect.nonlinear(machine) or len(thetas) < 2:
+    searched = bool(effect.nonlinear(machine)) and len(thetas) > 1
+    if axis is None or not (searched or isinstance(effect, WAVES)):
         return True
     position = np.concatenate([readings.states[s.source].value(axis.channel)[s.row] for s in readings.series])
     seen = np.flatnonzero(readings.arms(effect.component))

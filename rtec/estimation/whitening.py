@@ -55,6 +55,8 @@ def gains(  # noqa: PLR0912
     Returns:
         log det Σ.
     """
+    if unknown.shape[1] == 0:
+        return _gains_of_two(time_s, run, drift, tau_s, offset, decay, gain, scale)
     n, size = len(time_s), 2 + unknown.shape[1]
     p = np.zeros((size, size))
     h = np.ones(size)
@@ -102,7 +104,38 @@ def gains(  # noqa: PLR0912
 
 
 @njit
-def innovations(run: Ints, unknown: Floats, decay: Floats, gain: Floats, scale: Floats, columns: Floats) -> None:
+def _gains_of_two(
+    time_s: Floats, run: Ints, drift: float, tau_s: float, offset: float, decay: Floats, gain: Floats, scale: Floats
+) -> float:
+    """`gains` where no run has unknowns: the same steps, number by number."""
+    p, q, r, total = 0.0, 0.0, 0.0, 0.0
+    step, kept = -1.0, 0.0  # even steps forget alike
+    for i in range(len(time_s)):
+        if i > 0 and time_s[i] - time_s[i - 1] != step:
+            step = time_s[i] - time_s[i - 1]
+            ratio = step / tau_s
+            kept = math.exp(-ratio) if ratio < 25.0 else 0.0
+        f = kept if i > 0 else 0.0
+        decay[i] = f
+        if i == 0 or run[i] != run[i - 1]:
+            q, r = 0.0, offset
+        q *= f
+        p = f * f * p + (1.0 - f * f) * drift
+        one, two = p + q, q + r
+        s = 1.0 + one + two
+        gain[i, 0], gain[i, 1] = one / s, two / s
+        p -= one * one / s
+        q -= one * two / s
+        r -= two * two / s
+        scale[i] = 1.0 / math.sqrt(s)
+        total += math.log(s)
+    return total
+
+
+@njit
+def innovations(  # noqa: PLR0912 - one pass, compiled
+    run: Ints, unknown: Floats, decay: Floats, gain: Floats, scale: Floats, columns: Floats
+) -> None:
     """Whiten columns in place, (n, p).
 
     Args:
@@ -114,6 +147,18 @@ def innovations(run: Ints, unknown: Floats, decay: Floats, gain: Floats, scale: 
     n, p = columns.shape
     size = gain.shape[1]
     x = np.zeros((size, p))
+    if size == 2:
+        slow, own = x[0], x[1]
+        for i in range(n):
+            f, g, h, s, row = decay[i], gain[i, 0], gain[i, 1], scale[i], columns[i]
+            kept = 0.0 if i == 0 or run[i] != run[i - 1] else 1.0
+            for j in range(p):
+                drift, offset = f * slow[j], kept * own[j]
+                new = row[j] - (drift + offset)
+                slow[j] = drift + g * new
+                own[j] = offset + h * new
+                row[j] = s * new
+        return
     for i in range(n):
         f = decay[i]
         fresh = i == 0 or run[i] != run[i - 1]
@@ -239,11 +284,13 @@ def _of_two(time_s: Floats, run: Ints, left: Floats, drift: float, tau_s: float,
     """`likelihood` where no run has unknowns: the same steps, number by number."""
     p, q, r, x, y = 0.0, 0.0, 0.0, 0.0, 0.0
     log_det, square = 0.0, 0.0
+    step, kept = -1.0, 0.0  # even steps forget alike
     for i in range(len(time_s)):
-        f = 0.0
-        if i > 0:
-            ratio = (time_s[i] - time_s[i - 1]) / tau_s
-            f = math.exp(-ratio) if ratio < 25.0 else 0.0
+        if i > 0 and time_s[i] - time_s[i - 1] != step:
+            step = time_s[i] - time_s[i - 1]
+            ratio = step / tau_s
+            kept = math.exp(-ratio) if ratio < 25.0 else 0.0
+        f = kept if i > 0 else 0.0
         if i == 0 or run[i] != run[i - 1]:
             q, r, y = 0.0, offset, 0.0
         q *= f

@@ -7,7 +7,7 @@ from rtec.diagnosis.extend.improve import Improved
 from rtec.diagnosis.words import UNITS, sentence
 from rtec.report.history import history_sections
 from rtec.report.page import Page, Section, Table, typed
-from rtec.wording import counted, number, percent, two_numbers
+from rtec.wording import counted, decimals, number, percent, sizes, two_numbers
 
 WHY_ENDED = {
     "nothing_missing": "no effect is missing that these readings could show",
@@ -34,7 +34,7 @@ def added_page(a: Added, figures: bool = True) -> Page:
     unit = UNITS[a.unit]
     lead = (
         f"With {what} the residual on held-out runs is {after} {unit}, before it was {before} {unit}; the noise floor "
-        f"is {number(a.floor)} {unit}."
+        f"is {sizes(a.floor)[0]} {unit}."
     )
     return Page(
         "Before and after",
@@ -50,19 +50,21 @@ def _before_and_after(a: Added) -> Section:
     unit = UNITS[a.unit]
     fall = 1.0 - (a.after.held_out / a.before.held_out) ** 2 if a.before.held_out > 0 else 0.0
     what = ", ".join(a.labels) or "refitted numbers"
-    rows = [
-        ["as given", number(a.before.as_given or math.nan), number(math.nan)],
-        *([["refitted", number(a.before.inside), number(a.before.held_out)]] if a.labels else []),
-        [f"with {what}", number(a.after.inside), number(a.after.held_out)],
-        ["noise floor", number(a.floor), number(a.floor)],
+    errors = [
+        ("as given", a.before.as_given or math.nan, math.nan),
+        *([("refitted", a.before.inside, a.before.held_out)] if a.labels else []),
+        (f"with {what}", a.after.inside, a.after.held_out),
+        ("noise floor", a.floor, a.floor),
     ]
+    digits = decimals(a.floor, a.after.held_out)
+    rows = [[name, number(inside, digits), number(held_out, digits)] for name, inside, held_out in errors]
     table = Table(("model", f"fitted readings, {unit}", f"held-out runs, {unit}"), rows)
     words = [
         f"The mean square on held-out runs {'falls' if fall > 0 else 'rises'} by {percent(abs(fall))}.",
         *(
             [
                 "With temperatures smoothed both ways in time, which the loop cannot do, the residual would be "
-                f"{number(a.smoothed)} {unit}."
+                f"{number(a.smoothed, digits)} {unit}."
             ]
             if any(set(f.effect.channels(a.model.machine)) & set(a.model.machine.sensor_names) for f in a.model.effects)
             else []
@@ -96,7 +98,7 @@ def improved_page(r: Improved, figures: bool = True) -> Page:
         added = counted(sum(len(s.labels) for s in r.steps), "effect")
         lead = (
             f"{refit}{added} added: the residual on held-out runs fell from {before} to "
-            f"{after} {unit}; the noise floor is {number(last.floor)} {unit}. It ended because {WHY_ENDED[r.reason]}."
+            f"{after} {unit}; the noise floor is {sizes(last.floor)[0]} {unit}. It ended because {WHY_ENDED[r.reason]}."
         )
     steps = [
         Section(f"Step {i}: {', '.join(s.labels)}", _before_and_after(s).text, _before_and_after(s).table)

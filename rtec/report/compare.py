@@ -17,7 +17,7 @@ from rtec.estimation.readings import Readings, Series
 from rtec.report import compare_figures as draw
 from rtec.report.page import Figure, Page, Section, Table, typed
 from rtec.version import __version__
-from rtec.wording import number, percent, significant, sizes
+from rtec.wording import decimals, number, percent, significant, sizes
 
 Floats = NDArray[np.float64]
 MOST_PARTS, MOST_SAME, MOST_SEEN = 8, 3, 5
@@ -54,12 +54,18 @@ def compare_page(c: Comparison, figures: bool = True) -> Page:
 
 
 def _brief(c: Comparison) -> Table:
+    digits = _digits(c)
     rows = [
-        [_name(i, c), number(i.measured.rms), number(i.left.rms), number(i.floor), _share(i), UNITS[i.unit]]
+        [_name(i, c), *(number(v, digits) for v in (i.measured.rms, i.left.rms, i.floor)), _share(i), UNITS[i.unit]]
         for i in c.items
     ]
     head = ("measurement", "measured", "residual", "noise floor", "explained", "unit")
     return Table(head, rows, "Root mean squares; explained: share of the mean square above the noise floor.", (0, 5))
+
+
+def _digits(c: Comparison) -> int:
+    """Decimals of errors in tables."""
+    return decimals(*(i.floor for i in c.items))
 
 
 def _next(c: Comparison) -> list[str]:
@@ -95,7 +101,8 @@ def _said(first: Compared, c: Comparison) -> str:
         return f"{said} {sentence(first.worst[0].words)}"
     if first.worst:
         w = first.worst[0]
-        return f"{said} It is largest at {w.words}: {number(w.rms)} {unit}, elsewhere {number(w.elsewhere)} {unit}."
+        there, elsewhere = sizes(w.rms, w.elsewhere)
+        return f"{said} It is largest at {w.words}: {there} {unit}, elsewhere {elsewhere} {unit}."
     if first.left.rms <= AT_FLOOR * first.floor:
         return f"{said} The model is at the noise floor."
     if first.shape is not None:
@@ -121,12 +128,10 @@ def _name(item: Compared, c: Comparison) -> str:
 
 def _numbers(c: Comparison) -> list[tuple[str, str]]:
     first = min(c.items, key=_badness)
-    unit = UNITS[first.unit]
-    out = [
-        (f"{number(first.measured.rms)}\u00a0{unit}", "measured"),
-        (f"{number(first.left.rms)}\u00a0{unit}", "residual"),
-        (f"{number(first.floor)}\u00a0{unit}", "noise floor"),
-    ]
+    named = zip(
+        ("measured", "residual", "noise floor"), sizes(first.measured.rms, first.left.rms, first.floor), strict=True
+    )
+    out = [(f"{size}\u00a0{UNITS[first.unit]}", name) for name, size in named]
     return out if first.explained is None else [*out, (_share(first), "of what is above the noise explained")]
 
 
@@ -139,14 +144,18 @@ def _share(item: Compared) -> str:
 
 
 def _table(c: Comparison) -> Section:
+    digits = _digits(c)
     rows = [
         [
-            _name(i, c), f"{i.n}", f"{number(i.measured.rms)} / {number(i.measured.most, 1)}",
-            f"{number(i.predicted.rms)} / {number(i.predicted.most, 1)}",
-            f"{number(i.left.rms)} / {number(i.left.most, 1)}", number(i.floor), _share(i), UNITS[i.unit],
+            _name(i, c),
+            f"{i.n}",
+            *(f"{number(v.rms, digits)} / {number(v.most, digits - 1)}" for v in (i.measured, i.predicted, i.left)),
+            number(i.floor, digits),
+            _share(i),
+            UNITS[i.unit],
         ]
         for i in c.items
-    ]  # fmt: skip
+    ]
     head = ("measurement", "readings", "measured", "predicted", "residual", "noise floor", "explained", "unit")
     caption = "Root mean square / largest. Explained: share of the mean square above the noise floor."
     bad = [f"{_name(i, c)}: {WORSE}." for i in c.items if (i.explained or 0.0) < 0.0]
@@ -164,13 +173,14 @@ def _sentence(text: str) -> str:
 
 
 def _worst(c: Comparison) -> Section:
+    digits = _digits(c)
     rows = [
         [
             _name(i, c),
             r.words,
-            number(r.rms),
-            number(r.elsewhere),
-            number(r.mean, sign=True),
+            number(r.rms, digits),
+            number(r.elsewhere, digits),
+            number(r.mean, digits, sign=True),
             f"{r.n}",
             UNITS[i.unit],
         ]
@@ -179,7 +189,7 @@ def _worst(c: Comparison) -> Section:
         if r.apart is None
     ]
     apart = [
-        f"{_name(i, c)}: {r.words}; without that the residual is {number(r.elsewhere)} {UNITS[i.unit]}."
+        f"{_name(i, c)}: {r.words}; without that the residual is {number(r.elsewhere, digits)} {UNITS[i.unit]}."
         for i in c.items
         for r in i.worst
         if r.apart is not None

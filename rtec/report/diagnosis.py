@@ -15,7 +15,7 @@ from rtec.effects import Effect
 from rtec.report.evidence import evidence
 from rtec.report.page import Figure, Page, Section, Table, typed
 from rtec.version import __version__
-from rtec.wording import NONE, counted, number, percent, probability
+from rtec.wording import NONE, counted, decimals, number, percent, probability, sizes
 
 SHOWN, WHERE, BRIEF = 8, 5, 3
 BETTER = 0.005
@@ -30,12 +30,13 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
         figures: whether to draw.
     """
     unit = UNITS[d.unit]
+    residual, floor = sizes(d.rms_residual, d.noise_floor)
     return Page(
         title="Which effect is missing",
         lead=sentence(d.sentence),
         numbers=[
-            (f"{number(d.rms_residual)}\u00a0{unit}", "residual of the model"),
-            (f"{number(d.noise_floor)}\u00a0{unit}", "noise floor"),
+            (f"{residual}\u00a0{unit}", "residual of the model"),
+            (f"{floor}\u00a0{unit}", "noise floor"),
             *([(probability(d.findings[0].confidence), "probability of rank 1")] if d.group else []),
         ],
         sections=[
@@ -61,7 +62,12 @@ def _brief(d: Diagnosis) -> Table | None:
         return None
     shown = d.findings[:BRIEF]
     rows = [
-        [label, number(f.size_um), percent(max(f.heldout_drop, 0.0)), probability(f.confidence)]
+        [
+            label,
+            number(f.size_um, decimals(d.noise_floor)),
+            percent(max(f.heldout_drop, 0.0)),
+            probability(f.confidence),
+        ]
         for f, label in zip(shown, labels(shown), strict=True)
     ]
     head = ("candidate", f"explains, {UNITS[d.unit]}", "held-out error falls by", "probability")
@@ -176,7 +182,7 @@ def _candidates(d: Diagnosis) -> Table:
             f"{f.rank}",
             label,
             fitted_numbers(f),
-            number(f.size_um),
+            number(f.size_um, decimals(d.noise_floor)),
             percent(f.heldout_drop) if f.heldout_drop >= BETTER else "does not fall",
             probability(f.confidence),
             "accepted" if f.accepted else f.why_not or f"not accepted: {_doubt(d, f)}",

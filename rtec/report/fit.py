@@ -9,7 +9,7 @@ from rtec.estimation.outliers import left_out
 from rtec.report.figures import Png
 from rtec.report.page import Figure, Page, Section, Table, note_words, typed
 from rtec.version import __version__
-from rtec.wording import NONE, counted, number, significant, sizes, with_error
+from rtec.wording import NONE, counted, decimals, number, significant, sizes, with_error
 
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 WORTH_TELLING = 0.3
@@ -36,8 +36,8 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
         f"is {held} {unit} on held-out readings and {inside} {unit} in sample "
         f"(root mean square); the noise floor is {floor} {unit}.{left_out(r.outliers)}{first}",
         numbers=[
-            (f"{number(r.held_out_rms)}\u00a0{unit}", "residual on held-out readings"),
-            (f"{number(r.inside_rms)}\u00a0{unit}", "residual in sample"),
+            (f"{held}\u00a0{unit}", "residual on held-out readings"),
+            (f"{inside}\u00a0{unit}", "residual in sample"),
             (f"{len(r.model.effects)}", "effects"),
             (f"{len(r.warnings)}", "warnings"),
         ],
@@ -64,21 +64,28 @@ def fit_page(r: Characterisation, figures: bool = True) -> Page:
 
 
 def _brief(r: Characterisation) -> Table:
-    rows = [[m.name, *map(number, (m.measured, m.inside, m.held_out, m.floor)), UNITS[m.unit]] for m in r.measurements]
+    digits = _digits(r)
+    rows = [
+        [m.name, *(number(v, digits) for v in (m.measured, m.inside, m.held_out, m.floor)), UNITS[m.unit]]
+        for m in r.measurements
+    ]
     head = ("measurement", "measured", "residual", "held out", "noise floor", "unit")
     return Table(head, rows, "Root mean squares, as rtec compare has them.", words=(0, 5))
 
 
+def _digits(r: Characterisation) -> int:
+    """Decimals of errors in tables."""
+    return decimals(*(m.floor for m in r.measurements))
+
+
 def _measurements(r: Characterisation) -> Table:
+    digits = _digits(r)
     rows = [
         [
             m.name,
             m.instrument,
             f"{m.readings}",
-            number(m.measured),
-            number(m.inside),
-            number(m.held_out),
-            number(m.floor),
+            *(number(v, digits) for v in (m.measured, m.inside, m.held_out, m.floor)),
             UNITS[m.unit],
             m.blocks,
         ]

@@ -7,7 +7,7 @@ from rtec.diagnosis.words import UNITS, spoken
 from rtec.model import Model
 from rtec.model.history import History, rescaled, steps_of
 from rtec.report.page import Figure, Page, Section, Table
-from rtec.wording import NONE, counted, number, percent, two_numbers, with_error
+from rtec.wording import NONE, counted, decimals, number, percent, sizes, two_numbers, with_error
 
 
 def history_page(h: History, figures: bool = True) -> Page:
@@ -18,7 +18,7 @@ def history_page(h: History, figures: bool = True) -> Page:
         return Page(f"History of {model.name}", lead, [], [])
     unit = UNITS.get(steps[-1]["unit"], steps[-1]["unit"])
     errors = stairs(steps)[1]
-    fell = number(errors[-1]) if errors[0] == errors[-1] else " to ".join(two_numbers(errors[0], errors[-1]))
+    fell = sizes(errors[-1])[0] if errors[0] == errors[-1] else " to ".join(two_numbers(errors[0], errors[-1]))
     went = "is" if errors[0] == errors[-1] else "fell from"
     lead = f"{counted(len(steps), 'change')}: the residual on held-out runs {went} {fell} {unit}."
     return Page(f"History of {model.name}", lead, [], history_sections(model, figures))
@@ -37,7 +37,8 @@ def history_sections(model: Model, figures: bool) -> list[Section]:
     steps = steps_of(model)
     if not steps:
         return []
-    rows = [_step_row(s) for s in steps]
+    digits = decimals(*(s[key] for s in steps for key in ("error", "floor") if s[key] is not None))
+    rows = [_step_row(s, digits) for s in steps]
     head = ("change", "before", "after", "falls by", "noise floor", "unit")
     table = Table(head, rows, "Root mean squares on held-out runs; falls by: of the mean square.", words=(0, 5))
     words = [_changed(s) for s in steps if s["before"] is not None]
@@ -70,12 +71,12 @@ def _passed_over(s: Mapping[str, Any]) -> str:
     return f"{s['name']}: cannot be distinguished from {names} by these data.{way}"
 
 
-def _step_row(s: Mapping[str, Any]) -> list[str]:
+def _step_row(s: Mapping[str, Any], digits: int) -> list[str]:
     before = s["before"]
     fall = NONE if not before else percent(1.0 - (s["error"] / before) ** 2)
-    floor = NONE if s["floor"] is None else number(float(s["floor"]))
+    floor = NONE if s["floor"] is None else number(float(s["floor"]), digits)
     unit = UNITS.get(s["unit"], s["unit"])
-    start, end = (NONE, number(s["error"])) if before is None else two_numbers(before, s["error"])
+    start, end = (NONE if before is None else number(before, digits)), number(s["error"], digits)
     return [s["name"], start, end, fall, floor, unit]
 
 

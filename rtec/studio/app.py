@@ -9,15 +9,16 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
 from fastapi import FastAPI
+from nicegui import Client, events, ui
 from nicegui import app as pages_app
-from nicegui import events, ui
 
 from rtec.studio import jobs
 from rtec.studio.address import BESIDE, PAGES
 from rtec.studio.folder import Folder
+from rtec.studio.jobs import Job
 from rtec.studio.parts import Words, button, from_home, trouble
 from rtec.studio.session import TabSession
-from rtec.text import clean
+from rtec.text import clean, clean_lines
 from rtec.wording import counted
 
 if TYPE_CHECKING:
@@ -54,18 +55,18 @@ class Studio:
         loading = asyncio.create_task(asyncio.to_thread(_module, name))
         # The first page of a start is shown with the answer. Later ones wait until the tab says which it is, as it may
         # have a session; the server loads meanwhile what the page needs.
-        new = None if self._sessions else TabSession(self._folder, live=self._live)
-        if new is None:
-            await client.connected()
+        first = not self._sessions
+        tab = None if first else await _tab(client)
         await loading
-        session = new or self._session(str(client.tab_id))
+        if tab is None and not first:
+            return
+        session = TabSession(self._folder, live=self._live) if tab is None else self._session(tab)
         session.look()
         with shell:
             _Frame(session, name, dark)
             ui.timer(WARM_UP_S, _warm_up, once=True)
-        if new is not None:
-            await client.connected()
-            self._sessions.setdefault(str(client.tab_id), new)
+        if first and (tab := await _tab(client)) is not None:
+            self._sessions.setdefault(tab, session)
 
     def _session(self, tab: str) -> TabSession:
         """The session of a tab; its own again after a reload."""
@@ -76,6 +77,13 @@ class Studio:
                     oldest.job.cancel()
             self._sessions[tab] = TabSession(self._folder, live=self._live)
         return self._sessions[tab]
+
+
+async def _tab(client: Client) -> str | None:
+    """Which tab shows a page, once it says so; None if the page was closed before."""
+    while client.tab_id is None and not client.is_deleted:
+        await client.connected()
+    return client.tab_id
 
 
 class _Frame:
@@ -91,6 +99,7 @@ class _Frame:
                 {"auto": "Theme: as the system", "light": "Light", "dark": "Dark"}, value="auto", on_change=self._theme
             ).props('dense outlined options-dense aria-label="Theme"')
         self._progress = ui.element("div").classes("progress").props('role="status" aria-live="polite"')
+        self._job: Job | None = None
         self._links: dict[str, ui.element] = {}
         with ui.element("nav").classes("side").props('aria-label="Pages"'):
             for key, title in PAGES.items():
@@ -149,17 +158,24 @@ class _Frame:
         if self._client.is_deleted:
             return
         job = self._session.job
-        with self._client:
+        if job is None or job is not self._job:
+            self._job = job
             self._progress.clear()
             with self._progress:
-                if job is None:
-                    Words("span", "Ready.", "small")
-                    return
-                Words("b", f"{clean(job.title)}:")
-                share = f' value="{job.done}" max="{job.total}"' if job.total > 1 else ""
-                ui.element("progress").props(f'aria-label="progress"{share}')
-                Words("span", job.what)
-                button("Cancel", job.cancel, bad=True)
+                self._build_progress(job)
+        if job is not None:  # the button stays while it goes on: a click may take longer than a stage
+            share = f'value="{job.done}" max="{job.total}"'
+            self._bar.props(share) if job.total > 1 else self._bar.props(remove="value max")
+            self._doing.set_text(clean_lines(job.what))
+
+    def _build_progress(self, job: Job | None) -> None:
+        if job is None:
+            Words("span", "Ready.", "small")
+            return
+        Words("b", f"{clean(job.title)}:")
+        self._bar = ui.element("progress").props('aria-label="progress"')
+        self._doing = Words("span", "")
+        button("Cancel", job.cancel, bad=True)
 
 
 def made(folder: Path, attach: Path | None, role: "Role") -> FastAPI:

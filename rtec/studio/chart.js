@@ -22,6 +22,9 @@ function colours(value, style) {
 export default {
   template: `<div class="chart" role="img"></div>`,
   props: { options: Object },
+  created() {
+    this.drawn = new Promise((done) => { this.begin = done; });
+  },
   async mounted() {
     const { Plotly } = await import("nicegui-plotly");
     this.Plotly = Plotly;
@@ -41,6 +44,7 @@ export default {
     this.themed = new MutationObserver(() => { if (theme !== (theme = dark())) this.draw(); });
     this.themed.observe(document.body, { attributes: true, attributeFilter: ["class"] });
     this.$el.dataset.drawn = "yes";
+    this.begin();
   },
   unmounted() {
     charts.delete(this);
@@ -138,7 +142,8 @@ export default {
       return own.size > 0 && found.every((id) => own.has(String(id)));
     },
     // Moves every trace of the same length from where it is to where it will be, and leaves the rest as it is.
-    morph(options, ms) {
+    async morph(options, ms) {
+      await this.drawn; // a slow PC draws the plots before it first
       this.$el.dataset.moved = "no";
       this.moved = options; // what a change of the theme draws
       const target = colours(options, getComputedStyle(document.body));

@@ -28,6 +28,8 @@ ACROSS, UP = 96, 40
 PALETTE: Final = tuple(f"@c{k}" for k in range(1, 9))
 FEW, LARGE, SMALL = 2_000, 9, 6
 """Up to so many readings are drawn large; sizes of both."""
+SINGLY = 1_000
+"""Up to so many readings are drawn as lines and shapes: WebGL begins slowly, and a browser has 16 of its contexts."""
 CELLS, LEAST = 24, 3
 LINE = 300
 """Parts of the line of a temperature; the lowest and the highest of each are drawn."""
@@ -83,6 +85,11 @@ def numbers(values: Floats) -> list[float | None]:
     return out
 
 
+def kind(readings: int, of: str = "scatter") -> str:
+    """How a plot of so many readings is drawn, the same whatever part of them is seen."""
+    return of if readings <= SINGLY else f"{of}gl"
+
+
 def layout(**more: Any) -> Figure:
     """Paper and axes of every figure."""
     base: Figure = {
@@ -114,7 +121,7 @@ def axis(title: str, **more: Any) -> Figure:
 
 def _points(s: "SeriesView", rows: Ints, x: Floats, y: Floats, name: str, **marker: Any) -> Figure:
     return {
-        "type": "scattergl",
+        "type": kind(len(s)),
         "mode": "markers",
         "name": text(name),
         "x": numbers(x[rows]),
@@ -180,7 +187,7 @@ def residual_over(
         traces += _predicted(s, x)
     elif there := [o for o in wrong if over in o.channels]:
         traces.append({
-            "type": "scattergl", "mode": "markers", "name": "wrong, excluded", "y": [o.off for o in there],
+            "type": "scatter", "mode": "markers", "name": "wrong, excluded", "y": [o.off for o in there],
             "x": [o.channels[over] for o in there], "marker": {"symbol": "x", "size": 12, "color": "@c6"},
             "text": [f"{text(o.measurement)}, row {o.row}: off by {o.off:+.2f}" for o in there],
             "hovertemplate": "%{text}<extra></extra>",
@@ -317,7 +324,7 @@ def polar(s: "SeriesView", angle_rad: Floats, rows: Ints) -> Figure:
     angle = numbers(np.rad2deg(angle_rad[order]))
     traces = [
         {
-            "type": "scatterpolargl",
+            "type": kind(len(s), "scatterpolar"),
             "mode": "markers",
             "name": "measured",
             "theta": angle,
@@ -326,7 +333,7 @@ def polar(s: "SeriesView", angle_rad: Floats, rows: Ints) -> Figure:
             "ids": [str(s.first + int(r)) for r in order],
         },
         {
-            "type": "scatterpolargl",
+            "type": kind(len(s), "scatterpolar"),
             "mode": "markers",
             "name": "predicted",
             "theta": angle,
@@ -354,7 +361,7 @@ def evidence_figure(e: "Evidence", title: str = "") -> Figure:
         rows = np.sort(np.random.default_rng(0).choice(rows, MOST // 2, replace=False))
     traces.append(
         {
-            "type": "scattergl",
+            "type": kind(len(over)),
             "mode": "markers",
             "name": "residual, each reading",
             "x": numbers(over[rows]),

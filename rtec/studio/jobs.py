@@ -12,12 +12,13 @@ import traceback
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
-from typing import Any, Protocol, TypeVar, TypeVarTuple
+from typing import Any, Final, Protocol, TypeVar, TypeVarTuple
 
 from rtec.errors import RtecError
 
 Ts = TypeVarTuple("Ts")
 R = TypeVar("R")
+PRELOAD: Final = ["rtec.studio.preload"]
 
 
 class Cancelled(Exception):
@@ -55,12 +56,21 @@ def warm_up() -> None:
     """Start the server that processes are forked from; it loads on by itself."""
     from multiprocessing import forkserver
 
-    _context().set_forkserver_preload(["rtec.studio.preload"])
+    _context()
     forkserver.ensure_running()
 
 
+def fault(e: Exception) -> str:
+    """What a page says of a fault of ours; the terminal shows where it is."""
+    traceback.print_exception(e, file=sys.stderr)
+    return f"a fault of rtec itself: {type(e).__name__}: {e}; the terminal shows where"
+
+
 def _context() -> "multiprocessing.context.ForkServerContext":
-    return multiprocessing.get_context("forkserver")
+    """Of a server that has loaded what work needs, whoever starts it."""
+    made = multiprocessing.get_context("forkserver")
+    made.set_forkserver_preload(PRELOAD)
+    return made
 
 
 def _work(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[Any, ...]) -> None:
@@ -76,8 +86,7 @@ def _report(pipe: "Connection[Any, Any]", task: Callable[..., Any], args: tuple[
     except RtecError as e:
         pipe.send(("failed", str(e)))
     except Exception as e:  # noqa: BLE001 - whatever it is, the page shows that it ended
-        traceback.print_exc(file=sys.stderr)
-        pipe.send(("failed", f"a fault of rtec itself: {type(e).__name__}: {e}; the terminal shows where"))
+        pipe.send(("failed", fault(e)))
 
 
 class Job:
@@ -112,10 +121,14 @@ class Job:
         self._ended = loop.create_future()
         here, there = _context().Pipe()
         self._process = _context().Process(target=_work, args=(there, task, args), daemon=True)
-        await loop.run_in_executor(None, self._process.start)
-        there.close()
-        loop.add_reader(here.fileno(), self._read, here)
         try:
+            try:
+                await loop.run_in_executor(None, self._process.start)
+            except (OSError, EOFError) as e:
+                raise RtecError(f"no process could be started that works on it: {e!r}; is there enough memory?") from e
+            finally:
+                there.close()
+            loop.add_reader(here.fileno(), self._read, here)
             result: R = await self._ended
             return result
         finally:
@@ -131,9 +144,17 @@ class Job:
 
     def _read(self, pipe: "Connection[Any, Any]") -> None:
         try:
-            kind, content = pipe.recv()
+            self._take(pipe, *pipe.recv())
         except (EOFError, OSError):
-            kind, content = "failed", "the process that worked on it ended; is there enough memory?"
+            self._fail("the process that worked on it ended; is there enough memory?")
+        except Exception as e:  # noqa: BLE001 - else the page would wait for ever
+            self._fail(fault(e))
+
+    def _fail(self, why: str) -> None:
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_exception(RtecError(why))
+
+    def _take(self, pipe: "Connection[Any, Any]", kind: str, content: Any) -> None:
         if self._ended is None or self._ended.done():
             return
         if kind == "stage":
@@ -146,7 +167,7 @@ class Job:
         elif kind == "done":
             self._ended.set_result(content)
         else:
-            self._ended.set_exception(RtecError(content))
+            self._fail(content)
 
     def _answer(self, pipe: "Connection[Any, Any]", answer: "asyncio.Future[Any]") -> None:
         if self._ended is not None and not self._ended.done() and not answer.cancelled():

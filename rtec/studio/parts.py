@@ -12,6 +12,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from nicegui.elements.mixins.validation_element import ValidationElement
 
 from rtec.errors import RtecError
+from rtec.studio.jobs import fault
 from rtec.studio.session import TabSession
 from rtec.text import clean_lines
 
@@ -139,7 +140,16 @@ def waiting(session: TabSession, sentence: str, begin: Callable[[TabSession], Aw
         return
     Words("p", sentence, "lead")
     if session.job is None:
-        soon(lambda: begin(session))
+        soon(lambda: _or_say_why(session, begin))
+
+
+async def _or_say_why(session: TabSession, begin: Callable[[TabSession], Awaitable[Any]]) -> None:
+    """Begin what a page waits for; where that fails, the page says why: else it would wait for ever."""
+    try:
+        await begin(session)
+    except Exception as e:  # noqa: BLE001 - see above
+        session.fail(str(e) if isinstance(e, RtecError) else fault(e))
+        session.on_change()
 
 
 def soon(begin: Callable[[], Awaitable[Any]]) -> None:

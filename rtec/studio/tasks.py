@@ -395,8 +395,15 @@ class StepDone:
 
 @dataclass(frozen=True)
 class RefitQuestion:
-    """Asked before the model's own numbers are refitted: the error before and after."""
+    """Asked before the model's own numbers are refitted, or a further temperature is added.
 
+    Attributes:
+        what: the further temperature; empty for a refit.
+        before, after: error on held-out runs.
+        unit: of both.
+    """
+
+    what: str
     before: float
     after: float
     unit: str
@@ -423,13 +430,15 @@ def improve(line: Reporter, model: "Model", files: Sequence[Path], named: Path, 
         rank = line.ask(StepQuestion(_diagnosed(d, [named, *files], machine), step.number))
         return next((f for f in d.findings if f.rank == rank), None)
 
-    def ask_refit(made: "Added") -> bool:
-        return bool(line.ask(RefitQuestion(made.before.held_out, made.after.held_out, made.unit)))
+    def ask_made(made: "Added") -> bool:
+        return bool(
+            line.ask(RefitQuestion(", ".join(made.labels), made.before.held_out, made.after.held_out, made.unit))
+        )
 
     def keep(made: "Added") -> None:
         line.ask(StepDone(_view_of(line, made, files, named)))
 
-    done = rtec.improve(model, files, ask=ask, ask_refit=ask_refit, step=keep, progress=line.stage)
+    done = rtec.improve(model, files, ask=ask, ask_made=ask_made, step=keep, progress=line.stage)
     return str(done.page(figures=False).lead)
 
 

@@ -58,6 +58,16 @@ def test_noise_has_a_white_part_of_its_size(form: str) -> None:
     assert max(rough) < 1.1
 
 
+def test_an_axis_turns_beyond_all_that_it_passed() -> None:
+    """Oracle: no target of either way lies beyond the place where the axis turned round."""
+    plan = line(np.random.default_rng(5))
+    way = plan.direction["X"]
+    turned = np.flatnonzero(np.diff(way) != 0) + 1
+    place = (plan.q - way * plan.since_mm)[turned]
+    for here, at in zip(turned, place, strict=True):
+        assert (way[here] * (plan.q[here - 1 : here + 1] - at)).min() == pytest.approx(1.0)
+
+
 def test_the_same_words_give_the_same_bits() -> None:
     """Oracle: the first time; another seed differs."""
     one, two, other = (build("run_level", "load_shift", s).records[0].readings["reading_um"] for s in (5, 5, 6))

@@ -1,6 +1,6 @@
 """Further temperatures of an expansion; oracle: the temperatures that the readings were made from."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +8,8 @@ import pytest
 
 from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
-from rtec.diagnosis.extend.add import add
+from rtec.diagnosis.extend import improve as module
+from rtec.diagnosis.extend.add import Added, add
 from rtec.diagnosis.extend.improve import FURTHER, improve
 from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.effects.thermal import AxisExpansion
@@ -59,6 +60,36 @@ def test_a_model_without_a_temperature_is_offered_none() -> None:
     model, m = made({"T_nut": 4.0, "T_bed": -9.0}, 50)
     alone = replace(model, effects=model.effects[:2])
     assert further_temperature(Judgement(alone, clean([m], model.reference_degc))) is None
+
+
+def test_who_is_asked_at_each_step_is_asked_for_it_too_and_may_leave_it_out() -> None:
+    model, m = made({"T_nut": 4.0, "T_air": -2.0}, 50)
+    known, labels = replace(model, effects=model.effects[:2]), ("axis_expansion(EXX, X, T_air)",)
+    asked: list[tuple[str, ...]] = []
+
+    def answered(wanted: bool) -> Callable[[Added], bool]:
+        def ask(made: Added) -> bool:
+            asked.append(made.labels)
+            return wanted or not made.labels
+
+        return ask
+
+    for wanted in (True, False):
+        asked.clear()
+        done = improve(known, [m], ask=lambda step: step.finding, ask_made=answered(wanted))
+        assert asked.count(labels) == 1
+        assert any(FURTHER in s.notes for s in done.steps) is wanted
+
+
+def test_none_is_tried_where_the_noise_is_all_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The nut is all that the readings were made from; oracle: nobody looks for another."""
+    model, m = made({"T_nut": 4.0}, 50)
+    looked: list[Judgement] = []
+    monkeypatch.setattr(module, "further_temperature", looked.append)
+    done = improve(replace(model, effects=model.effects[:2]), [m])
+    assert [s.labels for s in done.steps] == [("axis_expansion(EXX, X, T_nut)",)]
+    assert done.reason == "at_floor"
+    assert not looked
 
 
 def test_improve_takes_it_as_a_step_of_its_own_and_says_what_it_is() -> None:

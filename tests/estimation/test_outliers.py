@@ -158,6 +158,35 @@ def test_a_burst_around_the_end_of_the_travel_is_wrong(run: int) -> None:
     assert found(spoilt(with_places_of_their_own(1), rows, [45.0] * 5)) == rows
 
 
+def test_two_bursts_around_the_end_of_the_travel_do_not_excuse_each_other() -> None:
+    """Oracle: what was added. Both hold the first reading behind a reversal at the same feed; the rest comes once."""
+    m = with_places_of_their_own(1)
+    m = replace(m, channels={**m.channels, "v_x": m.channels["d_x"] * np.repeat(10.0 * 1.5 ** np.arange(8), 104)})
+    one, two = 52 + np.arange(22, 27), np.arange(25, 29)
+    rows = [*two.tolist(), *one.tolist()]
+    assert found(spoilt(m, rows, [25.0] * 4 + [35.0] * 5)) == rows
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_bursts_in_one_run_do_not_make_it_a_loud_one(seed: int) -> None:
+    """Oracle: what was added: five readings, and three a little later, near the end of a run."""
+    rows = [*range(341, 346), *range(360, 363)]
+    assert found(spoilt(with_places_of_their_own(seed), rows, [30.0] * 5 + [-60.0] * 3)) == rows
+
+
+@pytest.mark.parametrize("step", [0.5, 1.0])
+def test_one_step_of_a_coarse_display_is_no_mistake(step: float) -> None:
+    """Oracle: what was added. Most readings show the same, so that the median of what they are off is nothing."""
+    rng = np.random.default_rng(7)
+    probe = Probe(ProbeSetup(zero="setup"), component="EXX")
+    shown = step * np.round(0.22 * rng.standard_normal(255))
+    shown[::40] += step
+    m = replace(measurement(runs([17] * 15), noise_um=0.0), readings={"reading_um": shown}, instrument=probe)
+    m = replace(m, channels={k: np.zeros(255) for k in m.channels})
+    assert not found(m)
+    assert found(spoilt(m, [100], [9.0 * step])) == [100]
+
+
 def test_a_burst_across_a_reversal_is_wrong() -> None:
     """Oracle: what was added. The reading before a reversal and that behind it are no two visits to the place."""
     m = laser([SCALE], 8, noise={"white_um": 0.1})

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rtec.characterise import characterise
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.candidates import library
 from rtec.estimation.readings import read
@@ -57,6 +58,36 @@ def test_what_differs_from_target_to_target_is_no_wave() -> None:
 
 def test_a_wave_predicts_targets_that_were_held_out() -> None:
     assert sum(named(TARGETS, seed, wave_um=3.0, pattern_um=0.1) for seed in range(DRAWN)) >= DRAWN - 2
+
+
+@pytest.mark.parametrize("wave_um", [0.0, 3.0])
+def test_a_wave_of_known_period_is_asked_as_well(wave_um: float) -> None:
+    """Five periods of a scale meet any 18 numbers; one that is there predicts its targets."""
+    count = 0
+    for seed in range(DRAWN):
+        rng = np.random.default_rng(seed)
+        at = np.linspace(10.0, 190.0, TARGETS) + rng.uniform(-1.0, 1.0, TARGETS)
+        error = wave_um * np.sin(2.0 * np.pi * at / 0.2 + 1.0) + (0.1 if wave_um else 3.0) * rng.standard_normal(
+            TARGETS
+        )
+        readings = read([visited(at, error, rng)])
+        scales = [c for c in library(readings, ["interpolation_error"])[0] if c.effect.component == "EXX"]
+        (one,) = (c for c in scales if getattr(c.effect, "lambda_mm", 0.0) == 0.2)
+        count += predicts_targets(readings, np.zeros((len(readings), 0)), one.effect, one.thetas)
+    assert count >= DRAWN - 2 if wave_um else count <= 2
+
+
+def test_a_free_fit_has_a_wave_only_where_it_predicts_targets() -> None:
+    """Random numbers at the targets had a wave of some pitch near the screw's in each of ten fits; one of it stays."""
+    waves = [0, 0]
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        at = np.linspace(10.0, 190.0, TARGETS) + rng.uniform(-3.0, 3.0, TARGETS)
+        turns = np.sin(2.0 * np.pi * at / 5.0 + 1.0)
+        for k, error in enumerate((3.0 * rng.standard_normal(TARGETS), 3.0 * turns)):
+            found = characterise([visited(at, error, rng)])
+            waves[k] += any(f.effect.effect == "cyclic_screw" for f in found.model.effects)
+    assert waves == [0, 4]
 
 
 def test_many_targets_and_other_effects_are_not_judged_so() -> None:

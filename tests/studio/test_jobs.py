@@ -5,14 +5,22 @@ import os
 import signal
 import threading
 from collections.abc import Awaitable, Callable
+from multiprocessing.context import ForkServerProcess
 from typing import Any
 
 import pytest
 
 from rtec.errors import RtecError
+from rtec.studio import jobs
 from rtec.studio.jobs import Cancelled, Job, Reporter, _work
 
 pytestmark = pytest.mark.xdist_group("studio")
+
+
+@pytest.fixture(autouse=True)
+def _nothing_is_loaded_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This work needs nothing of rtec's."""
+    monkeypatch.setattr(jobs, "PRELOAD", list[str]())
 
 
 def _double(line: Reporter, value: int) -> int:
@@ -30,6 +38,19 @@ def _refuses(_: Reporter) -> None:
 
 def _breaks(_: Reporter) -> None:
     raise ZeroDivisionError("by zero")
+
+
+def _unreadable() -> None:
+    raise LookupError("read in the studio")
+
+
+class _Unreadable:
+    def __reduce__(self) -> Any:
+        return _unreadable, ()
+
+
+def _gives_what_cannot_be_read(_: Reporter) -> _Unreadable:
+    return _Unreadable()
 
 
 def _ends(_: Reporter) -> None:
@@ -75,6 +96,29 @@ def test_what_goes_wrong_is_one_error_with_a_sentence(task: Callable[[Reporter],
     """An error of the input as it is; a fault of ours, and a process that was killed, in words."""
     with pytest.raises(RtecError, match=said):
         _run(lambda: Job("failing", lambda: None).run(task))
+
+
+def test_a_result_that_cannot_be_read_is_one_error_too() -> None:
+    """Nobody would hear of it, and the page would wait for ever. So it is with a page that cannot show a question."""
+    with pytest.raises(RtecError, match="a fault of rtec itself: LookupError"):
+        _run(lambda: Job("reading", lambda: None).run(_gives_what_cannot_be_read))
+
+    def not_shown(_: Any) -> Any:
+        raise LookupError("no page")
+
+    with pytest.raises(RtecError, match="a fault of rtec itself: LookupError"):
+        _run(lambda: Job("asking", lambda: None, not_shown).run(_asks))
+
+
+def test_a_process_that_cannot_be_started_is_one_error_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where there is no memory for one."""
+
+    def no_more(_: Any) -> None:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(ForkServerProcess, "start", no_more)
+    with pytest.raises(RtecError, match="no process could be started"):
+        _run(lambda: Job("starting", lambda: None).run(_double, 1))
 
 
 def test_cancelled_work_ends_at_once_and_its_process_is_gone() -> None:

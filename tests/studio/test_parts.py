@@ -90,6 +90,14 @@ def test_no_plot_gets_all_of_very_many_readings() -> None:
     assert {n: len(json.dumps(f)) for n, f in made.items() if len(json.dumps(f)) > 1_500_000} == {}
 
 
+def test_a_plot_is_drawn_in_one_way_whatever_part_of_it_is_seen() -> None:
+    """Few readings without WebGL, many with it. Oracle: the number of all readings, not that of those drawn."""
+    for n, way in ((figures.SINGLY, "scatter"), (figures.SINGLY + 1, "scattergl")):
+        for rows in (np.arange(n), np.arange(5)):
+            made = figures.residual_over(_many(n), "X, mm", wanted=rows)
+            assert {t["type"] for t in made["data"]} == {way}
+
+
 def test_zoomed_in_every_reading_there_is_drawn() -> None:
     """Oracle: the readings in that box."""
     many = _many(100_000)

@@ -21,8 +21,9 @@ OWN_SHARE = 0.5
 """Lost deadlines are our own code's where the loop used this share of their time more processor time than usual."""
 ALLOWED_SHARE = 1e-4
 """Of all cycles: the host of a virtual PC takes time away unseen, which then looks like processor time of our own."""
-LEAST_LOOKS = 90
-"""Seconds from which on it can be told whether memory grows: before that every program fills its own pools."""
+LEAST_S = 90.0
+"""Memory is judged once the loop's cycles add up to this time: until then every program fills its own pools. The clock
+does not count, as a busy PC takes longer for the same cycles."""
 PROC = Path("/proc")
 UNITS = {"memory": "MiB", "files": "", "threads": ""}
 
@@ -121,8 +122,8 @@ class Resources:
         for what in UNITS:
             mine = [r for r in self.found() if r.what == what]
             text = "; ".join(f"{r.process} {r.middle:.4g} then {r.last:.4g} {r.unit}".strip() for r in mine)
-            long_enough = what != "memory" or self._looks() >= LEAST_LOOKS
-            words = text if long_enough else f"not judged in less than {LEAST_LOOKS} s: {text}"
+            long_enough = what != "memory" or self._cycles * period_ns >= LEAST_S * 1e9
+            words = text if long_enough else f"not judged in less than {LEAST_S:.0f} s of cycles: {text}"
             out.append(Check(f"{what} flat", not long_enough or all(r.flat for r in mine), words))
         return [*out, self._deadline_check(period_ns, judged)]
 
@@ -135,9 +136,6 @@ class Resources:
             f"{1.0 / ALLOWED_SHARE:.0f} of {cycles} cycles"
         )
         return Check("no deadline lost to our own code", ours <= ALLOWED_SHARE * cycles, text, judged)
-
-    def _looks(self) -> int:
-        return max((len(s.values) for s in self._series.values()), default=0)
 
     def _look_at_time(self, status: Status) -> None:
         """Processor time of the loop's thread since the last look, and how long it waited for a processor."""

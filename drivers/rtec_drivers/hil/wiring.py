@@ -9,7 +9,9 @@ import tomli_w
 from pydantic import Field
 
 from rtec.errors import ConfigError
-from rtec.loop.run_file import RunFile
+from rtec.loop.clock import RealClock
+from rtec.loop.devices import make_devices
+from rtec.loop.run_file import RunFile, load_setup
 from rtec.machine import load_machine
 from rtec.tomlfile import nearest, read_toml, validated
 from rtec_drivers.box.gateware import Chip
@@ -86,7 +88,8 @@ def read_wiring(path: Path, gateware: Path | None = None) -> Wiring:
     """Read a run file for the bench.
 
     Raises:
-        ConfigError: it has no section `[hil]`, a device that has no far side here, or gateware that does not fit.
+        ConfigError: it has no section `[hil]`, a device that has no far side here, gateware that does not fit, or
+            what `rtec run` refuses.
     """
     tables = read_toml(path)
     if "hil" not in tables:
@@ -100,6 +103,7 @@ def read_wiring(path: Path, gateware: Path | None = None) -> Wiring:
     if options.actuator != "pulse":
         raise ConfigError(f"{path}: [hil] actuator: the encoder box inserts counts: 'pulse'")
     buses = _buses(tables["device"], str(path))
+    make_devices(load_setup(path), RealClock())
     if gateware is not None:
         with Chip(gateware) as chip:
             chip.check_axes(len(load_machine(Path(tables["run"]["machine"])).axes))

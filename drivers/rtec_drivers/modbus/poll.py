@@ -44,6 +44,8 @@ class Slave:
         period_ns, timeout_ns: how often; how long it may take to answer.
         late_ns: how long after its request an answer may still turn up.
         backoff: waits after silence.
+        unanswered_ns: its last request that may still be unanswered: when; 0: there is none.
+        pause_ns: longest pause between two such requests that followed each other.
         in_row: requests answered in time, one after the other.
     """
 
@@ -58,6 +60,7 @@ class Slave:
     silent: int = 0
     corrupt: int = 0
     unanswered_ns: int = 0
+    pause_ns: int = 0
     probation: bool = False
     in_row: int = 0
     names: tuple[str, ...] = field(init=False)
@@ -78,7 +81,7 @@ class Slave:
     def answered(self, now_ns: int) -> None:
         """Keep the beat; after a pause start a new one."""
         self.in_row += 1
-        self.silent = self.corrupt = self.unanswered_ns = 0
+        self.silent = self.corrupt = self.unanswered_ns = self.pause_ns = 0
         self.probation = False
         self.backoff.reset()
         self.due_ns += self.period_ns
@@ -87,8 +90,8 @@ class Slave:
 
     def was_silent(self, asked_ns: int, now_ns: int) -> None:
         """Leave it alone: for its back-off, and for as long as its answer may still come."""
-        self.silent, self.in_row = self.silent + 1, 0
-        self.unanswered_ns, self.probation = asked_ns, True
+        self.silent, self.in_row, self.probation = self.silent + 1, 0, True
+        self._unanswered(asked_ns)
         self.due_ns = max(now_ns + self.backoff.next_ns(), asked_ns + self.late_ns)
 
     def line_opened(self, now_ns: int) -> None:
@@ -96,20 +99,28 @@ class Slave:
         self.due_ns = max(now_ns, self.unanswered_ns + self.late_ns) if self.unanswered_ns else now_ns
         self.silent = self.in_row = 0
 
-    def lives(self, now_ns: int) -> None:
+    def lives(self, asked_ns: int, now_ns: int) -> None:
         """It answers again, but perhaps an older request: see first whether more is on its way."""
-        self.silent, self.probation, self.unanswered_ns = 1, False, 0
-        self.due_ns = now_ns + 2 * self.late_ns
+        self._unanswered(asked_ns)
+        self.silent, self.probation = 1, False
+        self.due_ns = now_ns + self.late_ns + max(self.late_ns, self.pause_ns)
 
     def spoke_unasked(self, now_ns: int) -> None:
         """An old answer has come: know how late it can be, and wait for silence again."""
+        late_ns = now_ns - self.unanswered_ns
         self.in_row = 0
-        if self.unanswered_ns:
-            self.late_ns = min(max(self.late_ns, 2 * (now_ns - self.unanswered_ns)), LONGEST_LATE_NS)
-        else:
+        if self.unanswered_ns and late_ns < LONGEST_LATE_NS:
+            self.late_ns = min(max(self.late_ns, 2 * late_ns), LONGEST_LATE_NS)
+        if not self.probation:
             self.silent, self.probation = max(self.silent, 1), True
             self.due_ns = now_ns + self.late_ns
-        self.unanswered_ns = 0
+
+    def _unanswered(self, asked_ns: int) -> None:
+        """Note a request; the one before it is not answered any more if it lies too far back."""
+        pause_ns = asked_ns - self.unanswered_ns
+        owed = self.unanswered_ns and pause_ns < LONGEST_LATE_NS
+        self.pause_ns = max(self.pause_ns, pause_ns) if owed else 0
+        self.unanswered_ns = asked_ns
 
 
 class Poller:
@@ -171,7 +182,7 @@ class Poller:
                 self._refused(slave, answer.error, asked_ns)
                 return
             if slave.probation and not self._exchange.numbered:
-                slave.lives(self._clock.now_ns())
+                slave.lives(asked_ns, self._clock.now_ns())
                 return
             for name, raw in block.raw(answer.registers):
                 self._readings.take(name, raw, asked_ns)

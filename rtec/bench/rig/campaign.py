@@ -85,7 +85,7 @@ class Record:
         plan: how it was taken.
         channels: what was recorded beside, (n,) each.
         readings: by column, (n,); NaN where they are held back.
-        noise: in each reading, by column, (n,); NaN where it is an outlier.
+        noise: in each reading, with the rounding of the display, by column, (n,); NaN where it is an outlier.
         held_back: readings that are NaN in `readings`, NaN elsewhere, by column, (n,); empty where none are.
     """
 
@@ -214,7 +214,7 @@ def recorded(plan: CampaignPlan, of: Day, rng: Rng, names: tuple[str, ...] = SEN
 def read(
     plan: CampaignPlan, errors: Errors, rng: Rng, form: str, channels: Mapping[str, Floats], name: str = "record"
 ) -> Record:
-    """Readings of an instrument: exact kinematics, noise of a form, a display of 0.1, an unknown zero."""
+    """Readings of an instrument: exact kinematics, noise of a form, an unknown zero, as its display shows them."""
     readings, noises = {}, {}
     for probe in plan.probes:
         if probe.letter in "XYZ":
@@ -222,9 +222,9 @@ def read(
         else:
             true = turned(errors, probe.letter, len(plan))
         drawn = noise.draw(rng, form, plan.time_s, plan.run)
-        values = true + drawn.values + rng.uniform(-15.0, 15.0)
-        readings[probe.name] = np.round(values / 0.1) * 0.1
-        noises[probe.name] = np.where(drawn.wrong, np.nan, drawn.values)
+        true += rng.uniform(-15.0, 15.0)
+        readings[probe.name] = np.round((true + drawn.values) / drawn.step) * drawn.step
+        noises[probe.name] = np.where(drawn.wrong, np.nan, readings[probe.name] - true)
     return Record(name, plan, dict(channels), readings, noises)
 
 
@@ -283,10 +283,10 @@ def _last_way(position: Floats) -> Floats:
 
 
 def _since(position: Floats, way: Floats) -> Floats:
-    """Distance since the reversal, which was 1 mm beyond the last target."""
+    """Distance since the reversal, which was 1 mm beyond the targets before it and after it."""
     out, turn = np.empty_like(position), position[0] - 900.0 * way[0]
     for i in range(len(position)):
         if i and way[i] != way[i - 1]:
-            turn = position[i] - 1.0 * way[i]
+            turn = (min(position[i - 1] * way[i], position[i] * way[i]) - 1.0) * way[i]
         out[i] = abs(position[i] - turn)
     return out

@@ -145,16 +145,33 @@ def sensors(of: Day, rng: Rng, time_s: Floats, names: tuple[str, ...] = SENSORS)
 
 
 def growth_seen(q_mm: Floats, time_s: Floats, channels: Mapping[str, Floats]) -> Floats:
-    """What sensors tell of the growth of X's screw, (n, 8): whoever has only them can do no better.
+    """What sensors tell of the growth of X's screw, (n, 8): its law on the channels that were recorded.
 
     The nut warms the screw now and as late as an element follows it, more in the middle than at the ends; bed and air
     cool it.
     """
-    nut, late = channels["T_nut"] - 20.0, np.empty(len(time_s))
-    tau_s = 1e3 * OF_ELEMENT / (AT_NUT / ELEMENTS * 4.0 + TO_AIR)
-    late[0] = nut[0]
-    for i, keep in enumerate(np.exp(-np.diff(time_s) / tau_s).tolist(), 1):
-        late[i] = keep * late[i - 1] + (1.0 - keep) * nut[i]
+    nut = channels["T_nut"] - 20.0
+    late = _late(nut, time_s, 1e3 * OF_ELEMENT / (AT_NUT / ELEMENTS * 4.0 + TO_AIR))
     u = q_mm / TRAVEL_MM["X"][1]
     others = [u * (channels[name] - 20.0) for name in ("T_bed", "T_air")]
     return np.stack([*(u**k * t for k in (1, 2, 3) for t in (nut, late)), *others], axis=1)
+
+
+def bearing_seen(time_s: Floats, channels: Mapping[str, Floats]) -> Floats:
+    """What speed and sensors tell of the temperature of the bearing, (n, 3): its law on the recorded channels.
+
+    Friction warms the bearing, spindle and air cool it, all as late as its heat capacity makes it.
+    """
+    capacity, to_air = BODIES["bearing"]
+    tau_s = 1e3 * capacity / (TOUCH["bearing", "spindle"] + to_air)
+    sources = ((channels["spindle_rpm"] / 9000.0) ** 1.3, channels["T_spindle"] - 20.0, channels["T_air"] - 20.0)
+    return np.stack([_late(v, time_s, tau_s) for v in sources], axis=1)
+
+
+def _late(values: Floats, time_s: Floats, tau_s: float) -> Floats:
+    """Values, (n,), that follow others with a time constant."""
+    out = np.empty(len(values))
+    out[0] = values[0]
+    for i, keep in enumerate(np.exp(-np.diff(time_s) / tau_s).tolist(), 1):
+        out[i] = keep * out[i - 1] + (1.0 - keep) * values[i]
+    return out

@@ -24,16 +24,18 @@ class DrawnNoise:
     Attributes:
         values: µm or µrad, (n,).
         wrong: which readings are outliers, (n,).
+        step: of the display.
     """
 
     values: Floats
     wrong: Bools
+    step: float = 0.1
 
 
 def draw(rng: Rng, form: str, time_s: Floats, run: Ints) -> DrawnNoise:
     """Noise of one column; white part 0.3 to 0.8."""
     n, sigma = len(time_s), rng.uniform(0.3, 0.8)
-    wrong = np.zeros(n, dtype=np.bool_)
+    wrong, step = np.zeros(n, dtype=np.bool_), 0.1
     out = sigma * rng.standard_normal(n)
     first = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
     if form == "memory":
@@ -53,8 +55,7 @@ def draw(rng: Rng, form: str, time_s: Floats, run: Ints) -> DrawnNoise:
             wrong[burst] = True
     elif form == "quantised":
         step = rng.uniform(0.4, 1.0)
-        out = np.round(out / step) * step
-    return DrawnNoise(out, wrong)
+    return DrawnNoise(out, wrong, step)
 
 
 def _memory(rng: Rng, time_s: Floats, tau_s: float) -> Floats:

@@ -136,6 +136,7 @@ class Added(Result):
         notes: what else is to be known, in words.
         floor_from: "repeats", "short-time differences", or both.
         passed_over: what these readings cannot tell from what was added.
+        undetermined: effects that cancel each other since it was added: only their sum is known.
     """
 
     page_maker: ClassVar[str] = "rtec.report.additions:added_page"
@@ -151,6 +152,7 @@ class Added(Result):
     notes: tuple[str, ...] = ()
     floor_from: str = ""
     passed_over: tuple[PassedOver, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The error before and after."""
@@ -169,6 +171,7 @@ class Added(Result):
             "better": self.better,
             "held_out_with_smoothed_temperatures": self.smoothed,
             "passed_over": [r.facts() for r in self.passed_over],
+            "undetermined": list(self.undetermined),
             "notes": list(self.notes),
             "history": [dict(h) for h in self.model.history],
             "model_sha256": self.model.hash,
@@ -244,7 +247,9 @@ def _add(
     tell("held-out runs", 2, 3)
     made = _judged(model, new, measurements, there, after, margin)
     tell("held-out runs", 3, 3)
-    return replace(made, notes=(*made.notes, *searched))
+    named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
+    cancelling = tuple(named[i] for i in after.undetermined if i not in known)
+    return replace(made, notes=(*made.notes, *searched), undetermined=cancelling, better=made.better and not cancelling)
 
 
 NEAR = 0.02
@@ -352,6 +357,11 @@ def _judged(
 
 def refused(added: Added) -> str:
     """Why an addition is not worth its place, in words."""
+    if added.undetermined:
+        return (
+            f"these readings determine only what {' and '.join(added.undetermined)} make together; what each makes "
+            "alone is uncertain by more than was read, and on another day they no longer cancel"
+        )
     before, after = two_numbers(added.before.held_out, added.after.held_out)
     if added.after.held_out < added.before.held_out:
         return f"the error on held-out runs falls from {before} to {after}, which is less than 0.1 %"

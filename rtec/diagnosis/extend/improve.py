@@ -96,7 +96,7 @@ def improve(
     measurements: Sequence[Measurement],
     *,
     ask: Callable[[ProposedStep], Finding | None] | None = None,
-    ask_refit: Callable[[Added], bool] | None = None,
+    ask_made: Callable[[Added], bool] | None = None,
     seed: int = 1,
     alpha: float = ALPHA,
     draws: int = DRAWS,
@@ -111,7 +111,8 @@ def improve(
         ask: which candidate to add, None to stop; without it the best is added where the readings decide, and also
             where several cannot be told apart (they predict the same here); the rivals are told in its notes and
             its entry of the history.
-        ask_refit: whether to keep a refit that is worth it; without it, it is kept.
+        ask_made: whether to keep what is worth it and names no cause: a refit (no labels), a further temperature;
+            without it, it is kept.
         seed, alpha, draws: of the diagnosis.
         stage: told how far it is.
         step: given the refit and each addition as soon as it is made.
@@ -121,12 +122,12 @@ def improve(
     """
     check_enough(measurements)
     growth = _Growth(measurements, clean(measurements, model.reference_degc), model, (seed, alpha, draws), stage, step)
-    refit = growth.refit(model, ask_refit)
+    refit = growth.refit(model, ask_made)
     if refit is None:
-        return growth.grown(model, ask)
+        return growth.grown(model, ask, ask_made)
     if step:
         step(refit)
-    return replace(growth.grown(refit.model, ask), refit=refit)
+    return replace(growth.grown(refit.model, ask, ask_made), refit=refit)
 
 
 class _Growth:
@@ -160,15 +161,24 @@ class _Growth:
             return None
         return made if ask is None or ask(made) else None
 
-    def grown(self, model: Model, ask: Callable[[ProposedStep], Finding | None] | None) -> Improved:
+    def grown(
+        self,
+        model: Model,
+        ask: Callable[[ProposedStep], Finding | None] | None,
+        ask_made: Callable[[Added], bool] | None,
+    ) -> Improved:
         """Diagnose and add, again and again."""
         seed, alpha, draws = self.chance
         steps: list[Added] = []
         diagnoses: list[Diagnosis] = []
+        declined = False
         self.best = min(self.best, residual_size(model.effects, self.given.readings))
         while len(steps) < MOST:
-            further = None if ask or not steps else self._further(model)
-            if further is not None:
+            worth = bool(steps) and not declined and not _at_floor(steps[-1])
+            further = self._further(model) if worth else None
+            if further is not None and ask_made is not None:
+                declined = not ask_made(further)
+            if further is not None and not declined:
                 model = self._taken(further, steps)
                 continue
             found = diagnose(
@@ -219,8 +229,12 @@ class _Growth:
         return None
 
     def _gains(self, added: Added) -> bool:
-        """Whether an addition is worth its place."""
-        return added.after.held_out <= (1.0 - LITTLE) * added.before.held_out and self._no_worse(added)
+        """Whether an addition is worth its place: it predicts held-out runs, and cancels nothing that is there."""
+        return (
+            not added.undetermined
+            and added.after.held_out <= (1.0 - LITTLE) * added.before.held_out
+            and self._no_worse(added)
+        )
 
     def _no_worse(self, added: Added) -> bool:
         """Whether a model leaves no more of the readings than the start did, and than every step before it."""
@@ -244,5 +258,9 @@ def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:
     """
     if last.verdict in ("unknown_effect", "undecided"):
         return last.verdict
-    at_floor = bool(steps) and steps[-1].after.held_out <= AT_FLOOR * steps[-1].floor
-    return "at_floor" if at_floor else "nothing_missing"
+    return "at_floor" if steps and _at_floor(steps[-1]) else "nothing_missing"
+
+
+def _at_floor(step: Added) -> bool:
+    """Whether a step led to the noise floor, as far as held-out runs show."""
+    return step.after.held_out <= AT_FLOOR * step.floor

@@ -14,7 +14,17 @@ from rtec.diagnosis.heat import lag_assumed, stands_for, unrecorded_heat
 from rtec.diagnosis.plan.separating import fitted_to, with_gains
 from rtec.diagnosis.result import Alike, Diagnosis, Finding, Member, Number, Picture, RunsDiffer, Unknown, label_of
 from rtec.diagnosis.search import picture
-from rtec.diagnosis.search.confounded import SAME, WITHIN, alike, bent_part, cosine, curve_or_wave, fold, pitch_in_doubt
+from rtec.diagnosis.search.confounded import (
+    APART,
+    SAME,
+    WITHIN,
+    alike,
+    bent_part,
+    cosine,
+    curve_or_wave,
+    fold,
+    pitch_in_doubt,
+)
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
 from rtec.diagnosis.search.refit import Prepared, Refitted
@@ -120,20 +130,45 @@ class _Answer:
     def _findings(self, found: Screen, tried: list[Refitted], p: float, accepted: bool) -> tuple[Finding, ...]:
         if not tried:
             return ()
+        same = [
+            self._same(found, tried[0], t) or (t.number != self.s.partner and self._disputes(tried[0], t))
+            for t in tried
+        ]
+        mine = found.contribution(tried[0].number)
+        # What explains another part is no rival, but maybe missing as well: its probability is among its own like.
+        besides = np.array(
+            [
+                accepted and s and cosine(mine, found.contribution(t.number)) < APART
+                for t, s in zip(tried, same, strict=True)
+            ]
+        )
         odds = np.array([t.log_evidence for t in tried])
-        top = max(float(odds.max()), self.s.prior_odds)
-        weights, none = np.exp(odds - top), math.exp(self.s.prior_odds - top)
-        posterior = weights / (weights.sum() + none)
+        posterior = np.where(besides, self._posterior(odds, besides), self._posterior(odds, ~besides))
         return tuple(
-            self._finding(found, rank, t, tried, p, float(share), accepted)
-            for rank, (t, share) in enumerate(zip(tried, posterior, strict=True), 1)
+            self._finding(found, rank, t, tried, p, float(posterior[i]), accepted, same[i], bool(besides[i]))
+            for rank, (i, t) in enumerate(enumerate(tried), 1)
         )
 
+    def _posterior(self, odds: Floats, among: NDArray[np.bool_]) -> Floats:
+        """Probability of each of these candidates beside the others of them and "nothing"."""
+        every = np.append(np.where(among, odds, -np.inf), self.s.prior_odds)
+        weights = np.exp(every - every.max())
+        share: Floats = (weights / weights.sum())[:-1]
+        return share
+
     def _finding(
-        self, found: Screen, rank: int, t: Refitted, tried: Sequence[Refitted], p: float, share: float, accepted: bool
+        self,
+        found: Screen,
+        rank: int,
+        t: Refitted,
+        tried: Sequence[Refitted],
+        p: float,
+        share: float,
+        accepted: bool,
+        same: bool,
+        beside: bool,
     ) -> Finding:
         candidate, winner = self.s.candidates[t.number], tried[0]
-        same = self._same(found, winner, t) or (t.number != self.s.partner and self._disputes(winner, t))
         confused = tuple(self._alikes(found, t, tried)) if rank == 1 and accepted else ()
         numbers, size = self._numbers(candidate.effect, t.theta, t)
         return Finding(
@@ -150,12 +185,14 @@ class _Answer:
             accepted=accepted and rank == 1,
             group=accepted and (rank == 1 or same),
             confused_with=confused,
-            why_not="" if rank == 1 else self._why_not(t, winner, same and accepted),
+            why_not="" if rank == 1 else self._why_not(t, winner, same and accepted, beside),
         )
 
-    def _why_not(self, t: Refitted, winner: Refitted, same: bool) -> str:
+    def _why_not(self, t: Refitted, winner: Refitted, same: bool, beside: bool) -> str:
         if t.number == self.s.partner:
             return words.TOGETHER
+        if beside:
+            return words.BESIDE
         return words.why_not(t.log_evidence, winner.log_evidence, t.gain, same)
 
     def _same(self, found: Screen, winner: Refitted, other: Refitted) -> bool:
@@ -205,8 +242,9 @@ class _Answer:
                 name = other.effect, other.component, getattr(other, "sensor", None) or ""
                 out.setdefault(name, (alike(mine, other, cos, behind), number))
         rivals = [r for r in out.values() if not r[0].apart]
+        evidence = {t.number: t.log_evidence for t in tried}
         said = self._separated(found, winner, rivals) if self.s.explain else [a for a, _ in rivals]
-        said += [a for a, _ in out.values() if a.apart]
+        said += [a for a, n in sorted(out.values(), key=lambda a: -evidence.get(a[1], -math.inf)) if a.apart]
         part = winner.columns @ winner.fit.values[self._first(winner) :][: winner.columns.shape[1]]
         asked = (
             fold(self.readings, self.s.prepared.base, mine, winner.theta, part),

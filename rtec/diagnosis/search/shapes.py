@@ -102,6 +102,7 @@ class Ground:
     def __init__(self, readings: Readings) -> None:
         self.readings = readings
         self._curves: dict[tuple[str, int], Floats] = {}
+        self._blocks: dict[tuple[Shape, ...], tuple[Floats, Ints]] = {}
 
     @cached_property
     def known(self) -> Mapping[str, Floats]:
@@ -129,8 +130,15 @@ class Ground:
     def block(self, shapes: Sequence[Shape]) -> tuple[Floats, Ints]:
         """Columns of several shapes side by side, (m, columns), and how many each has, (shapes,).
 
-        Plain waves along one variable are worked out at once, and so are humps and steps: there are hundreds.
+        They are kept, for the same shapes are looked at under each noise.
         """
+        key = tuple(shapes)
+        if key not in self._blocks:
+            self._blocks[key] = self._made(shapes)
+        return self._blocks[key]
+
+    def _made(self, shapes: Sequence[Shape]) -> tuple[Floats, Ints]:
+        """Plain waves along one variable are worked out at once, and so are humps and steps: there are hundreds."""
         if len({(s.group, s.over, s.place and s.place.form, s.period is None) for s in shapes}) == 1:
             value, mask = self.known[shapes[0].over[0]][:, None], self.groups[shapes[0].group][:, None]
             places = [s.place for s in shapes if s.place is not None]

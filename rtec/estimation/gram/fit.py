@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.errors import ModelError
+from rtec.estimation.determined import undetermined
 from rtec.estimation.gram.identifiable import check_seen
 from rtec.estimation.gram.late import shift_by_common_lag
 from rtec.estimation.gram.normal import Normal
@@ -72,6 +73,18 @@ class Estimate:
         variance = np.diag(normal.covariance(normal.values()))[:width]
         errors = np.sqrt(np.maximum(variance, 0.0)) * widening(normal.blocks_telling()[:width])
         return np.hypot(errors, np.append(self.by_common_lag, np.zeros(width - self.linear.width)))
+
+    @cached_property
+    def undetermined(self) -> list[int]:
+        """Terms of which only the sum with others is known, by number."""
+        normal, width = self.found.normal, self.found.normal.width
+        values = np.append(self.values[: self.linear.width], np.zeros(width - self.linear.width))
+        terms = np.array([*range(len(self.terms)), *(self.terms.index(s.term) for s in self.found.slopes)])
+        covariance = normal.covariance(normal.values())[:width, :width]
+        shown = normal.by_source()
+        left = np.zeros(len(shown))
+        np.add.at(left, [c.source for c in self.linear.cells], self.cells[1])
+        return undetermined(shown, values, covariance, terms[normal.owner], left)
 
     @cached_property
     def by_common_lag(self) -> Floats:

@@ -86,6 +86,17 @@ class Normal:
         """Sum over the blocks of each fold, (folds, columns + 1, columns + 1)."""
         return np.stack([self.gram[self.fold == f].sum(axis=0) for f in self.fold_numbers])
 
+    def by_source(self) -> Floats:
+        """Products of the terms' columns, explicit nuisances taken out, of each measurement, (sources, k, k)."""
+        extra = np.arange(self.width, self.gram.shape[1] - 1)
+        cross = self.total[np.ix_(extra, np.arange(self.width))]
+        beside = np.eye(self.width)
+        if len(extra):
+            inverse = np.linalg.pinv(self.total[np.ix_(extra, extra)], rcond=RIDGE, hermitian=True)
+            beside = np.concatenate([beside, -inverse @ cross])
+        sums = [self.gram[self.source == s, :-1, :-1].sum(axis=0) for s in range(int(self.source.max()) + 1)]
+        return np.asarray(beside.T @ np.stack(sums) @ beside)
+
     @cached_property
     def by_part(self) -> "Normal":
         """Neighbouring blocks of each measurement made one, and those of all measurements in the same order of time.

@@ -18,7 +18,7 @@ from rtec.studio.pages.expression import own_expression
 from rtec.studio.parts import Area, Words, button, command, draft, heading, lacking, section, trouble, waiting
 from rtec.studio.session import ModelStep, TabSession
 from rtec.studio.tasks import CompareView, RefitQuestion, StepQuestion
-from rtec.wording import number, percent, probability
+from rtec.wording import percent, probability, two_numbers
 
 
 def build(session: TabSession) -> None:
@@ -83,13 +83,12 @@ def _question(session: TabSession, asked: Any) -> None:
     with ui.element("div").classes("card chosen").props('role="alertdialog" aria-label="Question"'):
         if isinstance(asked, RefitQuestion):
             unit = UNITS.get(asked.unit, asked.unit)
-            Words("h2", "Refit the model's own numbers?")
-            Words(
-                "p", f"The residual on held-out runs falls from {number(asked.before)} to {number(asked.after)} {unit}."
-            )
+            Words("h2", f"Add {asked.what}, a further temperature?" if asked.what else "Refit the model's own numbers?")
+            before, after = two_numbers(asked.before, asked.after)
+            Words("p", f"The residual on held-out runs falls from {before} to {after} {unit}.")
             with ui.element("div").classes("row"):
-                button("Refit", lambda: session.answer(True), main=True)
-                button("Keep the numbers", lambda: session.answer(False))
+                button("Add" if asked.what else "Refit", lambda: session.answer(True), main=True)
+                button("Leave it out" if asked.what else "Keep the numbers", lambda: session.answer(False))
         elif isinstance(asked, StepQuestion):
             _ask_step(session, asked)
 

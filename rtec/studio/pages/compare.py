@@ -14,7 +14,7 @@ from rtec.studio.parts import Area, Words, button, heading, lacking, section, ta
 from rtec.studio.session import TabSession
 from rtec.studio.tasks import CompareView, OutlierView, SeriesView
 from rtec.text import clean
-from rtec.wording import counted, number
+from rtec.wording import counted, decimals, number, sizes
 
 Ints = NDArray[np.int64]
 
@@ -60,10 +60,9 @@ def _head(session: TabSession) -> None:
         tiles(step.compared.page.numbers)
         return
     s = step.residual[worst(step.residual)]
-    known = [float(np.sqrt(np.mean(v**2))) for v in (s.measured, s.left)]
     Words("p", "The residual is drawn. Its noise floor and where it is worst are being worked out.", "lead")
-    sizes = [f"{number(v)}\u00a0{s.unit}" for v in known]
-    tiles([(sizes[0], "measured"), (sizes[1], "residual"), ("…", "noise floor")])
+    measured, residual = (f"{v}\u00a0{s.unit}" for v in sizes(_rms(s.measured), _rms(s.left)))
+    tiles([(measured, "measured"), (residual, "residual"), ("…", "noise floor")])
 
 
 def _tail(session: TabSession) -> None:
@@ -247,9 +246,11 @@ class _Plots:
 
 def _row_words(s: SeriesView, i: int) -> str:
     channels = [f"{t.partition(', ')[0]} {v[i]:.5g} {t.partition(', ')[2]}".strip() for t, v in s.channels.items()]
+    digits = decimals(_rms(s.left))
+    measured, predicted, residual = (number(v[i], digits) for v in (s.measured, s.predicted, s.left))
     return (
-        f"{s.name}, row {s.row[i]}, run {s.run[i]}: measured {number(s.measured[i])}, "
-        f"predicted {number(s.predicted[i])}, residual {number(s.left[i])} {s.unit}. {'; '.join(channels)}."
+        f"{s.name}, row {s.row[i]}, run {s.run[i]}: measured {measured}, predicted {predicted}, residual {residual} "
+        f"{s.unit}. {'; '.join(channels)}."
     )
 
 
@@ -259,11 +260,15 @@ def _marked_words(s: SeriesView, rows: Ints, drawn: str) -> str:
         f"{t.partition(', ')[0]} {v[rows].min():.5g} to {v[rows].max():.5g} {t.partition(', ')[2]}".strip()
         for t, v in list(s.channels.items())[:4]
     ]
-    rms = float(np.sqrt(np.mean(left**2)))
+    digits = decimals(_rms(left))
     return (
-        f"{counted(len(rows), 'reading')}{drawn} marked: residual {number(rms)} {s.unit} root mean square, mean "
-        f"{number(float(left.mean()), sign=True)} {s.unit}; {'; '.join(spans)}."
+        f"{counted(len(rows), 'reading')}{drawn} marked: residual {number(_rms(left), digits)} {s.unit} root mean "
+        f"square, mean {number(float(left.mean()), digits, sign=True)} {s.unit}; {'; '.join(spans)}."
     )
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _outliers(view: CompareView) -> None:

@@ -14,7 +14,7 @@ from rtec.studio.chart import Chart
 from rtec.studio.parts import Words, button, heading, lacking, section, table, tiles, trouble
 from rtec.studio.session import TabSession
 from rtec.studio.tasks import SHOWN, DiagnosisView, Wanted
-from rtec.wording import counted, number, odds, percent, probability
+from rtec.wording import counted, odds, percent, probability, sizes
 
 FIRST = 3
 """Candidates that are not folded away."""
@@ -139,7 +139,7 @@ def _card(session: TabSession, d: Diagnosis, f: Finding, label: str) -> None:
             _picture(type(f.effect))
             with ui.element("div"):
                 fall = percent(f.heldout_drop) if f.heldout_drop > 0.005 else "does not fall"
-                Words("p", f"Size: {number(f.size_um)} {unit}")
+                Words("p", f"Size: {sizes(f.size_um)[0]} {unit}")
                 Words("p", f"Fitted: {fitted_numbers(f)}")
                 Words("p", f"Held-out error: {'falls by ' if f.heldout_drop > 0.005 else ''}{fall}")
                 Words("p", f"Odds: {odds(f.confidence)}, probability {probability(f.confidence)}")

@@ -52,9 +52,11 @@ async def _look(session: TabSession, wanted: ForeignFile | None = None, beside: 
     path = session.folder.existing(file.name)
     given = path, machine, file.answers, file.edited
     found = await session.work("Reading", tasks.look_at_foreign, *given, beside=beside)
-    if found is not None:
+    if found is None:
+        return
+    if session.foreign is not None and session.foreign.name == file.name:
         session.foreign = replace(file, looked=found)
-        session.on_change()
+    session.on_change()  # another file that was opened meanwhile is looked at now
 
 
 def _page(session: TabSession, file: ForeignFile, view: ImportView) -> None:
@@ -206,8 +208,9 @@ def _preview(view: ImportView) -> None:
 
 def _figure(view: ImportView) -> dict[str, Any]:
     traces = [
-        {"type": "scattergl", "mode": "markers", "name": figures.text(name), "x": figures.numbers(view.place),
-         "y": figures.numbers(values), "marker": {"size": 6, "color": figures.PALETTE[(2 + k) % 8]}}
+        {"type": figures.kind(len(view.place)), "mode": "markers", "name": figures.text(name),
+         "x": figures.numbers(view.place), "y": figures.numbers(values),
+         "marker": {"size": 6, "color": figures.PALETTE[(2 + k) % 8]}}
         for k, (name, values) in enumerate(view.readings.items())
     ]  # fmt: skip
     up = "reading, µrad" if all(n.endswith("urad") for n in view.readings) else "reading, µm"

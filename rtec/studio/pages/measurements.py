@@ -8,6 +8,7 @@ from shlex import quote
 from tempfile import TemporaryDirectory
 
 from nicegui import events, ui
+from nicegui.element import Element
 
 from rtec.commission.example import SHIPPED
 from rtec.errors import RtecError
@@ -33,11 +34,11 @@ def build(session: TabSession) -> None:
 
     with ui.element("div").classes("card"):
         Words("h2", "Measurements in the folder")
-        listed = Area(lambda: _measurements(session, lambda: model.refresh()))  # noqa: PLW0108 - made below
+        rows = _measurements(session, lambda: model.refresh())  # noqa: PLW0108 - made below
     with ui.element("div").classes("card"):
         Words("h2", "Model")
         model = _ModelCard(session)
-    soon(lambda: _look(session, listed))
+    soon(lambda: _look(session, rows))
 
 
 def _empty(session: TabSession) -> None:
@@ -103,7 +104,7 @@ def _import(session: TabSession, name: str) -> None:
     session.go("import")
 
 
-async def _look(session: TabSession, listed: Area) -> None:
+async def _look(session: TabSession, rows: "list[_Row]") -> None:
     """Read what has not been read yet."""
     known = {s.file for s in session.summaries.values()}
     todo = [n for n in session.listing.measurements if n not in known]
@@ -119,10 +120,11 @@ async def _look(session: TabSession, listed: Area) -> None:
         found = tuple(Summary(name, trouble=str(e)) for name in todo)
     if session.machine == machine:
         session.summaries |= {s.file: s for s in found}
-        listed.redo()
+        for row in rows:
+            row.show()
 
 
-def _measurements(session: TabSession, used: Callable[[], None]) -> None:
+def _measurements(session: TabSession, used: Callable[[], None]) -> "list[_Row]":
     there = session.listing
     if not there.measurements:
         Words(
@@ -130,8 +132,7 @@ def _measurements(session: TabSession, used: Callable[[], None]) -> None:
         )
     elif not session.machine:
         Words("p", "Choose the machine above; then they can be read.", "small")
-    if there.measurements:
-        _list(session, used)
+    rows = _list(session, used) if there.measurements else []
     if there.foreign:
         Words("h2", "Tables of other programs")
         for name in there.foreign:
@@ -140,54 +141,74 @@ def _measurements(session: TabSession, used: Callable[[], None]) -> None:
                 label(button("Import", partial(_import, session, name), main=not there.measurements), f"Import {name}")
     if there.more:
         Words("p", f"{counted(there.more, 'more file')} in the folder; only the first are listed.", "small")
+    return rows
 
 
-def _list(session: TabSession, used: Callable[[], None]) -> None:
+def _list(session: TabSession, used: Callable[[], None]) -> "list[_Row]":
     with ui.element("div").classes("scroll"), ui.element("table").classes("plain"):
         with ui.element("thead"), ui.element("tr"):
             for name in ("Use", "File", "Instrument", "Runs", "Readings", "Span", "Temperatures, remarks"):
                 Words("th", name, "" if name in ("Runs", "Readings") else "words").props("scope=col")
         with ui.element("tbody"):
-            for name in session.listing.measurements:
-                _row(session, name, used)
+            return [_Row(session, name, used) for name in session.listing.measurements]
 
 
-def _row(session: TabSession, name: str, used: Callable[[], None]) -> None:
-    s = session.summaries.get(name, Summary(name))
+class _Row:
+    """A measurement in the list. Its check box stays when the file has been read, so that no click on it is lost."""
 
-    def use(event: events.ValueChangeEventArguments[bool | None]) -> None:
-        chosen = {*session.chosen, name} if event.value else set(session.chosen) - {name}
-        session.chosen = tuple(n for n in session.listing.measurements if n in chosen)
-        session.forget()
-        session.on_names()
-        used()
+    def __init__(self, session: TabSession, name: str, used: Callable[[], None]) -> None:
+        self._session, self._name, self._used = session, name, used
+        self._cells: list[Element] = []
+        with ui.element("tr").classes("picked" if name in session.chosen else "") as self._row:
+            with ui.element("td").classes("words"):
+                self._box = ui.checkbox(value=name in session.chosen, on_change=self._use)
+                self._box.props["aria-label"] = f"use {clean(name)}"
+            Words("td", name, "words file")
+            self.show()
 
-    with ui.element("tr").classes("picked" if name in session.chosen else ""):
-        with ui.element("td").classes("words"):
-            box = ui.checkbox(value=name in session.chosen, on_change=use)
-            box.props["aria-label"] = f"use {clean(name)}"
-            if s.trouble:
-                box.disable()
-        Words("td", name, "words file")
-        if s.trouble:
-            Words("td", s.trouble, "words trouble").props("colspan=5")
+    def show(self) -> None:
+        """Show what is known of it now."""
+        if self._row.is_deleted:
             return
-        Words("td", " ".join([s.instrument, s.axis]).strip() or "…", "words")
-        Words("td", str(s.runs) if s.rows else "")
-        Words("td", str(s.rows) if s.rows else "")
-        spans = [f"{axis} {low:.0f} to {high:.0f} mm" for axis, (low, high) in s.span.items()]
+        for cell in self._cells:
+            cell.delete()
+        with self._row:
+            self._cells = _cells(self._session.summaries.get(self._name, Summary(self._name)), self._box)
+
+    def _use(self, event: events.ValueChangeEventArguments[bool | None]) -> None:
+        s = self._session
+        chosen = {*s.chosen, self._name} if event.value else set(s.chosen) - {self._name}
+        s.chosen = tuple(n for n in s.listing.measurements if n in chosen)
+        s.forget()
+        self._row.classes(add="picked" if event.value else "", remove="" if event.value else "picked")
+        s.on_names()
+        self._used()
+
+
+def _cells(s: Summary, box: ui.checkbox) -> list[Element]:
+    """What is known of a measurement; one that cannot be read cannot be used."""
+    if s.trouble:
+        box.disable()
+        return [Words("td", s.trouble, "words trouble").props("colspan=5")]
+    spans = [f"{axis} {low:.0f} to {high:.0f} mm" for axis, (low, high) in s.span.items()]
+    warm = [f"{sensor} {low:.1f} to {high:.1f} °C" for sensor, (low, high) in s.sensors.items()]
+    cells: list[Element] = [
+        Words("td", " ".join([s.instrument, s.axis]).strip() or "…", "words"),
+        Words("td", str(s.runs) if s.rows else ""),
+        Words("td", str(s.rows) if s.rows else ""),
         Words("td", "\n".join([*spans, *([f"{s.hours:.1f} h"] if s.rows else [])]), "words").style(
             "white-space: pre-line"
-        )
-        warm = [f"{sensor} {low:.1f} to {high:.1f} °C" for sensor, (low, high) in s.sensors.items()]
-        with ui.element("td").classes("words"):
-            if warm:
-                with ui.element("details"):
-                    Words("summary", counted(len(warm), "sensor"))
-                    for line in warm:
-                        Words("div", line, "small")
-            for note in s.notes:
-                Words("div", note, "small")
+        ),
+    ]
+    with ui.element("td").classes("words") as remarks:
+        if warm:
+            with ui.element("details"):
+                Words("summary", counted(len(warm), "sensor"))
+                for line in warm:
+                    Words("div", line, "small")
+        for note in s.notes:
+            Words("div", note, "small")
+    return [*cells, remarks]
 
 
 def _machine(session: TabSession) -> None:

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import signal
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +20,10 @@ from rtec.diagnosis.search.picture import series_name
 from rtec.model.history import steps_of
 from rtec.wording import number
 from tests.studio.browser.test_pages import show
-from tests.studio.studio_rig import ROOT, RunningStudio, Watched, needs_browser, running_studio, tab
+from tests.studio.studio_rig import ROOT, WAIT_MS, RunningStudio, Watched, needs_browser, running_studio, tab
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, Page, WebSocketRoute
 
     from rtec.diagnosis.compare.result import Comparison
     from rtec.model import Model
@@ -71,11 +72,9 @@ def figure(page: "Page", title: str) -> dict[str, Any]:
 
 
 @pytest.fixture
-def page(whole: Watched) -> Iterator["Page"]:
-    """The tab in which every page has something to show."""
-    yield whole.page
-    whole.page.reload()
-    whole.page.wait_for_selector("h1")
+def page(whole: Watched) -> "Page":
+    """The tab in which every page has something to show; `show` builds the page of a test anew."""
+    return whole.page
 
 
 @pytest.fixture(scope="module")
@@ -289,6 +288,44 @@ def test_a_running_diagnosis_can_be_cancelled_and_the_page_answers_meanwhile(
     assert page.locator(".card h2").first.inner_text() in (before, "Diagnosis: cancelled; nothing was changed.")
 
 
+def test_a_click_while_the_list_is_read_is_not_lost(browser: "Browser", workshop: RunningStudio) -> None:
+    """The page knows nothing yet of what the server has read when the clicks are made. Oracle: what they are for."""
+    page, held = browser.new_context().new_page(), list[str | bytes]()
+    read = threading.Event()
+
+    def between(page_end: "WebSocketRoute") -> None:
+        server = page_end.connect_to_server()
+
+        def hold(message: str | bytes) -> None:
+            if read.is_set() or b"162" in (message.encode() if isinstance(message, str) else message):
+                read.set()
+                held.append(message)
+            else:
+                page_end.send(message)
+
+        server.on_message(hold)
+        ends.append(page_end)
+
+    ends = list["WebSocketRoute"]()
+    page.route_web_socket(re.compile("socket.io"), between)
+    page.set_default_timeout(WAIT_MS)
+    page.goto(f"{workshop.origin}/measurements?{workshop.address.partition('?')[2]}")
+    page.get_by_role("button", name="Import messung.csv").wait_for()
+    for _ in range(MOST_LOOKS):
+        if read.is_set():
+            break
+        page.wait_for_timeout(20)
+    assert read.is_set()
+    page.get_by_label("use laser-a.csv").click()
+    page.get_by_role("button", name="Import messung.csv").click()
+    read.clear()
+    for message in held:
+        ends[-1].send(message)
+    page.locator("h1", has_text="Import messung.csv").wait_for()
+    page.locator("header", has_text="1 measurement").wait_for()
+    page.context.close()
+
+
 def test_an_addition_moves_the_residual_from_before_to_after(browser: "Browser", workshop: RunningStudio) -> None:
     """Oracle: a reading on the screen, frame by frame: never outside of where it began and where it ends."""
     page = tab(browser, f"{workshop.origin}/measurements?{workshop.address.partition('?')[2]}").page
@@ -307,6 +344,34 @@ def test_an_addition_moves_the_residual_from_before_to_after(browser: "Browser",
     assert abs(seen[-1]) < abs(seen[0])
     assert min(seen) >= min(seen[0], seen[-1]) - 1e-6
     assert max(seen) <= max(seen[0], seen[-1]) + 1e-6
+
+
+HOLD = """() => {
+  const later = window.setTimeout;
+  window.held = [];
+  window.setTimeout = (f, ms, ...more) =>
+    window.held && /chart/.test(new Error().stack) ? window.held.push(f) : later(f, ms, ...more);
+}"""
+RELEASE = "() => { const held = window.held; window.held = null; held.forEach((f) => f()); }"
+
+
+def test_a_plot_that_is_told_to_move_before_it_is_drawn_moves(browser: "Browser", workshop: RunningStudio) -> None:
+    """As on a slow PC. Oracle: the order; plots wait between one and the next until the server has sent the move."""
+    page = tab(browser, f"{workshop.origin}/measurements?{workshop.address.partition('?')[2]}").page
+    page.emulate_media(reduced_motion="no-preference")
+    for name in ("laser-a", "laser-b"):
+        page.get_by_label(f"use {name}.csv").click()
+    with page.expect_websocket() as socket:
+        page.reload()
+    page.get_by_role("link", name="Add and watch").click()
+    page.get_by_text("An effect of your own").click()
+    page.get_by_label("Expression, µm or µrad").fill("B*d_x")
+    page.evaluate(HOLD)
+    with socket.value.expect_event("framereceived", lambda frame: "morph" in str(frame)):
+        page.get_by_role("button", name="Add this effect").click()
+    page.evaluate(RELEASE)
+    page.wait_for_selector(".chart[data-drawn=yes][data-moved=yes]")
+    page.context.close()
 
 
 @pytest.fixture(scope="module")

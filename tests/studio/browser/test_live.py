@@ -13,7 +13,7 @@ from tests.studio.studio_rig import Watched, live_config, needs_browser, running
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = [needs_browser, pytest.mark.xdist_group("studio")]
+pytestmark = [needs_browser, pytest.mark.xdist_group("studio-story")]
 
 
 FADED = """[...document.querySelectorAll(".bar")]

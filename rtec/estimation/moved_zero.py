@@ -1,0 +1,136 @@
+"""A run whose zero has moved: apart from the runs before and after it, at all places alike, for no recorded reason.
+
+The display was zeroed again, or the reflector was touched, and afterwards put right. No effect of a machine comes
+and goes like that; one that is fitted to it is invented.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.estimation.candidates import real
+from rtec.estimation.contradiction import PER_MM
+from rtec.estimation.readings import Readings, Series, row_codes
+from rtec.wording import significant
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FEW_RUNS, FEW_PLACES = 4, 5
+"""Fewest runs, and fewest places that a run shares with the run before it and after it."""
+LEAST, EVEN = 10.0, 0.7
+"""The jump is this percentile of the changes at all places. It must be this share of their median: heat moves the
+places by different amounts, a zero moves all alike."""
+NOISE, USUAL, OTHERS = 10.0, 5.0, 4.0
+"""So many times the scatter between runs; so many times what other runs usually move from one to the next; and so many
+times farther from both runs beside it than any other run is from its own."""
+
+
+@dataclass(frozen=True)
+class MovedZero:
+    """A run whose zero has moved.
+
+    Attributes:
+        series: number of its series.
+        run: its number in the file.
+        by: how far, with sign, in the unit of the readings.
+        readings: which readings it has, (m,).
+        message: in words, without a full stop.
+    """
+
+    series: int
+    run: int
+    by: float
+    readings: NDArray[np.bool_]
+    message: str
+
+
+STEP = 'leave that run out, or write zero = "run" in the [setup] of the file, so that each run has a zero of its own'
+
+
+def moved_zeros(readings: Readings) -> list[MovedZero]:
+    """Runs that are apart from both runs beside them, at all places alike, while nothing that was recorded is.
+
+    A run with a zero of its own cannot be, nor can the first or the last: what changed there may have stayed so.
+    """
+    out = []
+    for i, s in enumerate(readings.series):
+        if s.nuisance.shape[1] and not np.ptp(s.nuisance, axis=0).all():
+            continue  # each run has a zero of its own
+        for run, by in _jumps(readings, s):
+            mine = np.zeros(len(readings), dtype=np.bool_)
+            mine[s.part] = s.run == run
+            m = readings.measurements[s.source]
+            number = int(m.run[s.row[np.argmax(s.run == run)]])
+            unit = "µm" if s.unit == "um" else "µrad"
+            message = (
+                f"{m.name} {s.column}: run {number} is {significant(abs(by), 2)} {unit} apart from the runs before and "
+                "after it, at all places alike: was the instrument zeroed again?"
+            )
+            out.append(MovedZero(i, number, by, mine, message))
+    return out
+
+
+def _jumps(readings: Readings, s: Series) -> Iterator[tuple[int, float]]:
+    runs = int(s.run[-1]) + 1
+    if runs < FEW_RUNS:
+        return
+    before, after, change = _changes(readings, s)
+    moved = [change[after == r] for r in range(runs)]
+    left = [-change[before == r] for r in range(runs)]
+    steps = {r: float(np.median(d)) for r, d in enumerate(moved) if len(d) >= FEW_PLACES}
+    if not steps:
+        return
+    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([moved[r] - m for r, m in steps.items()]))))
+    apart = [_apart(_all_alike(moved[r]), _all_alike(left[r])) for r in range(runs)]
+    for r, by in enumerate(apart):
+        beside = {r, *after[before == r].tolist()}
+        usual = [abs(m) for k, m in steps.items() if k not in beside]
+        most = max(abs(a) for k, a in enumerate(apart) if k != r)
+        if not usual or abs(by) <= max(NOISE * scatter, USUAL * float(np.median(usual)), OTHERS * most):
+            continue
+        if not _has_reason(readings, s, r, before[after == r], after[before == r]):
+            yield r, by
+
+
+def _changes(readings: Readings, s: Series) -> tuple[Ints, Ints, Floats]:
+    """From each reading to the next one of another run at the same place, reached from the same side: both runs, and
+    the change.
+    """
+    pose, state = readings.poses_mm[s.source][s.row], readings.states[s.source]
+    ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
+    place = row_codes(np.stack([*np.round(PER_MM * pose).T, *ways]))
+    order = np.lexsort((s.time_s, s.run, place))
+    place, run, value = place[order], s.run[order], readings.values[s.part][order]
+    pair = (place[1:] == place[:-1]) & (run[1:] != run[:-1])
+    return run[:-1][pair], run[1:][pair], np.diff(value)[pair]
+
+
+def _all_alike(change: Floats) -> float:
+    """By how much all places have moved at the least, with sign; zero where they have not all moved alike."""
+    if len(change) < FEW_PLACES:
+        return 0.0
+    middle = float(np.median(change))
+    least = float(np.percentile(change * np.sign(middle), LEAST))
+    return float(np.sign(middle)) * least if least > EVEN * abs(middle) else 0.0
+
+
+def _apart(before: float, after: float) -> float:
+    """How far a run is from the nearer of both runs beside it; zero where it lies between them."""
+    return min(before, after, key=abs) if before * after > 0.0 else 0.0
+
+
+def _has_reason(readings: Readings, s: Series, run: int, before: Ints, after: Ints) -> bool:
+    """Whether a recorded channel, too, is apart from both."""
+    state = readings.states[s.source]
+    rows = [s.row[np.isin(s.run, which)] for which in (run, before, after)]
+    for name in (*readings.machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"):
+        if name in state.channels:
+            here, was, will = (float(np.nanmedian(state.channels[name][r])) for r in rows)
+            if (here - was) * (here - will) > 0.0 and min(abs(here - was), abs(here - will)) > real(
+                readings.machine, name
+            ):
+                return True
+    return False

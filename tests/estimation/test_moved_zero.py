@@ -1,0 +1,76 @@
+"""A run that was zeroed again. Oracle: what was done to the file, and the fit of the file without that run."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rtec.characterise import characterise
+from rtec.characterise.effect_list import read_wanted
+from rtec.diagnosis.compare.compare import compare
+from rtec.estimation.moved_zero import moved_zeros
+from rtec.estimation.outliers import clean
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from tests.support.diagnosis_examples import laser, small_machine
+
+Floats = NDArray[np.float64]
+TRUTH = ["scale,component=EXX,axis=X,k=30", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=9"]
+
+
+def changed(m: Measurement, by: Callable[[NDArray[np.int64]], Floats]) -> Measurement:
+    return replace(m, readings={k: v + by(m.run) for k, v in m.readings.items()})
+
+
+@pytest.mark.parametrize("by", [-12.0, 40.0])
+def test_it_is_named(by: float) -> None:
+    good = laser(TRUTH, 3)
+    bad = changed(good, lambda run: np.where(run == run[0] + 6, by, 0.0))
+    (found,) = moved_zeros(clean([bad]).readings)
+    assert found.run == good.run[0] + 6
+    assert found.by == pytest.approx(by, abs=2.0)
+    (doubt,) = compare(Model(small_machine(), (), name="none"), [bad]).doubts
+    assert doubt.kind == "moved_zero"
+    assert f"run {good.run[0] + 6} is" in doubt.message
+
+
+def test_fit_leaves_it_out_and_says_so() -> None:
+    good = laser(TRUTH, 3)
+    bad = changed(good, lambda run: np.where(run == run[0] + 6, 40.0, 0.0))
+    lost = changed(good, lambda run: np.where(run == run[0] + 6, np.nan, 0.0))
+    effects = read_wanted("scale,axis_expansion", small_machine())
+    whole, without = (characterise([m], wanted=effects) for m in (bad, lost))
+    assert [w.code for w in whole.warnings].count("moved_zero") == 1
+    for one, other in zip(whole.coefficients, without.coefficients, strict=True):
+        assert one.value == pytest.approx(other.value, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "by",
+    [
+        lambda run: np.where(run > run[0] + 6, 40.0, 0.0),
+        lambda run: 8.0 * np.random.default_rng(1).normal(size=20)[run - run[0]],
+        lambda run: 12.0 * np.sin(0.7 * (run - run[0])),
+        lambda run: 25.0 * ((run - run[0]) % 2),
+    ],
+    ids=["a step that stays", "every run has its own", "slow there and back", "every other run"],
+)
+def test_nothing_is_said_where_runs_differ_otherwise(by: Callable[[NDArray[np.int64]], Floats]) -> None:
+    assert not moved_zeros(clean([changed(laser(TRUTH, 4), by)]).readings)
+
+
+def test_a_good_record_has_none() -> None:
+    """Oracle: nothing was done to twelve files, with heat that comes and goes and runs that have zeros of their own."""
+    for seed in range(12):
+        noise = {"white_um": 0.1, "run_offset_um": 1.5 * (seed % 2)}
+        assert not moved_zeros(clean([laser(TRUTH, 100 + seed, noise=noise)]).readings)
+
+
+def test_a_run_that_was_warm_is_none() -> None:
+    """Oracle: the reason is in the file."""
+    good = laser(TRUTH, 5)
+    warm = good.run == good.run[0] + 6
+    hot = replace(good, channels={**good.channels, "T_air": good.channels["T_air"] + 6.0 * warm})
+    assert not moved_zeros(clean([changed(hot, lambda run: np.where(run == run[0] + 6, 40.0, 0.0))]).readings)
