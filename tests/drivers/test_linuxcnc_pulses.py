@@ -56,7 +56,8 @@ net tool-change iocontrol.0.tool-change => iocontrol.0.tool-changed
 """
 AXIS = """\
 setp sim-encoder.{k}.ppr 250
-setp pid.{a}.Pgain 50
+setp pid.{a}.Pgain 5
+setp pid.{a}.maxoutput 20
 setp pid.{a}.FF1 1
 setp encoder.{k}.position-scale {per_mm}
 setp encoder.{i}.position-scale {per_mm}
@@ -159,4 +160,4 @@ def ended(lathe: Session, thread: LoopThread, start: Floats) -> str | None:
     """How it ended, once it has."""
     if lathe.gets("motion.motion-enabled") and settled(lathe, thread, start):
         return "settled"
-    return None if lathe.gets("motion.motion-enabled") else "LinuxCNC switched the machine off"
+    return None if lathe.gets("motion.motion-enabled") else f"LinuxCNC switched the machine off: {lathe.said()}"

@@ -223,7 +223,9 @@ def test_wrong_bits_and_garbage_on_a_real_port(tmp_path: Path) -> None:
         with peer.lock:
             peer.faults.flip_rate, peer.faults.babble = 0.01, b"\xaa\x00\x03\x01"
         failed, moved_ns, counts = 0, [], np.zeros(2, np.int64)
-        for k in range(400):
+        for k in range(40_000):
+            if k >= 400 and peer.faults.garbled:  # a slow computer needs more of them
+                break
             plant.position = [k, -k]
             moved_ns.append(CLOCK.now_ns())
             try:
@@ -234,8 +236,8 @@ def test_wrong_bits_and_garbage_on_a_real_port(tmp_path: Path) -> None:
                 failed += 1
             with suppress(DriverTimeout):  # the loop orders it again, too
                 driver.apply(np.array([k // 30, 0]))
-        assert 0 < peer.faults.garbled <= failed < 400
-        assert soon(CLOCK, lambda: carried_out(driver, 13, 0))
+        assert 0 < peer.faults.garbled <= failed < len(moved_ns)
+        assert soon(CLOCK, lambda: carried_out(driver, (len(moved_ns) - 1) // 30, 0))
 
 
 def test_a_full_port_does_not_block() -> None:

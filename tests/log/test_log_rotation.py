@@ -213,9 +213,9 @@ def test_tidying_runs_once_at_a_time_and_as_a_process(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "rtec.log.tidy", str(tmp_path), "1.0", "pack"]
     fd = os.open(tmp_path, os.O_RDONLY)
     fcntl.flock(fd, fcntl.LOCK_EX)
-    busy = subprocess.run(command, capture_output=True, check=True, timeout=120)
+    busy = subprocess.run(command, capture_output=True, check=True, timeout=600)
     os.close(fd)
-    free = subprocess.run(command, capture_output=True, check=True, timeout=120)
+    free = subprocess.run(command, capture_output=True, check=True, timeout=600)
     assert json.loads(busy.stdout) == {"packed": [], "removed": [], "troubles": []}
     assert len(json.loads(free.stdout)["packed"]) == 2
 
