@@ -18,11 +18,13 @@ from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import State
 from rtec.errors import ModelError
 from rtec.estimation import floor
+from rtec.estimation.candidates import real
 from rtec.estimation.columns import ordered
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.readings import Readings, Series, looked_at
+from rtec.machine import Axis
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
@@ -110,7 +112,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
         found.append(edited.doubt(judged.residual))
     step = f"{STEP[0].upper()}{STEP[1:]}."
     found += [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
-    found += [*_one_pass(readings), *_few_runs(readings)]
+    found += [*one_pass(readings), *_few_runs(readings)]
     return tuple(found)
 
 
@@ -302,11 +304,15 @@ class _Edits:
             yield _Edit(left(by), "moved_origin", edit, suspect, f"the origin of {axis.name}")
 
 
-def _one_pass(readings: Readings) -> list[Doubt]:
-    """Axes whose position rises with time from beginning to end of all that sees them."""
+def one_pass(readings: Readings) -> list[Doubt]:
+    """Axes that went through once, in one direction, or there and back only once while a temperature changed."""
     out = []
+    passes_of = {
+        a.name: [_pass(readings, s, a.channel, a.travel_mm) for s in readings.series] for a in readings.machine.axes
+    }
+    alone = sum(any(p is not None for p in passes) for passes in passes_of.values()) == 1
     for axis in readings.machine.axes:
-        passes = [_pass(readings, s, axis.channel, axis.travel_mm) for s in readings.series]
+        passes = passes_of[axis.name]
         moving = [p for p in passes if p is not None]
         files = {readings.series[i].source for i, p in enumerate(passes) if p is not None}
         if len(files) == 1 and min(abs(r) for r in moving) > TOGETHER:
@@ -315,7 +321,34 @@ def _one_pass(readings: Readings) -> list[Doubt]:
                 f"error along {axis.name}, a drift and a reversal cannot be distinguished."
             )
             out.append(Doubt("one_pass", message, "Measure there and back, at least twice.", fatal=True))
+        elif alone and len(files) == 1 and _turns(readings, axis) == 1 and (warmed := _warmed(readings, min(files))):
+            message = (
+                f"{axis.name} went there and back only once while {warmed}: an error along {axis.name}, a reversal and "
+                "a growth with temperature can stand for each other in this record."
+            )
+            step = "Repeat the pass, and measure once more when the machine is warm."
+            out.append(Doubt("one_pass", message, step))
     return out
+
+
+def _warmed(readings: Readings, source: int) -> str:
+    """The recorded temperature that varied most in a measurement, in words; empty where none varied."""
+    machine, state = readings.machine, readings.states[source]
+    names = [n for n in machine.sensor_names if n in state.channels]
+    varied = {n: float(np.nanmax(state.channels[n]) - np.nanmin(state.channels[n])) for n in names}
+    name = max(varied, key=lambda n: varied[n] / real(machine, n), default=None)
+    return f"{name} changed by {varied[name]:.1f} K" if name and varied[name] > real(machine, name) else ""
+
+
+def _turns(readings: Readings, axis: Axis) -> int:
+    """How often an axis turned between the outer quarters of its way, in the series in which that was most."""
+    most = 0
+    for s in readings.series:
+        place = readings.states[s.source].value(axis.channel)[s.row]
+        low, high = float(place.min()), float(place.max())
+        side = np.sign(place - 0.5 * (low + high)) * (np.abs(place - 0.5 * (low + high)) > 0.25 * (high - low))
+        most = max(most, int(np.count_nonzero(np.diff(side[side != 0.0]))) - 1)
+    return most
 
 
 def _pass(readings: Readings, s: Series, channel: str, travel_mm: Sequence[float]) -> float | None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
+from rtec.diagnosis.doubts import one_pass
 from rtec.diagnosis.extend.add import WORTH, Added, add, is_there, new_effect, residual_size, rivals_of, said
 from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.diagnosis.result import Diagnosis, Finding
@@ -12,6 +13,7 @@ from rtec.diagnosis.search.not_found import ALPHA, SURE
 from rtec.diagnosis.usable import check_enough
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import Clean, clean
+from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
 from rtec.result import Result
@@ -159,6 +161,8 @@ class _Growth:
         made = add(model, [], self.measurements, stage=self.stage, given=self.given)
         if made.after.held_out > (1.0 - LITTLE) * made.before.held_out or not self._no_worse(made):
             return None
+        if ask is None and one_pass(self.given.readings) and not _at_floor(made):
+            return None  # the numbers would take up what is missing, and position, direction and heat are one here
         return made if ask is None or ask(made) else None
 
     def grown(
@@ -187,6 +191,8 @@ class _Growth:
             diagnoses.append(found)
             if not found.findings or not found.findings[0].accepted:
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
+            if not ask and _inseparable(found, model.machine):
+                return Improved(model, tuple(steps), tuple(diagnoses), "ambiguous")
             choice = found.findings[0]
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
@@ -249,6 +255,21 @@ def _with_rivals(added: Added, found: Diagnosis, taken: Finding) -> Added:
     entry = {**added.model.history[-1], "passed_over": [r.facts() for r in rivals]}
     model = replace(added.model, history=(*added.model.history[:-1], entry))
     return replace(added, model=model, notes=(*said(taken, rivals), *added.notes), passed_over=rivals)
+
+
+def _inseparable(found: Diagnosis, machine: Machine) -> bool:
+    """Whether an axis went its way only once, and what is named may as well be something else.
+
+    A single reversal does not show how reversals change. One number of geometry is added even if something else is as
+    likely: it is what every machine has, and the least that can be wrong.
+    """
+    if not any(d.kind == "one_pass" for d in found.doubts):
+        return False
+    first = found.findings[0]
+    read, ways = set(first.effect.channels(machine)), {a.direction_channel for a in machine.axes}
+    plain = len(first.effect.coefficients(machine)) == 1 and first.partner is None
+    plain = plain and read <= ways | {a.channel for a in machine.axes}
+    return bool(read & ways and read - ways) or (found.verdict == "ambiguous" and not plain)
 
 
 def _ended(last: Diagnosis, steps: Sequence[Added]) -> Reason:
