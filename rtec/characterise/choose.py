@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.characterise.candidates import BEND, Drive, TermCandidate, drive
+from rtec.characterise.candidates import BEND, Drive, TermCandidate, at_constant_temperature, drive
 from rtec.characterise.result import UndecidedTerm
 from rtec.characterise.screen import VISIBLE, residual_gram, residual_parts
 from rtec.estimation.gram.normal import NOTHING, Normal, ridged, solve, squares_left
@@ -218,6 +218,12 @@ class HeldOutTable:
         same_shape = mine.component == other.component and {mine.kind, other.kind} <= {"position", "region"}
         return not same_angle and not same_shape and (other.direct or not mine.direct)
 
+    def constant(self, i: int) -> int | None:
+        """The candidate that has the shape of a temperature's at constant temperature; None where none is shown."""
+        shape = at_constant_temperature(self.candidates[i], self.candidates)
+        k = None if shape is None else list(self.candidates).index(shape)
+        return k if k is not None and self.usable[k] else None
+
     def _of_speed(self, i: int) -> tuple[str, str] | None:
         """Component and kind of a candidate that goes with a power of a speed; None of others."""
         candidate = self.candidates[i]
@@ -358,11 +364,11 @@ def choose(
     chosen = _smallest_good(table, path)
     chosen = _drop(table, chosen, forced, table.errors(_best(table, path)))
     for _ in range(SWAPS):
-        better = _swapped(table, chosen, forced)
-        if better is None:
+        better = _joined(table, _swapped(table, chosen, forced), forced)
+        if set(better) == set(chosen):
             break
         best = min((table.errors(c) for c in (better, _best(table, path))), key=np.sum)
-        chosen = _joined(table, _drop(table, better, forced, best), forced)
+        chosen = _drop(table, better, forced, best)
     held_out = float(np.sqrt(table.held_out(chosen)))
     rivals, same = find_rivals(table, chosen), table.confounded(chosen)
     return TermChoice(tuple(sorted(chosen)), tuple(steps), held_out, tuple(rivals), tuple(same))
@@ -450,12 +456,12 @@ def _drop(table: HeldOutTable, chosen: list[int], forced: list[int], best: Float
     return chosen
 
 
-def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int] | None:
+def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
     """The choice with terms exchanged one by one, where that lowers the left-out error for good.
 
     Or where a simpler shape does as well beside what was found after the one that was taken.
     """
-    now, changed = list(chosen), False
+    now = list(chosen)
     for i in chosen:
         if i in forced:
             continue
@@ -468,8 +474,8 @@ def _swapped(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[
         there = errors[tried.index(pick)]
         better = errors.min() < here * (1 - PAYS) and there < here
         if better or (_simpler_shape(table, pick, i) and there <= here * _room_for_simpler(table, pick, i)):
-            now, changed = [*rest, pick], True
-    return now if changed else None
+            now = [*rest, pick]
+    return now
 
 
 def _simpler_shape(table: HeldOutTable, i: int, k: int) -> bool:
@@ -484,20 +490,27 @@ def _room_for_simpler(table: HeldOutTable, i: int, k: int) -> float:
 
 
 def _joined(table: HeldOutTable, chosen: list[int], forced: list[int]) -> list[int]:
-    """The choice with several terms of one component and form replaced by one, where that is as good.
+    """The choice with all temperatures of one component and form replaced by one, where that is as good.
 
-    Forward search often takes two near-enough temperatures before it has seen the right one.
+    Forward search often takes two near-enough temperatures before it has seen the right one. Beside the right one
+    stands the same shape at constant temperature, because the machine need not be without error at the reference.
     """
     forms: dict[tuple[str, str], list[int]] = {}
     for i in chosen:
-        candidate = table.candidates[i]
-        if candidate.feature and i not in forced:
-            forms.setdefault((candidate.component, candidate.term.effect.effect), []).append(i)
-    for together in (f for f in forms.values() if len(f) > 1):
+        if table.candidates[i].feature and i not in forced:
+            forms.setdefault(_form(table.candidates[i]), []).append(i)
+    for form, together in forms.items():
         rest = [j for j in chosen if j not in together]
-        tried = [[*rest, i] for i in table.shortlist(rest)]
-        if tried:
-            fewer = min(tried, key=table.held_out)
-            if one_standard_error(table.errors(fewer), table.errors(chosen)):
-                chosen = fewer
+        shape = table.constant(together[0])
+        for base in (rest, [*rest, shape] if shape is not None and shape not in rest else rest):
+            tried = [i for i in table.shortlist(base, len(table.candidates)) if _form(table.candidates[i]) == form]
+            if tried:
+                one = [*base, tried[int(np.argmin(table.held_out_beside(base, tried)))]]
+                fewer = len(one) < len(chosen) and one_standard_error(table.errors(one), table.errors(chosen))
+                if fewer or table.held_out(one) < table.held_out(chosen) * (1 - PAYS):
+                    chosen = one
     return chosen
+
+
+def _form(candidate: TermCandidate) -> tuple[str, str]:
+    return candidate.component, candidate.effect

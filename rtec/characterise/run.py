@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.characterise.assemble import assemble, model_of
-from rtec.characterise.candidates import Drive, at_constant_temperature, drive
+from rtec.characterise.candidates import Drive, TermCandidate, at_constant_temperature, drive
 from rtec.characterise.choose import TermChoice, choose
 from rtec.characterise.effect_list import AskedEffects
 from rtec.characterise.grouping import apart, tidied
+from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
@@ -148,7 +149,7 @@ def _fit_to(
     asked, rules = _asked_terms(wanted), _Rules()
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
-        chosen = tidied(_with_constant(screened, choice))
+        chosen = tidied(_with_constant(screened, choice, rules))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
         fit = _sure(sources, fixed, chosen, asked, sum(c.offered for c in screened.candidates), tell)
         further = _further_rules(given.readings, fit, len(fixed), asked, rules)
@@ -168,6 +169,10 @@ class _Rules:
 
     single: tuple[frozenset[Drive], ...] = ()
     barred: frozenset[Drive] = frozenset()
+
+    def cancel(self, one: TermCandidate, other: TermCandidate) -> bool:
+        """Whether a choice may have only one of both."""
+        return any({drive(one.term.effect), drive(other.term.effect)} <= only for only in self.single)
 
 
 def _further_rules(
@@ -201,7 +206,9 @@ def _chosen(
     names = wanted.names if wanted else None
     screened = _without(screen(scaled, names), rules)
     choice = _choose(screened, wanted, rules, tell)
+    found = refined(screened.sources, [screened.candidates[i] for i in choice.chosen], screened.candidates)
     screened = _without(screen(scaled, names, [screened.candidates[i] for i in choice.chosen]), rules)
+    screened = replace(screened, candidates=(*screened.candidates, *found))
     return screened, _choose(screened, wanted, rules, tell)
 
 
@@ -221,7 +228,7 @@ def _choose(screened: Screened, wanted: AskedEffects | None, rules: _Rules, tell
     return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t), rules.single)
 
 
-def _with_constant(screened: Screened, choice: TermChoice) -> list[Term]:
+def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> list[Term]:
     """What was chosen, and beside each temperature the same shape without it.
 
     A temperature that hardly changed, far from the reference, would else take the place of that shape: the readings
@@ -230,7 +237,7 @@ def _with_constant(screened: Screened, choice: TermChoice) -> list[Term]:
     chosen = [screened.candidates[i] for i in choice.chosen]
     for candidate in tuple(chosen):
         shape = at_constant_temperature(candidate, screened.candidates)
-        if shape is not None and shape not in chosen:
+        if shape is not None and shape not in chosen and not any(rules.cancel(c, shape) for c in chosen):
             chosen.append(shape)
     return [c.term for c in chosen]
 

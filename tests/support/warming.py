@@ -67,7 +67,7 @@ def warming(seed: int, runs: int, *, source: str = "T_bed", lag_s: float = 0.0, 
         [0.002, 1500.0, 800.0, 4000.0, 15000.0], [0.005, 4000.0, 2500.0, 9000.0, 40000.0]), strict=True))  # fmt: skip
     noise, pause = float(rng.uniform(0.15, 0.6)), 0.0 if runs == 1 else float(rng.choice([120.0, 600.0, 1500.0]))
     step = float(rng.choice([60.0, 120.0])) if runs == 1 else 15.0
-    days = []
+    days: list[tuple[Measurement, Floats]] = []
     for n in (runs, 8):
         place = np.tile(np.concatenate([targets, targets[::-1]]), n)
         way = np.tile(np.repeat([1.0, -1.0], count), n)

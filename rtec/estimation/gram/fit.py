@@ -81,6 +81,8 @@ class Estimate:
         values = np.append(self.values[: self.linear.width], np.zeros(width - self.linear.width))
         terms = np.array([*range(len(self.terms)), *(self.terms.index(s.term) for s in self.found.slopes)])
         covariance = normal.covariance(normal.values())[:width, :width]
+        wider = self.errors / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        covariance = covariance * np.outer(wider, wider)
         shown = normal.by_source()
         left = np.zeros(len(shown))
         np.add.at(left, [c.source for c in self.linear.cells], self.cells[1])

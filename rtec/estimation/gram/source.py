@@ -268,11 +268,15 @@ def _still(varied_k: dict[str, float]) -> list[str]:
 
 
 def lags_s(sources: Sequence[Source]) -> list[float]:
-    """Time constants worth trying: longer than two readings apart, shorter than half of the longest measurement."""
-    span = max(float(s.measurement.time_s[-1] - s.measurement.time_s[0]) for s in sources)
+    """Time constants worth trying: longer than two readings apart, and no longer than `longest_lag_s`."""
     steps = [np.diff(s.measurement.time_s) for s in sources]
     apart = min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=np.inf)
-    return [tau for tau in TAU_S if 2 * apart <= tau <= span / 2]
+    return [tau for tau in TAU_S if 2 * apart <= tau <= longest_lag_s(sources)]
+
+
+def longest_lag_s(sources: Sequence[Source]) -> float:
+    """Half of the longest measurement: what lags longer hardly moves, and its coefficient may be of any size."""
+    return max(float(s.measurement.time_s[-1] - s.measurement.time_s[0]) for s in sources) / 2
 
 
 def speed_varies(sources: Sequence[Source]) -> bool:

@@ -1,0 +1,71 @@
+"""A free choice on a record that was taken while the machine warmed up, judged on another day.
+
+Oracle: the law of the generator, which shares no code with the program: least squares with its columns.
+"""
+
+import numpy as np
+import pytest
+
+from rtec.characterise import Characterisation, characterise
+from rtec.estimation.columns import base_of, ordered
+from rtec.estimation.gram.source import Source, longest_lag_s
+from rtec.estimation.held_out import cut
+from rtec.estimation.readings import read
+from tests.support.warming import Warming, warming
+
+
+def other_day_um(found: Characterisation, w: Warming) -> float:
+    return w.missed_um(base_of(found.model, read([w.other])).predicted)
+
+
+def most_over_sum(found: Characterisation, w: Warming) -> float:
+    """The largest contribution of an effect over that of all together, standard deviations."""
+    readings = read([w.given])
+    parts = [readings.columns(f.effect, f.theta) @ ordered(f, readings) for f in found.model.effects]
+    return float(max(np.std(p) for p in parts) / np.std(np.sum(parts, axis=0)))
+
+
+@pytest.mark.parametrize(
+    ("seed", "runs", "source", "lag_s"),
+    [
+        (42, 8, "T_bed", 0.0),
+        (86, 8, "T_nut", 2500.0),
+        (119, 20, "T_nut", 900.0),
+        (76, 20, "T_nut", 2500.0),
+        (2, 12, "T_nut", 2500.0),
+        (62, 12, "T_nut", 2500.0),
+    ],
+)
+def test_another_day_is_predicted_as_by_the_law(seed: int, runs: int, source: str, lag_s: float) -> None:
+    w = warming(seed, runs, source=source, lag_s=lag_s)
+    found = characterise([w.given])
+    assert other_day_um(found, w) < w.lawful_um + 0.3
+    assert most_over_sum(found, w) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("seed", "runs", "source", "lag_s"), [(16, 6, "T_air", 2500.0), (115, 6, "T_bed", 0.0), (200, 6, "T_air", 2500.0)]
+)
+def test_no_effects_that_cancel_on_a_short_record(seed: int, runs: int, source: str, lag_s: float) -> None:
+    """The record tells too little of the law, so the other day is at least met better than by no model at all."""
+    w = warming(seed, runs, source=source, lag_s=lag_s)
+    found = characterise([w.given])
+    assert most_over_sum(found, w) < 1.5
+    assert other_day_um(found, w) < w.missed_um(np.zeros(len(w.other)))
+
+
+@pytest.mark.parametrize("seed", [16, 73, 107])
+def test_no_delay_is_longer_than_half_of_the_record(seed: int) -> None:
+    """A temperature that lags by more hardly moves, so that its number may be of any size."""
+    w = warming(seed, 8, source="T_air", lag_s=2500.0)
+    longest = longest_lag_s([Source.of(w.given, cut(w.given))])
+    assert longest == pytest.approx(0.5 * float(np.ptp(w.given.time_s)))
+    delays = [f.theta["tau"] for f in characterise([w.given]).model.effects if "tau" in f.theta]
+    assert all(tau < 1.0001 * longest for tau in delays)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_machine_that_does_not_grow_gets_no_temperature(seed: int) -> None:
+    """Oracle: only a scale error and a backlash were put in."""
+    found = characterise([warming(seed, 8, grows=False).given])
+    assert {f.effect.effect for f in found.model.effects} <= {"scale", "backlash"}
