@@ -116,20 +116,18 @@ def own_warm_up(effect: Effect) -> Doubt:
     return Doubt("instrument_warm_up", message, step, fatal=True)
 
 
-def unrecorded_heat(readings: Readings, noise: Whitener) -> Doubt | None:
-    """That the residual grows and falls over hours while no temperature was recorded; None where one was.
+def unrecorded_heat(readings: Readings, noise: Whitener, named_um: float | None = None) -> Doubt | None:
+    """That the residual grows and falls over hours, unexplained by anything recorded; None where it does not.
 
     Args:
         readings: the readings.
-        noise: of what the model leaves.
+        noise: of what the model leaves, with what is named in it.
+        named_um: what the effect that is named explains (root mean square), where that is no heat; the doubt stands
+            beside it if more grows and falls. None where nothing is named: then it stands if no temperature varied.
     """
     machine = readings.machine
-    for name in machine.sensor_names:
-        for state in readings.states:
-            if name in state.channels and np.nanmax(state.channels[name], initial=-np.inf) - np.nanmin(
-                state.channels[name], initial=np.inf
-            ) > real(machine, name):
-                return None
+    if named_um is None and _temperature_varied(readings):
+        return None
     found = []
     for s, n in zip(readings.series, noise.noises, strict=True):
         slow = n.sigma * math.sqrt(n.drift + n.offset)
@@ -139,6 +137,8 @@ def unrecorded_heat(readings: Readings, noise: Whitener) -> Doubt | None:
     if not found:
         return None
     slow, memory, s = max(found, key=lambda f: f[0])
+    if named_um is not None and slow < named_um:
+        return None
     m = readings.measurements[s.source]
     message = (
         f"{m.name} {s.column} grows and falls by {number(slow)} {UNITS.get(s.unit, s.unit)} with a memory of "
@@ -146,4 +146,12 @@ def unrecorded_heat(readings: Readings, noise: Whitener) -> Doubt | None:
     )
     moves = [a.name for a in machine.axes if float(np.ptp(readings.states[s.source].value(a.channel)[s.row])) > 0.0]
     bodies = [f"the screw or scale of {a}" for a in moves[:1]] + ["spindle", "column", "bed", "air"]
-    return Doubt("no_temperature", message, f"Record temperatures of {', '.join(bodies)}.", fatal=True)
+    step = f"Record temperatures of {', '.join(bodies)}."
+    return Doubt("no_temperature", message, step, fatal=True)
+
+
+def _temperature_varied(readings: Readings) -> bool:
+    """Whether a recorded temperature changed."""
+    machine = readings.machine
+    there = [(n, s.channels[n]) for n in machine.sensor_names for s in readings.states if n in s.channels]
+    return any(np.nanmax(v, initial=-np.inf) - np.nanmin(v, initial=np.inf) > real(machine, n) for n, v in there)

@@ -36,6 +36,22 @@ def test_a_sensor_that_stands_for_another_is_said_to() -> None:
     assert doubt.message.startswith("axis_expansion follows T_bed; no sensor on the screw, nut or scale of X")
 
 
+@pytest.mark.parametrize("seed", [60002, 60011])
+def test_a_shape_beside_heat_that_nothing_recorded_is_no_whole_answer(seed: int) -> None:
+    """A screw grows, its nut has no sensor, and a curve along the axis explains a part. Oracle: what was put in."""
+    d = answer("unrecorded", "nut_unseen", seed)
+    assert d.findings[0].effect.effect != "axis_expansion"
+    assert [doubt.kind for doubt in d.doubts] == ["no_temperature"]
+    assert d.sentence.startswith("record reading_um grows and falls by ")
+    assert "unexplained by anything recorded. Record temperatures of the screw or scale of X" in d.sentence
+
+
+@pytest.mark.parametrize(("what", "seed"), [("servo", 1), ("abbe", 1), ("plain_bow", 1), ("servo", 2)])
+def test_a_shape_alone_is_not_doubted(what: str, seed: int) -> None:
+    """Oracle: the effect that was put in is the only one."""
+    assert "no_temperature" not in {doubt.kind for doubt in answer("lean", what, seed).doubts}
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_curve_at_equal_targets_may_be_a_wave(seed: int) -> None:
     """Oracle: the wave that was put in is among the periods that are told."""

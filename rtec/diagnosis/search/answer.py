@@ -278,9 +278,9 @@ class _Answer:
             return None  # the wave once a turn is in the model: the pitch is right
         return pitch_in_doubt(effect, winner.theta, self.s.model.machine)
 
-    def _doubts(self, accepted: bool) -> tuple[Doubt, ...]:
+    def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Those about the record, and about the machine file where the finding raises them."""
-        if not accepted:
+        if not (findings and findings[0].accepted):
             slow = unrecorded_heat(self.readings, self.s.without.whitener)
             return (*self.s.doubts, *([slow] if slow is not None else []))
         first, out = self.s.tried[0], list(self.s.doubts)
@@ -288,8 +288,11 @@ class _Answer:
         if asked is not None:
             message = f"Is pitch_mm right? The wave that is missing is that of a screw: {asked.why}."
             out.append(Doubt("wrong_pitch", message, words.sentence(asked.separating_test)))
-        stands = stands_for(self.readings, self.s.candidates[first.number].effect)
-        return (*out, *([stands] if stands is not None else []))
+        effect, machine = self.s.candidates[first.number].effect, self.s.model.machine
+        stands, slow = stands_for(self.readings, effect), None
+        if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(effect.channels(machine)):
+            slow = unrecorded_heat(self.readings, first.fit.whitener, findings[0].size_um)
+        return (*out, *(d for d in (stands, slow) if d is not None))
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same with the test that this machine can take and that tells them apart soonest."""
@@ -353,7 +356,7 @@ class _Answer:
             verdict = "ambiguous" if rivals else "missing_effect"
         elif unknown is not None:
             verdict = "unknown_effect"
-        elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in self._doubts(accepted)):
+        elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in self._doubts(findings)):
             verdict = "undecided"
         else:
             verdict = "nothing_missing"
@@ -374,7 +377,7 @@ class _Answer:
             not_testable=(*untestable(self.s.untried, found), *unseen),
             absent=absent,
             notes=(
-                *(d.words for d in self._doubts(accepted)),
+                *(d.words for d in self._doubts(findings)),
                 *(lag_assumed(readings, findings[0].effect, findings[0].theta) if accepted else ()),
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
@@ -393,10 +396,10 @@ class _Answer:
             together=tuple(self._member(t) for t in self.s.chain),
             refit=judged.refitted,
             judged=judged,
-            doubts=self._doubts(accepted),
+            doubts=self._doubts(findings),
             runs=self.s.undecided,
         )
-        return words.with_sentence(draft, smallest, [d.words for d in self._doubts(accepted) if d.fatal])
+        return words.with_sentence(draft, smallest, [d.words for d in self._doubts(findings) if d.fatal])
 
     def _member(self, t: Refitted) -> Member:
         effects = [self.s.candidates[i].effect for i in (t.number, *t.rivals)]
