@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rtec.characterise.coverage import cover_warnings, places_mm
 from rtec.characterise.result import UndecidedTerm, Warn
+from rtec.estimation.end_targets import NEXT
 from rtec.estimation.gram.fit import Estimate
 from rtec.estimation.gram.identifiable import label
 from rtec.estimation.gram.source import Source, reads
@@ -112,6 +113,7 @@ def all_warnings(
 ) -> list[Warn]:
     """Everything to beware of, what matters most first."""
     found = [
+        *(Warn("end_targets", message, NEXT) for message in judged.given.ends),
         *_confounded(same),
         *_over_fitted(fit, judged),
         *_left_over(judged),

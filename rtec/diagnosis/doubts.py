@@ -21,6 +21,7 @@ from rtec.estimation import floor
 from rtec.estimation.candidates import real
 from rtec.estimation.columns import ordered
 from rtec.estimation.contradiction import contradiction
+from rtec.estimation.end_targets import NEXT
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.readings import Readings, Series, looked_at
@@ -31,7 +32,7 @@ Floats = NDArray[np.float64]
 
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
-    "moved_zero", "one_pass", "few_runs", "no_temperature", "other_sensor", "instrument_warm_up",
+    "moved_zero", "end_targets", "one_pass", "few_runs", "no_temperature", "other_sensor", "instrument_warm_up",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -45,7 +46,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     }
 )
 """Doubts beside which no effect of the machine is named."""
-DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature"}
+DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets"}
 """Doubts beside which it stays open whether an effect is missing."""
 
 TOGETHER = 0.98
@@ -112,6 +113,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
         found.append(edited.doubt(judged.residual))
     step = f"{STEP[0].upper()}{STEP[1:]}."
     found += [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
+    step = f"{NEXT[0].upper()}{NEXT[1:]}."
+    found += [Doubt("end_targets", f"{message}.", step, fatal=True) for message in judged.given.ends]
     found += [*one_pass(readings), *_few_runs(readings)]
     return tuple(found)
 

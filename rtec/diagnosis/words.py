@@ -101,7 +101,7 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = ()) -> Dia
     if odd and d.verdict == "undecided":
         return replace(d, sentence=" ".join(odd))
     verdict = _sentence(d, smallest)
-    return replace(d, sentence=f"{odd[0]} Correct that first; as they are: {verdict}" if odd else verdict)
+    return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
 
 
 def _sentence(d: Diagnosis, smallest: float) -> str:

@@ -9,16 +9,18 @@ reading is wrong where it is far from what
 
 and where it does not come again. Single readings count, and bursts of up to five where other visits near the place, or
 a machine that stands still, show that nothing was there. At an end of the record, or of a run that has unknowns of its
-own, the neighbours of one side decide. More than a few in a hundred are what the machine does.
+own, the neighbours of one side decide. More than a few in a hundred are what the machine does. So are readings that
+come again; but no command fits a law to one or two targets at an end that stand out (`end_targets`).
 """
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.estimation.end_targets import end_targets
 from rtec.estimation.flexible import smooth_columns
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings, Series, read, row_codes
@@ -68,6 +70,7 @@ class WrongReading:
         row: counted from 0; run: its number.
         off: how far from its neighbours, in the unit of the column.
         unit: "um" or "urad".
+        why: it is left out, in words.
     """
 
     measurement: str
@@ -76,6 +79,7 @@ class WrongReading:
     run: int
     off: float
     unit: str
+    why: str
 
 
 @dataclass(frozen=True)
@@ -86,37 +90,50 @@ class Clean:
         readings: those that count.
         wrong: those that were left out.
         kept: which of all readings count.
+        ends: end targets that stand out and were left out, each in words, without a full stop.
     """
 
     readings: Readings
     wrong: tuple[WrongReading, ...]
     kept: Bools
+    ends: tuple[str, ...] = ()
 
     def smoothed(self) -> Readings:
         """The same readings with temperatures smoothed in time."""
         return self.readings.smoothed()
 
-    def less(self, off: Floats) -> "Clean":
+    def less(self, off: Floats, why: str) -> "Clean":
         """The same without more readings.
 
         Args:
             off: how far each of `readings` is off, (m,); NaN for those that stay.
+            why: they are left out, in words.
         """
         wrong, kept = np.isfinite(off), self.kept.copy()
+        if not wrong.any():
+            return self
         kept[np.flatnonzero(kept)[wrong]] = False
-        return Clean(self.readings.without(wrong), (*self.wrong, *_told(self.readings, off)), kept)
+        told = (*self.wrong, *_told(self.readings, off, why))
+        return replace(self, readings=self.readings.without(wrong), wrong=told, kept=kept)
+
+    def without_ends(self) -> "Clean":
+        """The same without end targets that stand out."""
+        found, off = end_targets(self.readings), np.full(len(self.readings), np.nan)
+        for f in found:
+            off = np.fmax(off, f.readings)
+        return replace(self.less(off, "at an end that stands out"), ends=tuple(f.message for f in found))
 
 
-def _told(readings: Readings, off: Floats) -> Iterator[WrongReading]:
+def _told(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
     for s in readings.series:
         m = readings.measurements[s.source]
         for i in np.flatnonzero(np.isfinite(off[s.part])):
             row = int(s.row[i])
-            yield WrongReading(m.name, s.column, row, int(m.run[row]), float(off[s.part][i]), s.unit)
+            yield WrongReading(m.name, s.column, row, int(m.run[row]), float(off[s.part][i]), s.unit, why)
 
 
 def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, leave_out_h: float | None = None) -> Clean:
-    """Read measurements and leave out what is wrong.
+    """Read measurements and leave out what is wrong, and end targets that stand out.
 
     Args:
         measurements, reference_degc, leave_out_h: as `read`.
@@ -125,23 +142,22 @@ def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, lea
         MeasurementError: as `read`.
     """
     whole = read(measurements, reference_degc, smooth=False, leave_out_h=leave_out_h)
-    off = wrong_readings(whole)
     every = Clean(whole, (), np.ones(len(whole), dtype=np.bool_))
-    return every.less(off) if np.isfinite(off).any() else every
+    return every.less(wrong_readings(whole), "far from all neighbours").without_ends()
 
 
 def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:
-    """Which readings were left out, in words: a line for each reading column."""
+    """Which readings were left out, in words: a line for each reading column and reason."""
     out = []
-    for key in dict.fromkeys((w.measurement, w.column) for w in wrong):
-        mine = [w for w in wrong if (w.measurement, w.column) == key]
+    for key in dict.fromkeys((w.measurement, w.column, w.why) for w in wrong):
+        mine = [w for w in wrong if (w.measurement, w.column, w.why) == key]
         unit = "µm" if mine[0].unit == "um" else "µrad"
         rows = ", ".join(
             f"row {w.row + 1} of run {w.run} ({significant(w.off, sign=True)} {unit})" for w in mine[:TOLD]
         )
         more = f" and {len(mine) - TOLD} more" if len(mine) > TOLD else ""
         count = "1 wrong reading was" if len(mine) == 1 else f"{len(mine)} wrong readings were"
-        out.append(f"{key[0]} {key[1]}: {count} left out, far from all neighbours: {rows}{more}")
+        out.append(f"{key[0]} {key[1]}: {count} left out, {key[2]}: {rows}{more}")
     return tuple(out)
 
 

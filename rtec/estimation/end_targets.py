@@ -1,0 +1,215 @@
+"""End targets that stand out: readings at the first or last targets of an axis that those between do not predict.
+
+A probe that touches a clamp or an end stop is wrong at the same targets in every run, so neither the neighbours in time
+nor the other runs show it. A smooth law fitted to all targets bends to meet them, and errs everywhere. So a curve is
+fitted to the targets between, and asked whether it predicts the ends (`targets` asks the same of a wave). One or two
+targets do not decide between a true error of the machine there and a mistake of measuring.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtec.estimation.readings import Readings, Series
+from rtec.machine import Axis
+from rtec.wording import significant
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+ENDS = 2
+"""So many targets of an end may stand out."""
+FEWEST, MOST, PASSES = 6, 60, 3
+"""Targets of an axis, at least and at most; and runs going the same way that show whether an end is off each time."""
+DEGREES, FREE = 5, 2
+"""Highest degree of the curves along the axis, and targets beyond the numbers of a curve, at the least."""
+FAR = 10.0
+"""So many standard errors of its prediction a target stands out; one of the curve, once in a hundred (Student's t with
+two degrees of freedom)."""
+HIGHER = 1
+"""By so many degrees the curve that predicts the targets between best may be too low."""
+SMOOTH = 4.0
+"""The curve through all targets misses those that it is not fitted to by so many times more than that between."""
+MANY, LEAST = 10, 1e-3
+"""Means of targets are never taken for better than those of so many runs, or than this share of what is read."""
+STEP, STILL_MM = 0.25, 0.05
+"""Positions that differ by less than this share of the usual step are one target; an axis that moves less stands."""
+SIGMA_PER_MAD = 1.4826
+
+NEXT = (
+    "look whether something touches there (a clamp, an end stop, the probe); read that end again at several targets "
+    "close together: an error of the machine there would show at all of them"
+)
+
+
+@dataclass(frozen=True)
+class EndTargets:
+    """Targets at the ends of an axis that stand out in a series.
+
+    Attributes:
+        places_mm: positions of the targets along the axis, rising, (k,).
+        off: how far the readings are from the curve through the targets between, in their unit, (k,).
+        readings: how far each reading there is off, (m,); NaN of all others.
+        message: in words, without a full stop.
+    """
+
+    places_mm: Floats
+    off: Floats
+    readings: Floats
+    message: str
+
+
+def end_targets(readings: Readings) -> list[EndTargets]:
+    """End targets that stand out, of each series that is read along one axis.
+
+    Where the axis goes both ways they must be off alike: what a reversal leaves at an end shows going one way only.
+    """
+    out = []
+    for s in readings.series:
+        axis = _moved(readings, s)
+        if axis is None:
+            continue
+        state = readings.states[s.source]
+        place, way = (state.value(c)[s.row] for c in (axis.channel, axis.direction_channel))
+        target = _targets(place, s.run)
+        at = np.bincount(target, place) / np.bincount(target)
+        if not FEWEST <= len(at) <= MOST:
+            continue
+        tables = [_table(readings.values[s.part], s.run, target, np.sign(way) == w) for w in np.unique(np.sign(way))]
+        off = _alike([_off(at, t) for t in tables if len(t) >= PASSES])
+        if off.any():
+            each = np.full(len(readings), np.nan)
+            each[s.part] = np.where(off[target] != 0.0, off[target], np.nan)
+            found = np.flatnonzero(off)
+            message = _message(readings, s, axis, at[found], off[found])
+            out.append(EndTargets(at[found], off[found], each, message))
+    return out
+
+
+def _message(readings: Readings, s: Series, axis: Axis, places: Floats, off: Floats) -> str:
+    unit = "µm" if s.unit == "um" else "µrad"
+    said = [f"{p:.4g} mm ({significant(o, 2, sign=True)} {unit})" for p, o in zip(places, off, strict=True)]
+    ends = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
+    return (
+        f"{readings.measurements[s.source].name} {s.column}: at the end of {axis.name} the readings at {ends} are off "
+        "the curve of the targets between, in most runs; so few targets decide no law, so they were left out"
+    )
+
+
+def _moved(readings: Readings, s: Series) -> Axis | None:
+    """The one axis that moves in a series; None where several do, or none."""
+    travelled = np.ptp(readings.poses_mm[s.source][s.row], axis=0)
+    moved = [a for a, by in zip(readings.machine.axes, travelled, strict=True) if by > STILL_MM]
+    return moved[0] if len(moved) == 1 else None
+
+
+def _targets(place: Floats, run: Ints) -> Ints:
+    """Number of the target of each reading, rising along the axis, (n,)."""
+    once = float(np.median(np.bincount(run)))
+    order = np.argsort(place, kind="stable")
+    apart = np.diff(place[order]) > STEP * np.ptp(place) / max(once, 1.0)
+    out = np.empty(len(place), dtype=np.int64)
+    out[order] = np.concatenate([[0], np.cumsum(apart)])
+    return out
+
+
+def _table(values: Floats, run: Ints, target: Ints, mine: Bools) -> Floats:
+    """Means of each run going one way at each target, less the line through the targets between, (runs, targets).
+
+    NaN where there is none; runs that miss more than one target in four are left out.
+    """
+    shape = int(run.max()) + 1, int(target.max()) + 1
+    cell = run[mine] * shape[1] + target[mine]
+    count = np.bincount(cell, minlength=shape[0] * shape[1]).reshape(shape)
+    total = np.bincount(cell, values[mine], minlength=shape[0] * shape[1]).reshape(shape)
+    with np.errstate(invalid="ignore"):
+        return np.asarray((total / count)[(count > 0).mean(axis=1) > 0.75])
+
+
+def _off(at: Floats, table: Floats) -> Floats:
+    """How far each target at an end is from the curve through those between, (targets,); zero where it belongs to it.
+
+    Args:
+        at: positions of the targets, mm, rising, (targets,).
+        table: readings of each run, (runs, targets).
+    """
+    n, best = len(at), np.zeros(len(at))
+    if np.isnan(table).mean(axis=0).max() > 0.5:
+        return best
+    u = 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0
+    level = _levelled(u, table)
+    mean = np.nanmedian(level, axis=0)
+    scatter = SIGMA_PER_MAD * float(np.median(np.nanmedian(np.abs(level - mean), axis=0)))
+    least = max(scatter / np.sqrt(min(len(level), MANY)), LEAST * float(np.ptp(mean)), 1e-9)
+    for low, high in itertools.product(range(ENDS + 1), repeat=2):
+        between = np.arange(low, n - high)
+        if len(between) == n or len(between) < 2 + FREE:
+            continue
+        off = _missed(u, mean, between, least)
+        if np.count_nonzero(off) == low + high > np.count_nonzero(best):
+            best = off
+    return best
+
+
+def _levelled(u: Floats, table: Floats) -> Floats:
+    """Readings of each run less its line through the targets between: its zero, and what heat makes of the scale."""
+    side = ENDS if len(u) >= FEWEST + ENDS else 1
+    out = np.empty_like(table)
+    for k, values in enumerate(table):
+        there = np.flatnonzero(np.isfinite(values))
+        there = there[(there >= side) & (there < len(u) - side)]
+        out[k] = values - np.polyval(np.polyfit(u[there], values[there], 1), u)
+    return out
+
+
+def _missed(u: Floats, mean: Floats, between: Ints, least: float) -> Floats:
+    """How far targets are from the curves through those between, (targets,); zero of those that a curve may meet."""
+    outside = np.setdiff1d(np.arange(len(u)), between)
+    curves = [_curve(u, mean, between, p, least) for p in range(1, min(DEGREES, len(between) - 1 - FREE) + 1)]
+    likeliest = int(np.argmin([c.predicts for c in curves]))
+    every = np.arange(len(u))
+    smooth = min(_curve(u, mean, every, p, least).predicts for p in range(1, min(DEGREES, len(u) - 1 - FREE) + 1))
+    far = np.min([np.abs(c.off / c.error) for c in curves[likeliest : likeliest + 1 + HIGHER]], axis=0) > FAR
+    far &= smooth > SMOOTH * curves[likeliest].predicts
+    out = np.zeros(len(u))
+    out[outside] = np.where(far, curves[likeliest].off, 0.0)[outside]
+    return out
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """A polynomial through some targets.
+
+    Attributes:
+        off, error: how far each target is from it, and the standard error of that, (targets,).
+        predicts: root mean square by which it misses each of these when it is fitted to the others.
+    """
+
+    off: Floats
+    error: Floats
+    predicts: float
+
+
+def _curve(u: Floats, mean: Floats, through: Ints, degree: int, least: float) -> _Curve:
+    columns = np.polynomial.legendre.legvander(u, degree)
+    q, r = np.linalg.qr(columns[through])
+    whole = columns @ np.linalg.inv(r)
+    off = mean - whole @ (q.T @ mean[through])
+    leverage = np.sum(whole**2, axis=1)
+    sigma = max(float(np.sqrt(np.sum(off[through] ** 2) / (len(through) - degree - 1))), least)
+    without = off[through] / np.maximum(1.0 - leverage[through], 1e-9)
+    return _Curve(off, sigma * np.sqrt(1.0 + leverage), max(float(np.sqrt(np.mean(without**2))), least))
+
+
+def _alike(ways: Sequence[Floats]) -> Floats:
+    """Of both ways the smaller, where both stand out the same way; zero elsewhere, (targets,)."""
+    if not ways:
+        return np.zeros(1)
+    out = ways[0]
+    for other in ways[1:]:
+        out = np.where(out * other > 0.0, np.where(np.abs(other) < np.abs(out), other, out), 0.0)
+    return out
