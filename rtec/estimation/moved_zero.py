@@ -4,7 +4,6 @@ The display was zeroed again, or the reflector was touched, and afterwards put r
 and goes like that; one that is fitted to it is invented.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +25,14 @@ places by different amounts, a zero moves all alike."""
 NOISE, USUAL, OTHERS = 10.0, 5.0, 4.0
 """So many times the scatter between runs; so many times what other runs usually move from one to the next; and so many
 times farther from both runs beside it than any other run is from its own."""
+RUNS_EACH, WAYS = 3, 4
+"""Runs beyond the first two for each way of getting warm that the changes may go with, and the most of these."""
+SEEN = 1e-6
+"""Columns of heat are one where they differ by a smaller share."""
+STAYED = 0.5
+"""A zero of its own leaves at most this share of what one leaves that moved once and stayed."""
+OWN = 0.1
+"""Share of a zero of its own that heat cannot make, at the least."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,9 @@ def moved_zeros(readings: Readings) -> list[MovedZero]:
     for i, s in enumerate(readings.series):
         if s.nuisance.shape[1] and not np.ptp(s.nuisance, axis=0).all():
             continue  # each run has a zero of its own
-        for run, by in _jumps(readings, s):
+        found = _jump(readings, s)
+        if found is not None:
+            run, by = found
             mine = np.zeros(len(readings), dtype=np.bool_)
             mine[s.part] = s.run == run
             m = readings.measurements[s.source]
@@ -73,39 +82,84 @@ def moved_zeros(readings: Readings) -> list[MovedZero]:
     return out
 
 
-def _jumps(readings: Readings, s: Series) -> Iterator[tuple[int, float]]:
+def _jump(readings: Readings, s: Series) -> tuple[int, float] | None:
+    """The run of a series whose zero has moved, and how far."""
     runs = int(s.run[-1]) + 1
     if runs < FEW_RUNS:
-        return
-    before, after, change = _changes(readings, s)
-    moved = [change[after == r] for r in range(runs)]
-    left = [-change[before == r] for r in range(runs)]
-    steps = {r: float(np.median(d)) for r, d in enumerate(moved) if len(d) >= FEW_PLACES}
+        return None
+    before, after, measured, heat = _changes(readings, s)
+    best = _best(before, after, measured, heat, runs) if len(measured) else None
+    if best is None:
+        return None
+    r, by, change = best
+    moved = [change[after == k] for k in range(runs)]
+    left = [-change[before == k] for k in range(runs)]
+    steps = {k: float(np.median(d)) for k, d in enumerate(moved) if len(d) >= FEW_PLACES}
     if not steps:
-        return
-    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([moved[r] - m for r, m in steps.items()]))))
-    apart = [_apart(_all_alike(moved[r]), _all_alike(left[r])) for r in range(runs)]
-    for r, by in enumerate(apart):
-        beside = {r, *after[before == r].tolist()}
-        usual = [abs(m) for k, m in steps.items() if k not in beside]
-        most = max(abs(a) for k, a in enumerate(apart) if k != r)
-        if not usual or abs(by) <= max(NOISE * scatter, USUAL * float(np.median(usual)), OTHERS * most):
-            continue
-        if not _has_reason(readings, s, r, before[after == r], after[before == r]):
-            yield r, by
+        return None
+    scatter = 1.4826 * float(np.median(np.abs(np.concatenate([moved[k] - m for k, m in steps.items()]))))
+    apart = [_apart(_all_alike(moved[k]), _all_alike(left[k])) for k in range(runs)]
+    beside = {r, *after[before == r].tolist()}
+    usual = [abs(m) for k, m in steps.items() if k not in beside]
+    most = max(abs(a) for k, a in enumerate(apart) if k != r)
+    if not usual or abs(apart[r]) <= max(NOISE * scatter, USUAL * float(np.median(usual)), OTHERS * most):
+        return None
+    return None if _has_reason(readings, s, r, before[after == r], after[before == r]) else (r, by)
 
 
-def _changes(readings: Readings, s: Series) -> tuple[Ints, Ints, Floats]:
-    """From each reading to the next one of another run at the same place, reached from the same side: both runs, and
-    the change.
+def _best(before: Ints, after: Ints, change: Floats, heat: Floats, runs: int) -> tuple[int, float, Floats] | None:
+    """The run whose own zero explains most of the changes, that zero, and the changes less what goes with heat.
+
+    None where no run can have one, or where a zero that moved once and stayed explains as much.
+    """
+    u, size, _ = np.linalg.svd(heat, full_matrices=False)
+    q = u[:, size > SEEN * size.max(initial=0.0)]
+    plain = change - q @ (q.T @ change)
+
+    def sums(run: Ints) -> Floats:
+        """Number of changes of each run, their sum, and its columns of heat, (runs, 2 + columns)."""
+        return np.stack([np.bincount(run, c, minlength=runs) for c in (np.ones(len(run)), plain, *q.T)], axis=1)
+
+    into, out_of = sums(after), sums(before)
+    own = np.concatenate([into[:, :1] + out_of[:, :1], into[:, 1:] - out_of[:, 1:]], axis=1)[1:-1]
+    (most, by), (once, _) = _explained(own), _explained(into)
+    r, rest = int(np.argmax(most)), float(plain @ plain)
+    if rest - most[r] > STAYED * (rest - once.max()):
+        return None
+    r, zero = r + 1, float(by[r])
+    return r, zero, change - q @ (q.T @ (change - zero * (1.0 * (after == r) - 1.0 * (before == r))))
+
+
+def _explained(sums: Floats) -> tuple[Floats, Floats]:
+    """Of steps beside heat, sums as of `_best`: the sum of squares that each explains, and its size, (steps,)."""
+    left = sums[:, 0] - np.sum(sums[:, 2:] ** 2, axis=1)
+    size = np.where(left > OWN * sums[:, 0], sums[:, 1] / np.maximum(left, 1e-12), 0.0)
+    return size**2 * left, size
+
+
+def _changes(readings: Readings, s: Series) -> tuple[Ints, Ints, Floats, Floats]:
+    """From each reading to the next one of another run at the same place, reached from the same side: both runs, the
+    change, and what heat may make of it, (pairs, columns).
     """
     pose, state = readings.poses_mm[s.source][s.row], readings.states[s.source]
     ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
     place = row_codes(np.stack([*np.round(PER_MM * pose).T, *ways]))
     order = np.lexsort((s.time_s, s.run, place))
+    warm = _warm(readings, s)
+    heat = np.concatenate([warm * at[:, None] for at in (np.ones(len(s)), *pose.T)], axis=1)[order]
     place, run, value = place[order], s.run[order], readings.values[s.part][order]
     pair = (place[1:] == place[:-1]) & (run[1:] != run[:-1])
-    return run[:-1][pair], run[1:][pair], np.diff(value)[pair]
+    return run[:-1][pair], run[1:][pair], np.diff(value)[pair], np.diff(heat, axis=0)[pair]
+
+
+def _warm(readings: Readings, s: Series) -> Floats:
+    """How warm it is: the largest principal components of the temperatures, one for each few runs, K, (n, k)."""
+    state = readings.states[s.source]
+    known = [state.channels[n][s.row] for n in readings.machine.sensor_names if n in state.channels]
+    table = np.array([t - t.mean() for t in known if np.isfinite(t).all()]).reshape(-1, len(s))
+    ways = min((int(s.run[-1]) - 1) // RUNS_EACH, WAYS)
+    strongest = np.linalg.eigh(table @ table.T)[1][:, ::-1][:, :ways]
+    return np.asarray(table.T @ strongest)
 
 
 def _all_alike(change: Floats) -> float:

@@ -1,5 +1,6 @@
 """End targets that stand out. Oracle: what was done to the file, and the fit of the file without these targets."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -83,11 +84,11 @@ def test_what_is_missing_besides_is_still_found() -> None:
 @pytest.mark.parametrize("targets", [9, 15, 40])
 def test_a_smooth_law_is_none(targets: int) -> None:
     """Oracle: each law reaches over a third of the travel or more."""
-    laws = {
+    laws: dict[str, Callable[[Floats], Floats]] = {
         "curve": lambda u: 20.0 * (u**2 + 0.8 * u**3),
         "wave": lambda u: 6.0 * np.sin(4.0 * u + 1.0),
-        "bent": lambda u: 40.0 * np.maximum(u - 0.2, 0.0),
-        "step": lambda u: 15.0 * (u > 0.3),
+        "bent": lambda u: np.where(u > 0.2, 40.0 * (u - 0.2), 0.0),
+        "step": lambda u: np.where(u > 0.3, 15.0, 0.0),
         "screw": lambda u: 3.0 * np.sin(40.0 * np.pi * u),
     }
     for seed, (name, law) in enumerate(laws.items()):

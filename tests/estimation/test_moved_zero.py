@@ -17,6 +17,7 @@ from rtec.model import Model
 from tests.support.diagnosis_examples import laser, small_machine
 
 Floats = NDArray[np.float64]
+HOT = {"air_degc": 22.0, "body": {"T_bed": {"on_degc": 16.0}}}
 TRUTH = ["scale,component=EXX,axis=X,k=30", "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=9"]
 
 
@@ -74,3 +75,40 @@ def test_a_run_that_was_warm_is_none() -> None:
     warm = good.run == good.run[0] + 6
     hot = replace(good, channels={**good.channels, "T_air": good.channels["T_air"] + 6.0 * warm})
     assert not moved_zeros(clean([changed(hot, lambda run: np.where(run == run[0] + 6, 40.0, 0.0))]).readings)
+
+
+def expanding(seed: int) -> Measurement:
+    """A day on which the ends of X move by 25 µm, about its middle."""
+    m = laser(TRUTH, seed, thermal=HOT)
+    return changed_at(m, -9e-3 * 100.0 * (m.channels["T_bed"] - 20.0))
+
+
+def changed_at(m: Measurement, added: Floats) -> Measurement:
+    return replace(m, readings={k: v + added for k, v in m.readings.items()})
+
+
+@pytest.mark.parametrize("number", [1, 2, 4, 9])
+@pytest.mark.parametrize("by", [-10.0, 30.0])
+def test_it_is_named_while_the_machine_warms_up(number: int, by: float) -> None:
+    good = expanding(20 + number)
+    assert not moved_zeros(clean([good]).readings)
+    bad = changed(good, lambda run: np.where(run == run[0] + number, by, 0.0))
+    (found,) = moved_zeros(clean([bad]).readings)
+    assert found.run == good.run[0] + number
+    assert found.by == pytest.approx(by, abs=1.5)
+
+
+@pytest.mark.parametrize("number", [1, 2, 4, 9])
+def test_a_zero_that_moves_in_a_warm_up_and_stays_is_none(number: int) -> None:
+    bad = changed(expanding(30 + number), lambda run: np.where(run >= run[0] + number, 30.0, 0.0))
+    assert not moved_zeros(clean([bad]).readings)
+
+
+@pytest.mark.parametrize(("number", "by"), [(1, -20.0), (2, 40.0), (1, 12.0)])
+def test_the_thermal_law_is_not_spoilt(number: int, by: float) -> None:
+    """Oracle: what was put in. With the second run 20 µm off a fit had a scale of 150 µm/m, and no heat."""
+    bad = changed(expanding(40), lambda run: np.where(run == run[0] + number, by, 0.0))
+    made = characterise([bad], wanted=read_wanted("scale,axis_expansion,mount_expansion", small_machine()))
+    assert made.warnings[0].code == "moved_zero"
+    known = {c.effect.split("(")[0]: c.value for c in made.coefficients}
+    assert known == pytest.approx({"scale": 30.0, "axis_expansion": 9.0, "mount_expansion": -0.9}, rel=0.06)
