@@ -1,5 +1,7 @@
 """Measurements that contradict each other: at the same places they read otherwise, and nothing recorded explains it.
 
+Between the targets of a file its readings are interpolated, so that files at other targets are compared as well.
+
 A file may have its sign turned, or be of another machine or set-up. No model is right for both, so no effect is named,
 and none is fitted to it.
 """
@@ -34,6 +36,8 @@ CLEARLY = 1.2
 """Of two files that contradict each other, the odd one differs by so many times more from the others."""
 PER_MM = 10.0
 """Places are the same within one over so many mm."""
+LINE = 10_000_000
+"""More places than a line may have."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +88,8 @@ def contradiction(judged: Judgement) -> Contradiction | None:
     ]
     if not comparable:
         return None
-    places, means = _means(judged)
-    pairs = [p for i, j in comparable if (p := _compared(judged, (i, j), places, means)) is not None]
+    means = _means(judged)
+    pairs = [p for two in comparable if (p := _compared(judged, two, means)) is not None]
     turned, apart = [p for p in pairs if p.turned], [p for p in pairs if p.apart]
     if turned:
         return _told(readings, turned, pairs, "readings go the other way")
@@ -96,31 +100,77 @@ def contradiction(judged: Judgement) -> Contradiction | None:
     return None
 
 
-def _means(judged: Judgement) -> tuple[list[Ints], list[Floats]]:
-    """Of each series the numbers of its places, going each way, (k,), and the mean read and left there, (k, 2)."""
+@dataclass(frozen=True)
+class _Means:
+    """What a series reads, and what the model leaves, at each of its places.
+
+    Attributes:
+        place: number of the line that is travelled times `LINE`, plus the position on it times `PER_MM`; rising, (k,).
+        value: means read and left there, (k, 2).
+        known: places of lines with so many others that they tell what is between them, (k,).
+        bent: root mean square by which straight lines through both neighbours miss a place.
+    """
+
+    place: Ints
+    value: Floats
+    known: NDArray[np.bool_]
+    bent: float
+
+    @classmethod
+    def of(cls, place: Ints, values: Floats) -> "_Means":
+        """Those of readings, (n,) and (2, n)."""
+        there, which, count = np.unique(place, return_inverse=True, return_counts=True)
+        value = np.stack([np.bincount(which, v) / count for v in values], axis=1)
+        line, size = np.unique(there // LINE, return_inverse=True, return_counts=True)[1:]
+        known, bent = (size >= COMMON)[line], 0.0
+        inside = np.flatnonzero(known[1:-1] & (line[:-2] == line[2:])) + 1
+        if len(inside):
+            share = ((there[inside] - there[inside - 1]) / (there[inside + 1] - there[inside - 1]))[:, None]
+            straight = (1.0 - share) * value[inside - 1] + share * value[inside + 1]
+            bent = float(np.sqrt(np.mean((straight - value[inside]) ** 2, axis=0)).max())
+        return cls(there, value, known, bent)
+
+    def at(self, place: Ints) -> tuple[NDArray[np.bool_], Floats, NDArray[np.bool_]]:
+        """Whether places, (k,), are known or lie between; the values there, (c, 2); and which lie between, (c,)."""
+        after = np.minimum(np.searchsorted(self.place, place), len(self.place) - 1)
+        same = self.place[after] == place
+        before = np.where(same, after, np.maximum(after - 1, 0))
+        inside = (self.place[before] < place) & (place < self.place[after])
+        inside &= (self.place[before] // LINE == self.place[after] // LINE) & self.known[after]
+        there = same | inside
+        low, high = before[there], after[there]
+        gap = np.maximum(self.place[high] - self.place[low], 1)
+        share = ((place[there] - self.place[low]) / gap)[:, None]
+        return there, (1.0 - share) * self.value[low] + share * self.value[high], inside[there]
+
+
+def _means(judged: Judgement) -> list[_Means]:
+    """Of each series, by the places along the axis that moves most, going each way."""
     readings = judged.readings
-    rows = []
+    rows, along = [], []
     for s in readings.series:
-        state = readings.states[s.source]
+        state, pose = readings.states[s.source], np.round(PER_MM * readings.poses_mm[s.source][s.row])
         ways = [np.sign(state.value(a.direction_channel)[s.row]) for a in readings.machine.axes]
-        rows.append(np.stack([*np.round(PER_MM * readings.poses_mm[s.source][s.row]).T, *ways]))
-    place = row_codes(np.concatenate(rows, axis=1))
+        axis = int(np.argmax(np.ptp(pose, axis=0)))
+        along.append(pose[:, axis].copy())
+        pose[:, axis] = 0.0
+        rows.append(np.stack([np.full(len(s), axis), *pose.T, *ways]))
+    position = np.concatenate(along).astype(np.int64)
+    place = LINE * row_codes(np.concatenate(rows, axis=1)) + position - position.min()
     both = np.stack([floor.cleaned(readings, readings.values), judged.left])
-    places, means = [], []
-    for s in readings.series:
-        found, which = np.unique(place[s.part], return_inverse=True)
-        places.append(found)
-        means.append(np.stack([np.bincount(which, v[s.part]) / np.bincount(which) for v in both], axis=1))
-    return places, means
+    return [_Means.of(place[s.part], both[:, s.part]) for s in readings.series]
 
 
-def _compared(judged: Judgement, two: tuple[int, int], places: Sequence[Ints], means: Sequence[Floats]) -> _Pair | None:
-    """Two series, each about its mean at the places that they share; None where those are too few."""
-    i, j = two
-    common, at, other_at = np.intersect1d(places[i], places[j], assume_unique=True, return_indices=True)
-    if len(common) < COMMON:
+def _compared(judged: Judgement, two: tuple[int, int], means: Sequence[_Means]) -> _Pair | None:
+    """Two series, each about its mean at the places that they share; None where those are too few.
+
+    The one with more places tells what is between them.
+    """
+    few, many = sorted((means[k] for k in two), key=lambda m: len(m.place))
+    there, other, between = many.at(few.place)
+    if len(other) < COMMON:
         return None
-    one, other = (m[k] - m[k].mean(axis=0) for m, k in ((means[i], at), (means[j], other_at)))
+    one, other = (m - m.mean(axis=0) for m in (few.value[there], other))
     measured_off, off = np.sqrt(np.mean((one - other) ** 2, axis=0)).tolist()
     larger, left_larger = np.maximum(one.std(axis=0), other.std(axis=0)).tolist()
     a, b = one[:, 1], other[:, 1]
@@ -129,9 +179,9 @@ def _compared(judged: Judgement, two: tuple[int, int], places: Sequence[Ints], m
     series = [judged.readings.series[k] for k in two]
 
     def noise() -> float:
-        """What noise lets the means differ by; it takes long, where much was read."""
-        variances = [judged.floors[k].value ** 2 * len(places[k]) / len(judged.readings.series[k]) for k in two]
-        return DISAGREE * math.sqrt(sum(variances))
+        """What noise, and the law between places, let the means differ by; it takes long, where much was read."""
+        variances = [judged.floors[k].value ** 2 * len(means[k].place) / len(judged.readings.series[k]) for k in two]
+        return DISAGREE * math.sqrt(sum(variances) + float(between.mean()) * many.bent**2)
 
     # What is warmer may bend the other way, but hardly by as much: only a turned file is the mirror image.
     together = float(np.sqrt(np.mean((one + other)[:, 0] ** 2)))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -71,3 +72,53 @@ def test_a_fit_that_finds_nothing_in_files_that_contradict_says_that_they_do() -
     twin = replace(files[1], name="twin")
     with pytest.raises(ModelError, match=r"(?s)no effect lowers.*twin contradict each other.*their signs"):
         characterise([files[0], twin])
+
+
+STEPS_MM = (13.7, 17.3, 21.1)
+
+
+def at_other_targets(truth: Sequence[str], seed: int, step_mm: float, **more: Any) -> Measurement:
+    """Hardly a target of one step is within 0.1 mm of one of another."""
+    return laser(truth, seed, targets={"step_mm": step_mm}, **more)
+
+
+@pytest.mark.parametrize("odd", [0, 1, 2])
+def test_a_turned_file_is_named_though_its_targets_are_others(odd: int) -> None:
+    truth = [*BENT, "polynomial_position,component=EXX,axis=X,degrees=[2,3],c2=3,c3=-2"]
+    files = [at_other_targets(truth, 31 + i, step) for i, step in enumerate(STEPS_MM)]
+    assert of(files) is None
+    files[odd] = turned(files[odd])
+    found = of(files)
+    assert found is not None
+    assert found.odd == (odd,)
+
+
+@pytest.mark.parametrize("odd", [0, 1, 2])
+def test_a_file_of_another_machine_is_named_though_its_targets_are_others(odd: int) -> None:
+    other = ["scale,component=EXX,axis=X,k=-10", "polynomial_position,component=EXX,axis=X,degrees=[2,3],c2=4,c3=2"]
+    files = [at_other_targets(other if i == odd else BENT, 41 + i, step) for i, step in enumerate(STEPS_MM)]
+    found = of(files)
+    assert found is not None
+    assert found.odd == (odd,)
+    assert "readings differ by" in found.message
+
+
+@pytest.mark.parametrize(
+    "wave",
+    [
+        "cyclic_screw,component=EXX,axis=X,s1=3,c1=2,pitch=5",
+        "polynomial_position,component=EXX,axis=X,degrees=[2,3,4,5],c2=5,c3=9,c4=-8,c5=6",
+    ],
+    ids=["screw", "curve"],
+)
+def test_what_lies_between_targets_is_no_contradiction(wave: str) -> None:
+    """One machine, read at three sets of targets: no straight line between targets meets its waves and bends."""
+    for seed in range(4):
+        assert of([at_other_targets([wave], 50 + 3 * seed + i, s) for i, s in enumerate(STEPS_MM)]) is None
+
+
+def test_days_of_other_temperatures_and_targets_do_not_contradict_each_other() -> None:
+    files = [
+        at_other_targets([HEAT, *BENT], 61 + i, s, **({"thermal": HOT} if i else {})) for i, s in enumerate(STEPS_MM)
+    ]
+    assert of(files) is None
