@@ -27,12 +27,14 @@ from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.readings import Readings, Series, looked_at
 from rtec.machine import Axis
 from rtec.model import FittedEffect, Model
+from rtec.model.history import steps_of
 
 Floats = NDArray[np.float64]
 
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
-    "moved_zero", "end_targets", "one_pass", "few_runs", "no_temperature", "other_sensor", "instrument_warm_up",
+    "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
+    "instrument_warm_up",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -72,6 +74,9 @@ BEYOND = 0.05
 """Share of the travel by which a position may lie beyond it."""
 FLAT, MUCH = 1.5, 5.0
 """Readings of less than so many times the noise are flat; a model that says more than so many times has much to say."""
+DISAGREES, INSIDE = 3.0, 0.2
+"""A model that leaves so many times what it left of the readings of its fit disagrees with a file, by what was read in
+the range of these: at least this share of the file."""
 FEW_RUNS = 4
 
 
@@ -115,8 +120,51 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
     step = f"{NEXT[0].upper()}{NEXT[1:]}."
     found += [Doubt("end_targets", f"{message}.", step, fatal=True) for message in judged.given.ends]
+    if not found:
+        found += _disagree(judged)
     found += [*one_pass(readings), *_few_runs(readings)]
     return tuple(found)
+
+
+def _disagree(judged: Judgement) -> list[Doubt]:
+    """Files of which the model leaves far more than it left of the readings of its fit, in the same range."""
+    model, readings = judged.model, judged.readings
+    steps = [s for s in steps_of(model) if s["unit"] == judged.unit != "noise"]
+    if not steps or not model.measurements:
+        return []
+    unit, fitted = "µrad" if judged.unit == "urad" else "µm", float(steps[-1]["error"])
+    said = floor.rms_by_series(readings, judged.base.predicted)
+    out = []
+    for i, m in enumerate(readings.measurements):
+        mine = [k for k, s in enumerate(readings.series) if s.source == i and said[k] > 0.0]
+        inside = _in_range(model, readings.states[i])
+        if m.fingerprint in model.measurements.values() or not mine or float(inside.mean()) < INSIDE:
+            continue
+        usual = max(fitted, *(judged.floors[k].value for k in mine))
+        left = [judged.left[readings.series[k].part][inside[readings.series[k].row]] for k in mine]
+        off = max(float(np.sqrt(np.mean((v - v.mean()) ** 2))) for v in left)
+        if off < DISAGREES * usual:
+            continue
+        message = (
+            f"{m.name} disagrees with the readings that the model was fitted to: the model leaves {off:.2g} {unit} of "
+            f"it, and left {fitted:.2g} {unit} of those. It may be of another machine or set-up, the machine may have "
+            "changed since, or an effect may act that did not act then."
+        )
+        step = (
+            "With a file of the fit beside it, rtec diagnose tells whether both contradict each other. "
+            "Check whether it is of this machine."
+        )
+        out.append(Doubt("other_machine", message, step))
+    return out
+
+
+def _in_range(model: Model, state: State) -> NDArray[np.bool_]:
+    """Which instants are where the model was fitted, (n,)."""
+    out = np.ones(len(state), dtype=np.bool_)
+    for name, (low, high) in model.valid_range.items():
+        if name in state.channels:
+            out &= (state.channels[name] >= low) & (state.channels[name] <= high)
+    return out
 
 
 def _name(readings: Readings, s: Series) -> str:

@@ -90,17 +90,18 @@ MOST_NUMBERS = 4
 UNITS = {"um": "µm", "urad": "µrad", "noise": "× noise"}
 
 
-def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = ()) -> Diagnosis:
+def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreign: Sequence[str] = ()) -> Diagnosis:
     """The diagnosis with its verdict in one sentence.
 
     Args:
         d: without a sentence.
         smallest: size from which on half of the effects that were looked for would have been seen.
         odd: readings of the wrong sign or unit, in words.
+        foreign: files that may be of another machine, in words.
     """
     if odd and d.verdict == "undecided":
         return replace(d, sentence=" ".join(odd))
-    verdict = _sentence(d, smallest)
+    verdict = " ".join([*foreign, f"If so, {_sentence(d, smallest)}"]) if foreign else _sentence(d, smallest)
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
 
 

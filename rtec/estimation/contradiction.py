@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtec.estimation import floor
 from rtec.estimation.candidates import real
 from rtec.estimation.judge import Judgement
-from rtec.estimation.readings import Readings, Series, row_codes
+from rtec.estimation.readings import Readings, row_codes
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,6 +30,8 @@ DISAGREE, MUCH_OF, UNLIKE = 4.0, 0.5, 3.0
 recorded differ by less than so many times what counts as a change."""
 ELSEWHERE = 0.25
 """Or whose medians differ by less than this share of its range."""
+MET = 1.5
+"""A model that leaves less than so many times the noise of a file meets it: all that changed there is in the model."""
 MIRROR = 0.25
 """A file is the mirror image of another where their sum is less than this share of what they read."""
 CLEARLY = 1.2
@@ -91,12 +93,15 @@ def contradiction(judged: Judgement) -> Contradiction | None:
     means = _means(judged)
     pairs = [p for two in comparable if (p := _compared(judged, two, means)) is not None]
     turned, apart = [p for p in pairs if p.turned], [p for p in pairs if p.apart]
+    met = {s.source for s in series} - {s.source for k, s in enumerate(series) if not _met(judged, k)}
     if turned:
-        return _told(readings, turned, pairs, "readings go the other way")
+        return _told(readings, turned, pairs, met, "readings go the other way")
     if apart:
         unit = "µrad" if apart[0].unit == "urad" else "µm"
         worst = max(p.off for p in apart)
-        return _told(readings, apart, pairs, f"readings differ by {worst:.2g} {unit}, and no recorded channel does")
+        return _told(
+            readings, apart, pairs, met, f"readings differ by {worst:.2g} {unit}, and no recorded channel does"
+        )
     return None
 
 
@@ -186,18 +191,20 @@ def _compared(judged: Judgement, two: tuple[int, int], means: Sequence[_Means]) 
     # What is warmer may bend the other way, but hardly by as much: only a turned file is the mirror image.
     together = float(np.sqrt(np.mean((one + other)[:, 0] ** 2)))
     turned = opposite and (together < MIRROR * larger or together < noise())
-    apart = not turned and off > MUCH_OF * left_larger and _alike(judged.readings, *series) and off > noise()
+    apart = not turned and off > MUCH_OF * left_larger and _alike(judged, *two) and off > noise()
     sources = (series[0].source, series[1].source)
     return _Pair(sources, series[0].unit, off, measured_off, turned, apart)
 
 
-def _told(readings: Readings, pairs: Sequence[_Pair], compared: Sequence[_Pair], how: str) -> Contradiction:
+def _told(
+    readings: Readings, pairs: Sequence[_Pair], compared: Sequence[_Pair], met: set[int], how: str
+) -> Contradiction:
     """Words on files that contradict each other; the odd ones of them, where they are known."""
 
     def names(sources: Iterable[int]) -> str:
         return ", ".join(readings.measurements[i].name for i in sorted(set(sources)))
 
-    odd, how = _odd(pairs, compared), f"at the same places {{}}{how}"
+    odd, how = _odd(pairs, compared, met), f"at the same places {{}}{how}"
     if not odd:
         message = f"{names(i for p in pairs for i in p.sources)} contradict each other: {how.format('')}"
         check = "look at their signs, their set-ups and whether they are of one machine"
@@ -212,11 +219,14 @@ def _told(readings: Readings, pairs: Sequence[_Pair], compared: Sequence[_Pair],
 _MANY = ("contradict", "their", "them", "they are")
 
 
-def _odd(pairs: Sequence[_Pair], compared: Sequence[_Pair]) -> tuple[int, ...]:
-    """The sources that contradict most of the others, until none is left that does.
+def _odd(pairs: Sequence[_Pair], compared: Sequence[_Pair], met: set[int]) -> tuple[int, ...]:
+    """The sources that the model does not meet while it meets all that they contradict.
 
-    Of two that contradict as many it is the one that is clearly farther from those that contradict none.
+    Else those that contradict most of the others, until none is left that does. Of two that contradict as many it is
+    the one that is clearly farther from those that contradict none.
     """
+    if all(len(met & set(p.sources)) == 1 for p in pairs):
+        return tuple(sorted({i for p in pairs for i in p.sources} - met))
     out: list[int] = []
     rest = list(pairs)
     while rest:
@@ -242,22 +252,33 @@ def _farther(tied: set[int], compared: Sequence[_Pair]) -> set[int]:
     return {first} if far[first] > CLEARLY * far[second] > 0.0 else set()
 
 
-def _alike(readings: Readings, one: Series, two: Series) -> bool:
+def _met(judged: Judgement, series: int) -> bool:
+    """Whether the model leaves no more of a series than its noise."""
+    left = judged.left[judged.readings.series[series].part]
+    return float(np.sqrt(np.mean(left**2))) < MET * judged.floors[series].value
+
+
+def _alike(judged: Judgement, one: int, two: int) -> bool:
     """Whether all that was recorded beside is alike in two series: nothing known makes the one differ from the other.
 
-    What a channel does that changes within a file shows there already.
+    What a channel does that changes within a file shows there already; all of it, where the model meets that file.
     """
-    machine = readings.machine
-    states = [readings.states[s.source] for s in (one, two)]
+    readings, machine = judged.readings, judged.readings.machine
+    both = [readings.series[k] for k in (one, two)]
+    states = [readings.states[s.source] for s in both]
+    met = [_met(judged, k) for k in (one, two)]
     names = [*machine.sensor_names, "spindle_rpm", "load_kg", "force_n", "feed_mm_min"]
     names += [n for a in machine.axes for n in (a.channel, a.velocity_channel)]
     for name in names:
         if not all(name in s.channels for s in states):
             continue
-        a, b = (np.abs(st.channels[name][s.row]) for st, s in zip(states, (one, two), strict=True))
+        a, b = (np.abs(st.channels[name][s.row]) for st, s in zip(states, both, strict=True))
         change = UNLIKE * real(machine, name)
-        if max(float(np.nanmin(a)), float(np.nanmin(b))) > change + min(float(np.nanmax(a)), float(np.nanmax(b))):
+        low, high = ([float(f(v)) for v in (a, b)] for f in (np.nanmin, np.nanmax))
+        if max(low) > change + min(high):
             return False
+        if any(m and low[k] <= low[1 - k] + change and high[k] >= high[1 - k] - change for k, m in enumerate(met)):
+            continue
         usual = abs(float(np.nanmedian(a) - np.nanmedian(b)))
         if usual > max(change, ELSEWHERE * max(float(np.ptp(a)), float(np.ptp(b)))):
             return False

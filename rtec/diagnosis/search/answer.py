@@ -399,7 +399,9 @@ class _Answer:
             doubts=self._doubts(findings),
             runs=self.s.undecided,
         )
-        return words.with_sentence(draft, smallest, [d.words for d in self._doubts(findings) if d.fatal])
+        fatal = [d.words for d in draft.doubts if d.fatal]
+        foreign = [d.words for d in draft.doubts if d.kind == "other_machine"]
+        return words.with_sentence(draft, smallest, fatal, foreign)
 
     def _member(self, t: Refitted) -> Member:
         effects = [self.s.candidates[i].effect for i in (t.number, *t.rivals)]

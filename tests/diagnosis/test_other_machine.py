@@ -1,0 +1,56 @@
+"""Readings of another machine than the model. Oracle: what each file was simulated with."""
+
+from functools import cache
+
+import pytest
+
+from rtec.characterise import characterise
+from rtec.diagnosis.search.diagnose import diagnose
+from rtec.metrology.measurement import Measurement
+from rtec.model import Model
+from tests.support.diagnosis_examples import laser
+
+OURS = ["scale,component=EXX,axis=X,k=30", "backlash,component=EXX,axis=X,B=3"]
+THEIRS = ["scale,component=EXX,axis=X,k=-45", "backlash,component=EXX,axis=X,B=6"]
+HEAT = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=9"
+COLD, HOT = ({"air_degc": 20.0, "body": {"T_bed": {"on_degc": on}}} for on in (3.0, 16.0))
+
+
+@cache
+def fitted() -> tuple[Model, tuple[Measurement, ...]]:
+    files = tuple(laser([*OURS, HEAT], seed, thermal=HOT) for seed in (1, 2))
+    return characterise(files).model, files
+
+
+def test_a_file_of_another_machine_is_asked_about() -> None:
+    d = diagnose(fitted()[0], [laser([*THEIRS, HEAT], 3, thermal=HOT)], draws=50)
+    assert [doubt.kind for doubt in d.doubts] == ["other_machine"]
+    assert d.sentence.startswith("laser-x-3 disagrees with the readings that the model was fitted to")
+    assert "contradict each other. Check whether it is of this machine. If so, " in d.sentence
+
+
+@pytest.mark.parametrize("thermal", [HOT, COLD], ids=["hot", "cold"])
+def test_beside_the_files_of_the_fit_it_is_the_odd_one(thermal: dict[str, object]) -> None:
+    """On a colder day, too: the model meets the hot files, so heat is no reason. Two against one is not needed."""
+    model, files = fitted()
+    other = laser([*THEIRS, HEAT], 4, targets={"step_mm": 17.3}, thermal=thermal)
+    for given in (files, files[:1]):
+        d = diagnose(model, [*given, other], draws=50)
+        assert d.verdict == "undecided"
+        assert d.sentence.startswith(f"laser-x-4 contradicts {', '.join(f.name for f in given)}: ")
+
+
+@pytest.mark.parametrize("thermal", [HOT, COLD], ids=["hot", "cold"])
+def test_a_further_file_of_the_same_machine_is_not_doubted(thermal: dict[str, object]) -> None:
+    model, files = fitted()
+    more = laser([*OURS, HEAT], 5, targets={"step_mm": 17.3}, thermal=thermal)
+    for given in ([more], [*files, more]):
+        assert not diagnose(model, given, draws=50).doubts
+
+
+def test_a_model_of_no_fit_and_the_files_of_the_fit_are_not_asked() -> None:
+    model, files = fitted()
+    poor = characterise(files[:1]).model
+    own = Model(model.machine, model.effects[:1], name="by hand")
+    assert not any(d.kind == "other_machine" for d in diagnose(poor, files[:1], draws=50).doubts)
+    assert not any(d.kind == "other_machine" for d in diagnose(own, files, draws=50).doubts)
