@@ -99,7 +99,7 @@ def fitted_model(
 def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tuple[Clean, Warn | None]:
     """Leave out wrong readings, files that contradict the others, and runs whose zero has moved; warn of the latter."""
     _check(measurements)
-    given = clean(measurements, leave_out_h=leave_out_h)
+    given = clean(measurements, leave_out_h=leave_out_h).without_ends()
     found = contradiction(Judgement(Model(measurements[0].machine), given))
     if found is None:
         return _without_moved_zeros(given)
@@ -107,7 +107,9 @@ def _given(measurements: Sequence[Measurement], leave_out_h: float | None) -> tu
         return given, Warn("contradiction", found.message, f"{found.check}; {found.again}")
     rest = [m for i, m in enumerate(measurements) if i not in found.odd]
     text = f"{found.message} ({'it was' if len(found.odd) == 1 else 'they were'} left out of the fit)"
-    return clean(rest, leave_out_h=leave_out_h), Warn("contradiction", text, f"{found.check}; put right, fit again")
+    return clean(rest, leave_out_h=leave_out_h).without_ends(), Warn(
+        "contradiction", text, f"{found.check}; put right, fit again"
+    )
 
 
 def _without_moved_zeros(given: Clean) -> tuple[Clean, Warn | None]:

@@ -113,7 +113,7 @@ def all_warnings(
 ) -> list[Warn]:
     """Everything to beware of, what matters most first."""
     found = [
-        *(Warn("end_targets", message, NEXT) for message in judged.given.ends),
+        *(Warn("end_targets", ends.message, NEXT) for ends in judged.given.ends),
         *_confounded(same),
         *_over_fitted(fit, judged),
         *_left_over(judged),

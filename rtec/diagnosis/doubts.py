@@ -119,7 +119,7 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     step = f"{STEP[0].upper()}{STEP[1:]}."
     found += [Doubt("moved_zero", moved.message, step, fatal=True) for moved in moved_zeros(readings)]
     step = f"{NEXT[0].upper()}{NEXT[1:]}."
-    found += [Doubt("end_targets", f"{message}.", step, fatal=True) for message in judged.given.ends]
+    found += [Doubt("end_targets", f"{ends.message}.", step, fatal=True) for ends in judged.given.ends]
     if not found:
         found += _disagree(judged)
     found += [*one_pass(readings), *_few_runs(readings)]

@@ -96,7 +96,7 @@ def _message(readings: Readings, s: Series, axis: Axis, places: Floats, off: Flo
     ends = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
     return (
         f"{readings.measurements[s.source].name} {s.column}: at the end of {axis.name} the readings at {ends} are off "
-        "the curve of the targets between, in most runs; so few targets decide no law, so they were left out"
+        "the curve of the targets between, in most runs; so few targets decide no law, and none is fitted to them"
     )
 
 
@@ -118,7 +118,7 @@ def _targets(place: Floats, run: Ints) -> Ints:
 
 
 def _table(values: Floats, run: Ints, target: Ints, mine: Bools) -> Floats:
-    """Means of each run going one way at each target, less the line through the targets between, (runs, targets).
+    """Means of each run going one way at each target, (runs, targets).
 
     NaN where there is none; runs that miss more than one target in four are left out.
     """
@@ -131,25 +131,34 @@ def _table(values: Floats, run: Ints, target: Ints, mine: Bools) -> Floats:
 
 
 def _off(at: Floats, table: Floats) -> Floats:
-    """How far each target at an end is from the curve through those between, (targets,); zero where it belongs to it.
+    """How far each target at an end is from the curve through those between, (targets,).
+
+    Zero where it belongs to the curve; NaN where too few runs read it, or too few targets were read.
 
     Args:
         at: positions of the targets, mm, rising, (targets,).
         table: readings of each run, (runs, targets).
     """
-    n, best = len(at), np.zeros(len(at))
-    if np.isnan(table).mean(axis=0).max() > 0.5:
-        return best
-    u = 2.0 * (at - at[0]) / (at[-1] - at[0]) - 1.0
+    out, read = np.full(len(at), np.nan), np.isnan(table).mean(axis=0) < 0.5
+    if np.count_nonzero(read) >= FEWEST:
+        low, high = at[read][[0, -1]]
+        out[read] = _off_curve(2.0 * (at[read] - low) / (high - low) - 1.0, table[:, read])
+    return out
+
+
+def _off_curve(u: Floats, table: Floats) -> Floats:
+    """The same of targets at u, -1 to +1, that were all read by most runs."""
+    n, best = len(u), np.zeros(len(u))
     level = _levelled(u, table)
     mean = np.nanmedian(level, axis=0)
     scatter = SIGMA_PER_MAD * float(np.median(np.nanmedian(np.abs(level - mean), axis=0)))
     least = max(scatter / np.sqrt(min(len(level), MANY)), LEAST * float(np.ptp(mean)), 1e-9)
+    smooth = min(c.predicts for c in _curves(u, mean, np.arange(n), least))
     for low, high in itertools.product(range(ENDS + 1), repeat=2):
         between = np.arange(low, n - high)
         if len(between) == n or len(between) < 2 + FREE:
             continue
-        off = _missed(u, mean, between, least)
+        off = _missed(u, mean, between, least, smooth)
         if np.count_nonzero(off) == low + high > np.count_nonzero(best):
             best = off
     return best
@@ -158,21 +167,18 @@ def _off(at: Floats, table: Floats) -> Floats:
 def _levelled(u: Floats, table: Floats) -> Floats:
     """Readings of each run less its line through the targets between: its zero, and what heat makes of the scale."""
     side = ENDS if len(u) >= FEWEST + ENDS else 1
-    out = np.empty_like(table)
-    for k, values in enumerate(table):
-        there = np.flatnonzero(np.isfinite(values))
-        there = there[(there >= side) & (there < len(u) - side)]
-        out[k] = values - np.polyval(np.polyfit(u[there], values[there], 1), u)
-    return out
+    there = np.isfinite(table) & (np.arange(len(u)) >= side) & (np.arange(len(u)) < len(u) - side)
+    count, value = there.sum(axis=1), np.where(there, table, 0.0)
+    along, across = there @ u / count, value.sum(axis=1) / count
+    slope = (value @ u / count - along * across) / (there @ u**2 / count - along**2)
+    return np.asarray(table - across[:, None] - slope[:, None] * (u - along[:, None]))
 
 
-def _missed(u: Floats, mean: Floats, between: Ints, least: float) -> Floats:
+def _missed(u: Floats, mean: Floats, between: Ints, least: float, smooth: float) -> Floats:
     """How far targets are from the curves through those between, (targets,); zero of those that a curve may meet."""
     outside = np.setdiff1d(np.arange(len(u)), between)
-    curves = [_curve(u, mean, between, p, least) for p in range(1, min(DEGREES, len(between) - 1 - FREE) + 1)]
+    curves = _curves(u, mean, between, least)
     likeliest = int(np.argmin([c.predicts for c in curves]))
-    every = np.arange(len(u))
-    smooth = min(_curve(u, mean, every, p, least).predicts for p in range(1, min(DEGREES, len(u) - 1 - FREE) + 1))
     far = np.min([np.abs(c.off / c.error) for c in curves[likeliest : likeliest + 1 + HIGHER]], axis=0) > FAR
     far &= smooth > SMOOTH * curves[likeliest].predicts
     out = np.zeros(len(u))
@@ -194,6 +200,11 @@ class _Curve:
     predicts: float
 
 
+def _curves(u: Floats, mean: Floats, through: Ints, least: float) -> "list[_Curve]":
+    """Those of each degree that the targets decide."""
+    return [_curve(u, mean, through, p, least) for p in range(1, min(DEGREES, len(through) - 1 - FREE) + 1)]
+
+
 def _curve(u: Floats, mean: Floats, through: Ints, degree: int, least: float) -> _Curve:
     columns = np.polynomial.legendre.legvander(u, degree)
     q, r = np.linalg.qr(columns[through])
@@ -206,10 +217,14 @@ def _curve(u: Floats, mean: Floats, through: Ints, degree: int, least: float) ->
 
 
 def _alike(ways: Sequence[Floats]) -> Floats:
-    """Of both ways the smaller, where both stand out the same way; zero elsewhere, (targets,)."""
+    """Of both ways the smaller, where both stand out the same way; zero elsewhere, (targets,).
+
+    A target that is read going one way only, as an end may be, stands out by that.
+    """
     if not ways:
         return np.zeros(1)
     out = ways[0]
     for other in ways[1:]:
-        out = np.where(out * other > 0.0, np.where(np.abs(other) < np.abs(out), other, out), 0.0)
-    return out
+        smaller = np.where(np.abs(other) < np.abs(out), other, out)
+        out = np.where(np.isnan(out), other, np.where(np.isnan(other), out, np.where(out * other > 0.0, smaller, 0.0)))
+    return np.nan_to_num(out)

@@ -10,7 +10,7 @@ reading is wrong where it is far from what
 and where it does not come again. Single readings count, and bursts of up to five where other visits near the place, or
 a machine that stands still, show that nothing was there. At an end of the record, or of a run that has unknowns of its
 own, the neighbours of one side decide. More than a few in a hundred are what the machine does. So are readings that
-come again; but no command fits a law to one or two targets at an end that stand out (`end_targets`).
+come again; but no law is fitted to one or two targets at an end that stand out (`end_targets`).
 """
 
 import itertools
@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.estimation.end_targets import end_targets
+from rtec.estimation.end_targets import EndTargets, end_targets
 from rtec.estimation.flexible import smooth_columns
 from rtec.estimation.gls import solve
 from rtec.estimation.readings import Readings, Series, read, row_codes
@@ -90,13 +90,13 @@ class Clean:
         readings: those that count.
         wrong: those that were left out.
         kept: which of all readings count.
-        ends: end targets that stand out and were left out, each in words, without a full stop.
+        ends: end targets that stand out of what is left without the wrong ones.
     """
 
     readings: Readings
     wrong: tuple[WrongReading, ...]
     kept: Bools
-    ends: tuple[str, ...] = ()
+    ends: tuple[EndTargets, ...] = ()
 
     def smoothed(self) -> Readings:
         """The same readings with temperatures smoothed in time."""
@@ -117,11 +117,11 @@ class Clean:
         return replace(self, readings=self.readings.without(wrong), wrong=told, kept=kept)
 
     def without_ends(self) -> "Clean":
-        """The same without end targets that stand out."""
-        found, off = end_targets(self.readings), np.full(len(self.readings), np.nan)
-        for f in found:
-            off = np.fmax(off, f.readings)
-        return replace(self.less(off, "at an end that stands out"), ends=tuple(f.message for f in found))
+        """The same without the end targets that stand out: what a law is fitted to. Once only."""
+        off = np.full(len(self.readings), np.nan)
+        for found in self.ends:
+            off = np.fmax(off, found.readings)
+        return self.less(off, "at an end that stands out")
 
 
 def _told(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
@@ -133,7 +133,7 @@ def _told(readings: Readings, off: Floats, why: str) -> Iterator[WrongReading]:
 
 
 def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, leave_out_h: float | None = None) -> Clean:
-    """Read measurements and leave out what is wrong, and end targets that stand out.
+    """Read measurements and leave out what is wrong; say which end targets stand out.
 
     Args:
         measurements, reference_degc, leave_out_h: as `read`.
@@ -143,7 +143,8 @@ def clean(measurements: Sequence[Measurement], reference_degc: float = 20.0, lea
     """
     whole = read(measurements, reference_degc, smooth=False, leave_out_h=leave_out_h)
     every = Clean(whole, (), np.ones(len(whole), dtype=np.bool_))
-    return every.less(wrong_readings(whole), "far from all neighbours").without_ends()
+    given = every.less(wrong_readings(whole), "far from all neighbours")
+    return replace(given, ends=tuple(end_targets(given.readings)))
 
 
 def outlier_words(wrong: Sequence[WrongReading]) -> tuple[str, ...]:

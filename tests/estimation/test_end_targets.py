@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.characterise import characterise
+from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.estimation.end_targets import end_targets
@@ -71,6 +72,22 @@ def test_the_diagnosis_names_the_places_and_no_effect() -> None:
     assert [doubt.kind for doubt in d.doubts] == ["end_targets"]
     assert "at the end of X the readings at" in d.sentence
     assert not any(f.accepted for f in d.findings)
+
+
+def test_a_comparison_names_them_and_shows_them() -> None:
+    """What stands out may be an error of the machine: its readings count in the residual."""
+    good = laser(TRUTH, 5)
+    c = compare(Model(small_machine(), effects(*TRUTH), name="true"), [with_(good, at_targets(good, BOTH))])
+    assert [doubt.kind for doubt in c.doubts] == ["end_targets"]
+    assert c.items[0].n == len(good)
+
+
+def test_an_end_that_is_not_read_going_back_is_named_too() -> None:
+    good = laser([*TRUTH, HEAT], 8)
+    last = at_targets(good, {-1: 30.0})
+    once = with_(good, np.where((last != 0.0) & (good.channels["d_x"] < 0.0), np.nan, last))
+    (found,) = end_targets(read([once], smooth=False))
+    assert found.off == pytest.approx([30.0], abs=1.5)
 
 
 def test_what_is_missing_besides_is_still_found() -> None:

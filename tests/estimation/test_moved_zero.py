@@ -41,8 +41,8 @@ def test_fit_leaves_it_out_and_says_so() -> None:
     good = laser(TRUTH, 3)
     bad = changed(good, lambda run: np.where(run == run[0] + 6, 40.0, 0.0))
     lost = changed(good, lambda run: np.where(run == run[0] + 6, np.nan, 0.0))
-    effects = read_wanted("scale,axis_expansion", small_machine())
-    whole, without = (characterise([m], wanted=effects) for m in (bad, lost))
+    wanted = read_wanted("scale,axis_expansion", small_machine())
+    whole, without = (characterise([m], wanted=wanted) for m in (bad, lost))
     assert [w.code for w in whole.warnings].count("moved_zero") == 1
     for one, other in zip(whole.coefficients, without.coefficients, strict=True):
         assert one.value == pytest.approx(other.value, rel=1e-6, abs=1e-9)

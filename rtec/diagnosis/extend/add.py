@@ -235,7 +235,7 @@ def _add(
     _check_new(model, new)
     check_enough(measurements)
     tell("refitting the model as it is", 0, 3)
-    there = given or clean(measurements, model.reference_degc)
+    there = given or clean(measurements, model.reference_degc).without_ends()
     readings = there.readings
     check_scales(readings, predicted(model.effects, readings))
     # Readings that the model was fitted to before say nothing new of how sure its numbers are.

@@ -123,7 +123,8 @@ def improve(
         MeasurementError: as `diagnose`, or there are too few readings.
     """
     check_enough(measurements)
-    growth = _Growth(measurements, clean(measurements, model.reference_degc), model, (seed, alpha, draws), stage, step)
+    given = clean(measurements, model.reference_degc).without_ends()
+    growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
     refit = growth.refit(model, ask_made)
     if refit is None:
         return growth.grown(model, ask, ask_made)

@@ -91,7 +91,7 @@ def diagnose(
     with one_blas_thread():
         tell = stage or (lambda *_: None)
         tell("reading, finding the noise", 0, 1)
-        there = given or clean(measurements, model.reference_degc)
+        there = given or clean(measurements, model.reference_degc).without_ends()
         return _Search(model, there, seed, alpha, draws, only, explain, tell).diagnosis()
 
 
