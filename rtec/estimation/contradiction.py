@@ -191,7 +191,9 @@ def _compared(judged: Judgement, two: tuple[int, int], means: Sequence[_Means]) 
     # What is warmer may bend the other way, but hardly by as much: only a turned file is the mirror image.
     together = float(np.sqrt(np.mean((one + other)[:, 0] ** 2)))
     turned = opposite and (together < MIRROR * larger or together < noise())
-    apart = not turned and off > MUCH_OF * left_larger and _alike(judged, *two) and off > noise()
+    # A law of the model that is wrong tells days apart of which the readings differ little.
+    differs = not turned and off > MUCH_OF * left_larger and _alike(judged, *two)
+    apart = differs and min(off, measured_off) > noise()
     sources = (series[0].source, series[1].source)
     return _Pair(sources, series[0].unit, off, measured_off, turned, apart)
 

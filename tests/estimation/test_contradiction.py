@@ -13,7 +13,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import clean
 from rtec.metrology.measurement import Measurement
 from rtec.model import Model
-from tests.support.diagnosis_examples import laser
+from tests.support.diagnosis_examples import effects, laser
 
 BENT = ["scale,component=EXX,axis=X,k=30"]
 HEAT = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=11"
@@ -122,3 +122,14 @@ def test_days_of_other_temperatures_and_targets_do_not_contradict_each_other() -
         at_other_targets([HEAT, *BENT], 61 + i, s, **({"thermal": HOT} if i else {})) for i, s in enumerate(STEPS_MM)
     ]
     assert of(files) is None
+
+
+def test_a_model_that_is_wrong_makes_no_contradiction_of_two_days() -> None:
+    """The readings differ by less than their noise; a law nine times too large tells the days apart."""
+    noise = {"white_um": 0.6}
+    days = [
+        laser([HEAT, *BENT], 71 + i, noise=noise, thermal={"air_degc": 20.0, "body": {"T_bed": {"on_degc": on}}})
+        for i, on in enumerate((0.05, 1.8))
+    ]
+    law = effects(*BENT, "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=80")
+    assert contradiction(Judgement(Model(days[0].machine, law, name="wrong"), clean(days))) is None
