@@ -184,6 +184,19 @@ def test_silence_is_not_waited_for_for_ever(bench: MemoryBench) -> None:
     assert bench.plant.inserted == [5, 5]
 
 
+@pytest.mark.parametrize("pause_ms", [40, 60, 100, 1000])
+def test_a_loop_that_pauses_is_no_silence_of_the_box(bench: MemoryBench, pause_ms: int) -> None:
+    """Nobody asks for a while. Oracle: the plant, and one way to the box and back, which is as old as counts are."""
+    for k in range(5):  # the first is the pause after opening
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + pause_ms * MS)
+        bench.plant.position = [k, -k]
+        start_ns = bench.clock.now_ns()
+        assert bench.read() == start_ns
+        assert bench.counts.tolist() == [k, -k]
+        bench.driver.apply(bench.output)
+        assert bench.clock.now_ns() - start_ns == 2 * bench.line.WIRE_NS
+
+
 def test_the_box_holds_what_it_has_while_nobody_commands(bench: MemoryBench) -> None:
     """100 ms of silence: the plant keeps what it has, and the next command goes on from there without an order."""
     for _ in range(5):

@@ -55,14 +55,15 @@ class BoxSession:
     Attributes:
         info: what the box said of itself.
         sequence: of the last frame sent.
-        silent_s: how long nothing was heard when it was asked last.
+        silent_s: how long a question had had no answer when the box was asked last.
     """
 
     def __init__(self, line: BoxLine, clock: Clock) -> None:
         self.line, self._clock = line, clock
         self.info = Info(0, 0, 0, 0, 0, 0)
         self.sequence, self.silent_s = 0, 0.0
-        self._heard_ns = self._looked_ns = clock.now_ns()
+        self._looked_ns = clock.now_ns()
+        self._waiting_ns: int | None = None  # since the first question after the last answer
         self._reader = FrameReader()
         self._asked: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_QUESTIONS)
 
@@ -74,9 +75,10 @@ class BoxSession:
             DriverUnavailable: the line is gone.
         """
         now_ns = self._clock.now_ns()
-        self.silent_s = (now_ns - self._heard_ns) * 1e-9
-        answer = self.exchange(timeout_s) if self.silent_s <= PATIENCE_S else self._look_in(now_ns)
-        self._heard_ns, self.silent_s = answer.answered_ns, 0.0
+        self.silent_s = 0.0 if self._waiting_ns is None else (now_ns - self._waiting_ns) * 1e-9
+        late = self._look_in(now_ns) if self.silent_s > PATIENCE_S else None
+        answer = self.exchange(timeout_s, late)
+        self.silent_s = 0.0
         return answer
 
     @property
@@ -102,7 +104,7 @@ class BoxSession:
                     )
                 info = protocol.info_of(frame.payload) if frame.kind == protocol.INFO else None
                 if info is not None and frame.sequence == sequence:
-                    self.info, self._heard_ns = info, self._clock.now_ns()
+                    self.info, self._waiting_ns = info, None
                     return info
         raise DriverTimeout(f"{self.line.device}: no encoder box answers within {timeout_s:g} s")
 
@@ -120,15 +122,18 @@ class BoxSession:
         if info.counter_bits not in (16, 24, 32):
             raise DriverFault(f"{place}: the box has counters of {info.counter_bits} bits; 16, 24 or 32 are known")
 
-    def exchange(self, timeout_s: float) -> BoxAnswer:
+    def exchange(self, timeout_s: float, newest: BoxAnswer | None = None) -> BoxAnswer:
         """Ask for the state and wait; give the newest answer, which may belong to an older question.
+
+        Args:
+            timeout_s: longest wait.
+            newest: answer that is there already.
 
         Raises:
             DriverTimeout: none came in time.
             DriverUnavailable: the line is gone.
         """
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
-        newest: BoxAnswer | None = None
         wanted = self.ask(protocol.READ)
         for _ in range(READS_PER_WAIT):
             newest = self.collect() or newest
@@ -147,6 +152,8 @@ class BoxSession:
         now_ns = self._clock.now_ns()
         sequence = self.send(kind, payload)
         self._asked.append((sequence, now_ns))
+        if self._waiting_ns is None:
+            self._waiting_ns = now_ns
         return sequence
 
     def collect(self) -> BoxAnswer | None:
@@ -160,6 +167,7 @@ class BoxSession:
             state = protocol.state_of(frame.payload) if asked_ns is not None else None
             if asked_ns is not None and state is not None and len(state.counts) == self.info.axes:
                 newest = BoxAnswer(state, asked_ns, self._clock.now_ns())
+                self._waiting_ns = self._asked[0][1] if self._asked else None
         return newest
 
     def send(self, kind: int, payload: bytes = b"") -> int:
@@ -171,12 +179,12 @@ class BoxSession:
 
     def _look_in(self, now_ns: int) -> BoxAnswer:
         answer = self.collect()
+        if answer is not None:
+            return answer
         if now_ns - self._looked_ns >= ASK_PERIOD_S * 1e9:
             self._looked_ns = now_ns
             self.ask(protocol.READ)
-        if answer is None:
-            raise DriverTimeout(f"{self.line.device}: {self.silence}")
-        return answer
+        raise DriverTimeout(f"{self.line.device}: {self.silence}")
 
     def _answers(self, wanted: int) -> bool:
         """Is that question no longer open?"""
