@@ -100,9 +100,18 @@ def with_sentence(d: Diagnosis, smallest: float, odd: Sequence[str] = (), foreig
         foreign: files that may be of another machine, in words.
     """
     if odd and d.verdict == "undecided":
-        return replace(d, sentence=" ".join(odd))
+        return replace(d, sentence=" ".join([*odd, *_until_then(d)]))
     verdict = " ".join([*foreign, f"If so, {_sentence(d, smallest)}"]) if foreign else _sentence(d, smallest)
     return replace(d, sentence=f"{odd[0]} Correct that first; until then: {verdict}" if odd else verdict)
+
+
+def _until_then(d: Diagnosis) -> list[str]:
+    """What is named beside that which decides nothing."""
+    if not accepted(d.findings):
+        return []
+    f = d.findings[0]
+    part = _of_the_residual(f.size_um, d.rms_residual, UNITS[d.unit])
+    return [f"Until then: {f.label} explains {part}, which may be a part of that growth."]
 
 
 def _sentence(d: Diagnosis, smallest: float) -> str:

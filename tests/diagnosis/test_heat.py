@@ -41,9 +41,11 @@ def test_a_shape_beside_heat_that_nothing_recorded_is_no_whole_answer(seed: int)
     """A screw grows, its nut has no sensor, and a curve along the axis explains a part. Oracle: what was put in."""
     d = answer("unrecorded", "nut_unseen", seed)
     assert d.findings[0].effect.effect != "axis_expansion"
+    assert d.verdict == "undecided"
     assert [doubt.kind for doubt in d.doubts] == ["no_temperature"]
     assert d.sentence.startswith("record reading_um grows and falls by ")
     assert "unexplained by anything recorded. Record temperatures of the screw or scale of X" in d.sentence
+    assert d.sentence.endswith(", which may be a part of that growth.")
 
 
 @pytest.mark.parametrize(("what", "seed"), [("servo", 1), ("abbe", 1), ("plain_bow", 1), ("servo", 2)])

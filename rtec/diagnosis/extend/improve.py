@@ -192,6 +192,8 @@ class _Growth:
             diagnoses.append(found)
             if not found.findings or not found.findings[0].accepted:
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
+            if not ask and found.verdict == "undecided":
+                return Improved(model, tuple(steps), tuple(diagnoses), "undecided")
             if not ask and _inseparable(found, model.machine):
                 return Improved(model, tuple(steps), tuple(diagnoses), "ambiguous")
             choice = found.findings[0]

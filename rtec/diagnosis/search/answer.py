@@ -351,12 +351,15 @@ class _Answer:
         readings, prepared, judged = self.readings, self.s.prepared, self.s.judged
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
-        if accepted:
+        doubts = self._doubts(findings)
+        if accepted and any(d.kind == "no_temperature" for d in doubts):
+            verdict = "undecided"  # more is slow and unexplained than the effect explains, which may be a part of that
+        elif accepted:
             rivals = len(group) > 1 or findings[0].confused_with or any(t.rivals for t in self.s.chain)
             verdict = "ambiguous" if rivals else "missing_effect"
         elif unknown is not None:
             verdict = "unknown_effect"
-        elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in self._doubts(findings)):
+        elif self.s.undecided is not None or any(d.kind in DECIDES_NOTHING for d in doubts):
             verdict = "undecided"
         else:
             verdict = "nothing_missing"
@@ -377,7 +380,7 @@ class _Answer:
             not_testable=(*untestable(self.s.untried, found), *unseen),
             absent=absent,
             notes=(
-                *(d.words for d in self._doubts(findings)),
+                *(d.words for d in doubts),
                 *(lag_assumed(readings, findings[0].effect, findings[0].theta) if accepted else ()),
                 *(words.beside(speaks) if self.s.beside is not None else ()),
                 *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
@@ -396,7 +399,7 @@ class _Answer:
             together=tuple(self._member(t) for t in self.s.chain),
             refit=judged.refitted,
             judged=judged,
-            doubts=self._doubts(findings),
+            doubts=doubts,
             runs=self.s.undecided,
         )
         fatal = [d.words for d in draft.doubts if d.fatal]
