@@ -11,7 +11,9 @@ from rtec.diagnosis.doubts import Doubt
 from rtec.diagnosis.result import label_of
 from rtec.effects import Effect
 from rtec.estimation.candidates import real
-from rtec.estimation.noise import Whitener, minutes
+from rtec.estimation.flexible import flexible_columns
+from rtec.estimation.gls import Fit, without_runs
+from rtec.estimation.noise import Whitener, found_on_stretches, minutes
 from rtec.estimation.readings import Readings, Series
 from rtec.wording import number
 
@@ -116,29 +118,27 @@ def own_warm_up(effect: Effect) -> Doubt:
     return Doubt("instrument_warm_up", message, step, fatal=True)
 
 
-def unrecorded_heat(readings: Readings, noise: Whitener, named_um: float | None = None) -> Doubt | None:
+def unrecorded_heat(readings: Readings, fit: Fit, named_um: float | None = None) -> Doubt | None:
     """That the residual grows and falls over hours, unexplained by anything recorded; None where it does not.
 
     Args:
         readings: the readings.
-        noise: of what the model leaves, with what is named in it.
-        named_um: what the effect that is named explains (root mean square), where that is no heat; the doubt stands
-            beside it if more grows and falls. None where nothing is named: then it stands if no temperature varied.
+        fit: of the model, with the effect that is named.
+        named_um: what the effect that is named explains (root mean square), where that is no heat; the doubt is raised
+            beside it if more grows and falls, and no smooth dependence on positions, directions, speeds and load
+            explains that. None where nothing is named: then it is raised if no temperature varied.
     """
     machine = readings.machine
     if named_um is None and _temperature_varied(readings):
         return None
-    found = []
-    for s, n in zip(readings.series, noise.noises, strict=True):
-        slow = n.sigma * math.sqrt(n.drift + n.offset)
-        long = float(s.time_s[-1] - s.time_s[0]) >= RECORD_S and n.tau_s >= SLOW_S
-        if long and slow > LARGE * n.sigma:
-            found.append((slow, n.tau_s, s))
-    if not found:
+    slow, memory, s = max((_slow(fit, fit.whitener, i) for i in range(len(readings.series))), key=lambda f: f[0])
+    if slow <= (named_um or 0.0):
         return None
-    slow, memory, s = max(found, key=lambda f: f[0])
-    if named_um is not None and slow < named_um:
-        return None
+    if named_um is not None:
+        noise = found_on_stretches(readings, lambda few, keep: flexible_columns(few, fit.columns[keep], warm=False))
+        slow, memory, s = max((_slow(fit, noise, i) for i in range(len(readings.series))), key=lambda f: f[0])
+        if slow <= named_um:
+            return None
     m = readings.measurements[s.source]
     message = (
         f"{m.name} {s.column} grows and falls by {number(slow)} {UNITS.get(s.unit, s.unit)} with a memory of "
@@ -148,6 +148,24 @@ def unrecorded_heat(readings: Readings, noise: Whitener, named_um: float | None 
     bodies = [f"the screw or scale of {a}" for a in moves[:1]] + ["spindle", "column", "bed", "air"]
     step = f"Record temperatures of {', '.join(bodies)}."
     return Doubt("no_temperature", message, step, fatal=True)
+
+
+def _slow(fit: Fit, noise: Whitener, number: int) -> tuple[float, float, Series]:
+    """Root mean square of what grows and falls slowly in a series, its memory in s, and the series; 0 where none does.
+
+    Args:
+        fit: whose residual it is.
+        noise: of that residual.
+        number: of the series.
+    """
+    s, n = noise.readings.series[number], noise.noises[number]
+    slow = n.sigma * math.sqrt(n.drift + n.offset)
+    long = float(s.time_s[-1] - s.time_s[0]) >= RECORD_S and n.tau_s >= SLOW_S
+    if not long or slow <= LARGE * n.sigma:
+        return 0.0, n.tau_s, s
+    # A drift of long memory may swing further than it did in this record.
+    residual = without_runs(s, fit.left[s.part])
+    return min(slow, float(np.sqrt(np.mean((residual - residual.mean()) ** 2)))), n.tau_s, s
 
 
 def _temperature_varied(readings: Readings) -> bool:

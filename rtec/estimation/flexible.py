@@ -21,19 +21,30 @@ READINGS_PER_PLACE, READINGS_PER_COLUMN, STATES_PER_COLUMN = 4, 8, 3
 """Temperatures that differ by less are one state of the machine."""
 
 
-def flexible_columns(readings: Readings, base: Floats) -> Floats:
+def flexible_columns(readings: Readings, base: Floats, warm: bool = True) -> Floats:
     """Columns of the model and of the set-up, (m, q), and those that follow anything smooth in the channels, (m, p).
 
-    Each series has coefficients of its own, so that those of different series stand in the same columns.
+    Each series has coefficients of its own, so that those of different series share the same columns.
+
+    Args:
+        readings: the readings.
+        base: columns of the model and of the set-up, (m, q).
+        warm: also what follows temperatures.
     """
-    columns = [smooth_columns(readings, s) for s in readings.series]
+    columns = [smooth_columns(readings, s, warm) for s in readings.series]
     width = max(c.shape[1] for c in columns)
     padded = [np.pad(c, ((0, 0), (0, width - c.shape[1]))) for c in columns]
     return np.concatenate([base, np.concatenate(padded)], axis=1)
 
 
-def smooth_columns(readings: Readings, series: Series) -> Floats:
-    """Hat functions of positions by direction, of speeds and load; of temperatures, also times positions, (n, p)."""
+def smooth_columns(readings: Readings, series: Series, warm: bool = True) -> Floats:
+    """Hat functions of positions by direction, of speeds and load; of temperatures, also times positions, (n, p).
+
+    Args:
+        readings: the readings.
+        series: of these.
+        warm: with those of temperatures.
+    """
     state, rows = readings.states[series.source], series.row
     moving = []
     for axis in readings.machine.axes:
@@ -52,9 +63,11 @@ def smooth_columns(readings: Readings, series: Series) -> Floats:
         plain = np.concatenate([plain[:, :0], *parts], axis=1)
         if plain.shape[1] <= most:
             break
-    warm = _warm(readings, series, [(p - p.mean()) / np.ptp(p) for p, _ in moving])
+    if not warm:
+        return np.asarray(plain[:, :most])
+    thermal = _warm(readings, series, [(p - p.mean()) / np.ptp(p) for p, _ in moving])
     room = max(len(series) // READINGS_PER_COLUMN - plain.shape[1], 0)
-    return np.concatenate([plain[:, :most], warm[:, :room]], axis=1)
+    return np.concatenate([plain[:, :most], thermal[:, :room]], axis=1)
 
 
 def _warm(readings: Readings, series: Series, moving: list[Floats]) -> Floats:

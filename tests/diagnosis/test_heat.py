@@ -1,5 +1,7 @@
 """Heat that no sensor, or the wrong one, recorded; curves that may be waves; two simple causes before one rich one."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,9 @@ from rtec.effects import effect_class
 from rtec.estimation.candidates import library
 from rtec.estimation.noise import Noise, Whitener
 from rtec.estimation.readings import read
+from rtec.metrology.files.load import load_measurement
+from rtec.model import Model
+from tests.support.diagnosis_examples import effects, small_machine, write_laser, write_machine
 
 
 def answer(group: str, what: str, seed: int) -> Diagnosis:
@@ -43,7 +48,9 @@ def test_a_shape_beside_heat_that_nothing_recorded_is_no_whole_answer(seed: int)
     assert d.findings[0].effect.effect != "axis_expansion"
     assert d.verdict == "undecided"
     assert [doubt.kind for doubt in d.doubts] == ["no_temperature"]
-    assert d.sentence.startswith("record reading_um grows and falls by ")
+    begin, after = "record reading_um grows and falls by ", " µm with a memory of "
+    assert d.sentence.startswith(begin)
+    assert float(d.sentence.removeprefix(begin).split(after)[0]) <= d.rms_residual
     assert "unexplained by anything recorded. Record temperatures of the screw or scale of X" in d.sentence
     assert d.sentence.endswith(", which may be a part of that growth.")
 
@@ -52,6 +59,18 @@ def test_a_shape_beside_heat_that_nothing_recorded_is_no_whole_answer(seed: int)
 def test_a_shape_alone_is_not_doubted(what: str, seed: int) -> None:
     """Oracle: the effect that was put in is the only one."""
     assert "no_temperature" not in {doubt.kind for doubt in answer("lean", what, seed).doubts}
+
+
+def test_what_follows_the_direction_is_no_heat(tmp_path: Path) -> None:
+    """Play and a wave are hidden; beside the wave, play changes as slowly as the axis turns. Oracle: these two."""
+    true = ["scale,component=EXX,axis=X,k=12", "backlash,component=EXX,axis=X,B=3"]
+    true.append("cyclic_pole,component=EXX,axis=X,s=2,c=-1,period=37.3")
+    write_machine(tmp_path)
+    machine = small_machine()
+    path = write_laser(tmp_path, true, 5, targets={"step_mm": 1.17}, protocol="cold", cycles=4)
+    d = diagnose(Model(machine, effects(true[0])), [load_measurement(path, machine)], draws=50)
+    assert "no_temperature" not in {doubt.kind for doubt in d.doubts}
+    assert d.findings[0].accepted
 
 
 @pytest.mark.parametrize("seed", [1, 2])

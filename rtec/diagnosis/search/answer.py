@@ -281,7 +281,7 @@ class _Answer:
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Those about the record, and about the machine file where the finding raises them."""
         if not (findings and findings[0].accepted):
-            slow = unrecorded_heat(self.readings, self.s.without.whitener)
+            slow = unrecorded_heat(self.readings, self.s.without)
             return (*self.s.doubts, *([slow] if slow is not None else []))
         first, out = self.s.tried[0], list(self.s.doubts)
         asked = self._pitch(first)
@@ -291,7 +291,7 @@ class _Answer:
         effect, machine = self.s.candidates[first.number].effect, self.s.model.machine
         stands, slow = stands_for(self.readings, effect), None
         if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(effect.channels(machine)):
-            slow = unrecorded_heat(self.readings, first.fit.whitener, findings[0].size_um)
+            slow = unrecorded_heat(self.readings, first.fit, findings[0].size_um)
         return (*out, *(d for d in (stands, slow) if d is not None))
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:

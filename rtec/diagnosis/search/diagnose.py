@@ -210,7 +210,7 @@ class _Search:
         beyond = best.log_evidence - self._prior_odds
         if self._doubted:
             return False
-        if unrecorded_heat(self.readings, self.refits.without.whitener) is not None and (
+        if unrecorded_heat(self.readings, self.refits.without) is not None and (
             best.drop < NOTHING_MUCH or self.refits.beside_slopes(best) - self._prior_odds < SURE
         ):
             return False  # heat that no sensor recorded bends and stretches as much
