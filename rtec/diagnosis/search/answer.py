@@ -27,7 +27,7 @@ from rtec.diagnosis.search.confounded import (
 )
 from rtec.diagnosis.search.expressions import Typed, propose
 from rtec.diagnosis.search.not_found import SURE, absent_ones, speaking_up, untestable
-from rtec.diagnosis.search.refit import Prepared, Refitted
+from rtec.diagnosis.search.refit import NOTHING_MUCH, Prepared, Refits, Refitted
 from rtec.diagnosis.search.run_drift import run_drifts
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.unnamed import Shaped
@@ -36,7 +36,7 @@ from rtec.errors import RtecError
 from rtec.estimation import floor
 from rtec.estimation.candidates import EffectCandidate, Untried
 from rtec.estimation.columns import slope
-from rtec.estimation.gls import Fit, inverse, resolved, solve
+from rtec.estimation.gls import inverse, resolved, solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener
 from rtec.estimation.outliers import outlier_words
@@ -64,7 +64,7 @@ class SearchResult:
         candidates, untried: what was looked for, and what could not be.
         prior_odds: log of how much likelier nothing is than any one effect, before the readings.
         projected, found: the readings less the base, and the weights of all candidates.
-        without: the fit of the base alone.
+        refits: fits of candidates along with the model.
         tried: candidates fitted anew, best first.
         partner: number of the one that has to be added with the first, if any.
         p: family-wise probability of chance.
@@ -88,7 +88,7 @@ class SearchResult:
     prior_odds: float
     projected: Projected
     found: Screen
-    without: Fit
+    refits: Refits
     tried: Sequence[Refitted]
     partner: int | None
     p: float
@@ -281,7 +281,7 @@ class _Answer:
     def _doubts(self, findings: Sequence[Finding]) -> tuple[Doubt, ...]:
         """Those about the record, and about the machine file where the finding raises them."""
         if not (findings and findings[0].accepted):
-            slow = unrecorded_heat(self.readings, self.s.without)
+            slow = unrecorded_heat(self.readings, self.s.refits.without)
             return (*self.s.doubts, *([slow] if slow is not None else []))
         first, out = self.s.tried[0], list(self.s.doubts)
         asked = self._pitch(first)
@@ -290,9 +290,32 @@ class _Answer:
             out.append(Doubt("wrong_pitch", message, words.sentence(asked.separating_test)))
         effect, machine = self.s.candidates[first.number].effect, self.s.model.machine
         stands, slow = stands_for(self.readings, effect), None
-        if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(effect.channels(machine)):
-            slow = unrecorded_heat(self.readings, first.fit, findings[0].size_um)
+        named = [
+            first.number,
+            *([self.s.partner] if self.s.partner is not None else []),
+            *(t.number for t in self.s.chain),
+        ]
+        read = {c for n in named for c in self.s.candidates[n].effect.channels(machine)}
+        if {"spindle_rpm", "time_s", *machine.sensor_names}.isdisjoint(read):
+            slow = self._slow_beside(first, findings[0].size_um)
         return (*out, *(d for d in (stands, slow) if d is not None))
+
+    def _slow_beside(self, first: Refitted, size_um: float) -> Doubt | None:
+        """That more grows and falls slowly than what is named explains, whatever candidate explains a part of that.
+
+        What is as sure where each run has a slope of its own is no part of that growth, which then is reported beside.
+        """
+        refits, odds = self.s.refits, self.s.prior_odds
+        last = self.s.chain[-1] if self.s.chain else first
+        slow = unrecorded_heat(self.readings, last.fit, size_um)
+        if slow is None:
+            return None
+        if not self.s.chain and self.s.partner is None:
+            sure = [t for t in refits.beside(first) if t.holds and t.log_evidence > first.log_evidence + odds + SURE]
+            best = max(sure, key=lambda t: t.log_evidence, default=first)
+            slow = slow if best is first else unrecorded_heat(self.readings, best.fit, size_um)
+        apart = first.drop >= NOTHING_MUCH and refits.beside_slopes(first) - odds >= SURE
+        return replace(slow, fatal=False) if slow is not None and apart else slow
 
     def _separated(self, found: Screen, winner: Refitted, alikes: Sequence[tuple[Alike, int]]) -> list[Alike]:
         """The same with the test that this machine can take and that tells them apart soonest."""
@@ -352,7 +375,7 @@ class _Answer:
         accepted = bool(findings) and findings[0].accepted
         group = [f for f in findings if f.group]
         doubts = self._doubts(findings)
-        if accepted and any(d.kind == "no_temperature" for d in doubts):
+        if accepted and any(d.kind == "no_temperature" and d.fatal for d in doubts):
             verdict = "undecided"  # more is slow and unexplained than the effect explains, which may be a part of that
         elif accepted:
             rivals = len(group) > 1 or findings[0].confused_with or any(t.rivals for t in self.s.chain)
@@ -383,7 +406,7 @@ class _Answer:
                 *(d.words for d in doubts),
                 *(lag_assumed(readings, findings[0].effect, findings[0].theta) if accepted else ()),
                 *(words.beside(speaks) if self.s.beside is not None else ()),
-                *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.without).left),
+                *run_drifts(readings, (self.s.tried[0].fit if accepted else self.s.refits.without).left),
                 *outlier_words(prepared.wrong),
                 *words.notes(
                     [m.name for m in readings.measurements],

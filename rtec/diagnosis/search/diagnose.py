@@ -19,7 +19,7 @@ from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
 from rtec.diagnosis.search.not_found import ALPHA, SURE
-from rtec.diagnosis.search.refit import BESIDE, Refits, Refitted, far_better, led, prepare
+from rtec.diagnosis.search.refit import BESIDE, NOTHING_MUCH, Refits, Refitted, far_better, led, prepare
 from rtec.diagnosis.search.run_drift import runs_differ
 from rtec.diagnosis.search.screen import Projected, Screen
 from rtec.diagnosis.search.shapes import groups
@@ -48,8 +48,6 @@ LITTLE = 0.25
 """A fall of the mean square on runs left out below this is little."""
 PLAIN = 2
 """Numbers of a plain effect at the most."""
-NOTHING_MUCH = 0.02
-"""A fall of the mean square on held-out runs below this share is not worth an addition."""
 MAY = 0.3
 """A candidate that removes this share of the held-out mean square may be why the runs differ, though too few of them
 decide it."""
@@ -176,7 +174,7 @@ class _Search:
         return answer(
             SearchResult(
                 self.model, prepared, self.candidates, self.untried, self._prior_odds, projected, found,
-                self.refits.without, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
+                self.refits, tried, pair[1].number if pair is not None else None, p, accepted and named, share,
                 unknown, self._top_shape, self.seed, self.explain, self._next(tried, pair, accepted and named),
                 self.judged, self.doubts, tuple(chain),
                 undecided[0] if undecided is not None else None,

@@ -226,6 +226,8 @@ class Refitted:
         return self.gain > 0.0 and self.drop > 0.0
 
 
+NOTHING_MUCH = 0.02
+"""A fall of the mean square on held-out runs below this share is not worth an addition."""
 FAR = 0.5
 """Of two that explain the readings, one that leaves less than this share of the other's held-out mean square leads."""
 
