@@ -39,6 +39,9 @@ BURST = 3
 """So many wrong readings may follow each other."""
 LONG_BURST, LONG_REACH = 5, 12
 """Or so many, far from the median of so many readings on either side, where visits within a step show nothing."""
+GROSS, GROSS_BURST, GROSS_REACH = 25.0, 12, 30
+"""Or so many there that are so many robust standard deviations off, and far from each other: a beam that was broken. A
+machine that is elsewhere for a while is off by as much at each."""
 VISITS = 3
 """Visits to a place, going the same way, whose median tells what the machine does there."""
 AGAIN, HALF = 1.0 / 3.0, 0.5
@@ -189,12 +192,14 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
     least = max(SMALL * spread, HALF * _display_step(values), 1e-9)
     off, wrong, far = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    for reach, long in ((REACH, (1, BURST)), (LONG_REACH, (2, LONG_BURST))):
+    kinds = [_Kind(REACH, 1, BURST, FAR), _Kind(LONG_REACH, 2, LONG_BURST, FAR)]
+    kinds += [] if still else [_Kind(GROSS_REACH, LONG_BURST + 1, GROSS_BURST, GROSS)]
+    for kind in kinds:
         for _ in range(ROUNDS):
             known = np.where(wrong, np.nan, rough)
-            off = rough - neighbours(known, rough, linked, reach)
-            sigma = _sigmas(off, max(SIGMA_PER_MAD * float(np.median(np.abs(off))), least), s.run, wrong)
-            found = _bursts(off, known, sigma, linked, near, still, reach, long)
+            off = rough - neighbours(known, rough, linked, kind.reach)
+            sigma = max(SIGMA_PER_MAD * float(np.median(np.abs(off))), least)
+            found = _bursts(off, known, _sigmas(off, sigma, s.run, wrong, kind), linked, near, still, kind)
             if not still:
                 found &= ~np.logical_or.reduce([_again(off, p, found) for p in (place, *near)])
             far |= found
@@ -203,6 +208,22 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
                 break
             wrong |= found
     return np.where(wrong & (far.sum() <= max(MOST * n, FEW)), off, np.nan)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Bursts that are looked for together.
+
+    Attributes:
+        reach: neighbours on either side that a reading is compared with.
+        least, most: readings in a row.
+        far: robust standard deviations from these neighbours.
+    """
+
+    reach: int
+    least: int
+    most: int
+    far: float
 
 
 def _linked(s: Series) -> Ints:
@@ -277,16 +298,16 @@ def _of_visits(rough: Floats, place: Ints) -> Floats:
     return out
 
 
-def _sigmas(off: Floats, sigma: float, run: Ints, wrong: Bools) -> Floats:
+def _sigmas(off: Floats, sigma: float, run: Ints, wrong: Bools, kind: _Kind) -> Floats:
     """Robust standard deviation around each reading, (n,), at least that of all: a loud run is no row of mistakes.
 
     Of the nearest readings of its own run that are not known to be wrong, (n,); of a short run also of those before and
     after it. Only where a reading is far by the standard deviation of all does it matter.
     """
     n, out = len(off), np.full(len(off), sigma)
-    kind = np.where(np.abs(off) > FAR * sigma, np.sign(off), 0.0)
-    far, row = np.flatnonzero(kind), np.cumsum(np.diff(kind, prepend=0.0) != 0)
-    long = np.isin(np.bincount(row)[row], range(BURST + 1, LONG_BURST + 1))
+    sign = np.where(np.abs(off) > kind.far * sigma, np.sign(off), 0.0)
+    far, row = np.flatnonzero(sign), np.cumsum(np.diff(sign, prepend=0.0) != 0)
+    long = np.isin(np.bincount(row)[row], range(BURST + 1, max(kind.most, LONG_BURST) + 1))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [n]])
     mine = np.searchsorted(edges, far, side="right")
     begin, end = edges[mine - 1], edges[mine]
@@ -311,8 +332,7 @@ def _bursts(
     linked: Ints,
     near: Sequence[Ints],
     still: bool,
-    reach: int,
-    long: tuple[int, int],
+    burst: _Kind,
 ) -> Bools:
     """Far readings, single or a few in a row, whose neighbours on both sides are not, (n,).
 
@@ -323,19 +343,21 @@ def _bursts(
         known: readings, NaN where they are known to be wrong, (n,).
         sigma, linked, near: as of `_sigmas`, `_linked`, `_near_places`, (n,).
         still: nothing moves.
-        reach: neighbours on either side that a reading is compared with.
-        long: so many in a row, at least and at most.
+        burst: what is looked for.
     """
+    reach = burst.reach
     size, out = np.where(np.isfinite(known), np.abs(off), 0.0), np.zeros(len(off), dtype=bool)
     # Of one sign and one stretch: 0 where a reading is not far.
-    kind = np.where(size > FAR * sigma, np.sign(off), 0.0)
+    kind = np.where(size > burst.far * sigma, np.sign(off), 0.0)
     edge = np.flatnonzero(np.concatenate([[True], (np.diff(kind) != 0) | (np.diff(linked) != 0), [True]]))
     visits, stretch = [np.bincount(p)[p] for p in near], np.bincount(linked)
     for a, b in itertools.pairwise(edge.tolist()):
-        if not kind[a] or not long[0] <= b - a <= long[1] or stretch[linked[a]] < 3 * (b - a):
+        if not kind[a] or not burst.least <= b - a <= burst.most or stretch[linked[a]] < 3 * (b - a):
             continue
         others = [v[a:b] - _own(p[a:b]) for v, p in zip(visits, near, strict=True)] if b - a > 1 and not still else []
         if others and np.max(others, axis=0).min() < VISITS:
+            continue
+        if burst.least > LONG_BURST and float(np.ptp(known[a:b])) < FAR * float(sigma[a:b].min()):
             continue
         before, after = known[max(a - reach, 0) : a], known[b : b + reach]
         sides = before[linked[max(a - reach, 0) : a] == linked[a]], after[linked[b : b + reach] == linked[a]]

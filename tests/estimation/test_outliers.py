@@ -207,6 +207,17 @@ def test_readings_of_loud_runs_are_kept(length: int) -> None:
         assert found(spoilt(m, [loud], [60.0])) == [loud]
 
 
+@pytest.mark.parametrize("first", [100, 137])
+@pytest.mark.parametrize("size", [30.0, 900.0])
+def test_a_machine_that_is_elsewhere_for_a_while_is_no_mistake_and_a_broken_beam_is(first: int, size: float) -> None:
+    """Oracle: eight readings that are off by as much each, and eight that are off by chance."""
+    m = laser([SCALE], 8, noise={"white_um": 0.1})
+    rows = list(range(first, first + 8))
+    assert not found(spoilt(m, rows, [size] * 8))
+    wild = size * np.random.default_rng(3).uniform(0.5, 2.0, 8)
+    assert found(spoilt(m, rows, list(wild))) == rows
+
+
 def test_a_long_burst_is_no_mistake_of_reading() -> None:
     m = laser([SCALE], 8, noise={"white_um": 0.1})
     rows = list(range(100, 108))

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
@@ -137,6 +138,7 @@ class Added(Result):
         floor_from: "repeats", "short-time differences", or both.
         passed_over: what these readings cannot tell from what was added.
         undetermined: effects that cancel each other since it was added: only their sum is known.
+        doubts: about the record, in words, where it is in such doubt that no number of the model should follow it.
     """
 
     page_maker: ClassVar[str] = "rtec.report.additions:added_page"
@@ -153,6 +155,7 @@ class Added(Result):
     floor_from: str = ""
     passed_over: tuple[PassedOver, ...] = ()
     undetermined: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     def rows(self) -> list[Mapping[str, Any]]:
         """The error before and after."""
@@ -172,6 +175,7 @@ class Added(Result):
             "held_out_with_smoothed_temperatures": self.smoothed,
             "passed_over": [r.facts() for r in self.passed_over],
             "undetermined": list(self.undetermined),
+            "doubts": list(self.doubts),
             "notes": list(self.notes),
             "history": [dict(h) for h in self.model.history],
             "model_sha256": self.model.hash,
@@ -213,7 +217,7 @@ def add(
         measurements: of its machine.
         margin: how far valid ranges reach beyond the readings.
         stage: told how far it is.
-        given: the measurements, read already.
+        given: the measurements, read already; the caller has looked whether the record is in doubt.
 
     Raises:
         MeasurementError: a channel is missing, or readings have the wrong sign or unit.
@@ -249,7 +253,14 @@ def _add(
     tell("held-out runs", 3, 3)
     named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in known)
-    return replace(made, notes=(*made.notes, *searched), undetermined=cancelling, better=made.better and not cancelling)
+    wrong = in_doubt(Judgement(model, there)) if given is None else ()
+    better = made.better and not cancelling and not wrong
+    return replace(made, notes=(*made.notes, *searched), undetermined=cancelling, better=better, doubts=wrong)
+
+
+def in_doubt(judged: Judgement) -> tuple[str, ...]:
+    """Why no number of a model should follow a record, in words; empty where nothing is wrong with it."""
+    return tuple(d.words for d in doubts(judged) if d.kind in BLAMES_NO_EFFECT)
 
 
 NEAR = 0.02
@@ -357,6 +368,8 @@ def _judged(
 
 def refused(added: Added) -> str:
     """Why an addition is not worth its place, in words."""
+    if added.doubts:
+        return f"the record is in doubt: {' '.join(added.doubts)}".rstrip(".")
     if added.undetermined:
         return (
             f"these readings determine only what {' and '.join(added.undetermined)} make together; what each makes "

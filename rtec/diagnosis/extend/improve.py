@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 from rtec.diagnosis.doubts import one_pass
-from rtec.diagnosis.extend.add import WORTH, Added, add, is_there, new_effect, residual_size, rivals_of, said
+from rtec.diagnosis.extend.add import WORTH, Added, add, in_doubt, is_there, new_effect, residual_size, rivals_of, said
 from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
@@ -162,6 +162,8 @@ class _Growth:
         made = add(model, [], self.measurements, stage=self.stage, given=self.given)
         if made.after.held_out > (1.0 - LITTLE) * made.before.held_out or not self._no_worse(made):
             return None
+        if in_doubt(Judgement(model, self.given)):
+            return None  # the diagnosis says what is wrong with the record, and nothing is fitted to it
         if ask is None and one_pass(self.given.readings) and not _at_floor(made):
             return None  # the numbers would take up what is missing, and position, direction and heat are one here
         return made if ask is None or ask(made) else None
