@@ -262,10 +262,10 @@ class _Search:
             return False, share, self._unknown(local)
         if top is None or top.log_evidence < best.log_evidence + WITHIN:
             bar = best.log_evidence + WITHIN if top is None else top.log_evidence + WITHIN
-            return share >= LEAST or self._with_another(best) > bar, share, None
+            return share >= LEAST or self._with_another(best, top) > bar, share, None
         # A shape without a name is likelier; where the effect is almost that shape, or is one of two that together are
         # likelier than it, the name is the better answer still.
-        named = share >= ADEQUATE or self._with_another(best) > top.log_evidence
+        named = share >= ADEQUATE or self._with_another(best, top) > top.log_evidence
         return named, share, None if named else self._unknown(top)
 
     def _simpler(self, best: Refitted, tops: Sequence[Shaped]) -> Shaped | None:
@@ -275,9 +275,13 @@ class _Search:
         local = max(places, key=lambda t: t.log_evidence, default=None)
         return local if local is not None and local.log_evidence > best.log_evidence + WITHIN else None
 
-    def _with_another(self, best: Refitted) -> float:
-        """Log evidence of the best effect together with the best one beside it."""
-        return max((t.log_evidence for t in self.refits.beside(best)), default=-math.inf)
+    def _with_another(self, best: Refitted, top: Shaped | None) -> float:
+        """Log evidence of the best effect together with the best one beside it; minus infinity where there is none.
+
+        What a shape without a name predicts far better than both, both do not explain.
+        """
+        pairs = [t for t in self.refits.beside(best) if top is None or not far_better(top, t)]
+        return max((t.log_evidence for t in pairs), default=-math.inf)
 
     def _pair(self, tried: Sequence[Refitted]) -> tuple[Refitted, Refitted] | None:
         """Two effects of which each alone makes runs left out no better, and which together leave little.
@@ -314,10 +318,16 @@ class _Search:
             return []
         bar = self._prior_odds + SURE
 
+        machine = self.model.machine
+        shape = self._top_shape.shape.variables if self._top_shape is not None else ()
+        followed, sensors = set(shape) - {c for a in machine.axes for c in a.moving_channels}, set(machine.sensor_names)
+        followed |= sensors if followed & sensors else set()
+
         def plain(effect: Effect) -> bool:
-            machine = self.model.machine
-            places = {a.channel for a in machine.axes} & set(effect.channels(machine))
-            return len(places) <= 1 and len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
+            read = set(effect.channels(machine))
+            places = {a.channel for a in machine.axes} & read
+            few = len(places) <= 1 and len(effect.coefficients(machine)) <= PLAIN and not effect.nonlinear(machine)
+            return few and not read & followed  # a straight line through what bends with a temperature is no cause
 
         sure = [t for t in tried if t.holds and t.log_evidence > bar and plain(self.candidates[t.number].effect)]
         first = max(sure, key=lambda t: t.drop, default=None)
