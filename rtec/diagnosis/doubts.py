@@ -108,7 +108,10 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     readings = judged.readings
     measured, predicted = (floor.cleaned(readings, v) for v in (readings.values, judged.base.predicted))
     edited = _edited_records(judged)
-    found = [Doubt("wrong_scale", said, "Correct the file first.", fatal=True) for said in odd_scales(readings, measured, predicted)]
+    found = [
+        Doubt("wrong_scale", said, "Correct the file first.", fatal=True)
+        for said in odd_scales(readings, measured, predicted)
+    ]
     if edited is not None and edited.residual < BETTER * _left_by_scale(judged, measured, predicted):
         found = []  # a channel is wrong, and what is predicted with it
     if not found and (odd := contradiction(judged)) is not None:

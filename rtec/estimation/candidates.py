@@ -13,7 +13,7 @@ from rtec.effects.registry import all_effects
 from rtec.effects.trial import SKIPPED, instances, lacking
 from rtec.errors import ModelError
 from rtec.estimation.readings import Readings
-from rtec.estimation.visible import VisibleComponent, visible_components
+from rtec.estimation.visible import VisibleComponent, visible_components, within_record
 from rtec.machine import Machine
 from rtec.machine.chain import component_unit
 
@@ -176,7 +176,7 @@ def _candidate(effect: Effect, readings: Readings) -> EffectCandidate | None:
         effect.check(readings.machine, "diagnose")
     except ModelError:
         return None
-    return EffectCandidate(effect, tuple(_thetas(effect.nonlinear(readings.machine), readings)))
+    return EffectCandidate(effect, tuple(_thetas(within_record(effect, readings.measurements), readings)))
 
 
 def _thetas(parameters: Sequence[Parameter], readings: Readings) -> Iterator[Mapping[str, float]]:

@@ -20,6 +20,7 @@ from rtec.estimation.gls import HeldOut, held_out, solve
 from rtec.estimation.noise import Whitener, find_noise, refine
 from rtec.estimation.plain import Plain, as_good, covariance, plain_fit, weights
 from rtec.estimation.readings import Readings
+from rtec.estimation.visible import within_record
 from rtec.model import FittedEffect
 from rtec.model.fit import SearchScale
 from rtec.model.model import names_of
@@ -206,12 +207,12 @@ def _columns(effect: Effect, theta: Mapping[str, float], readings: Readings) -> 
 
 
 def _free(effects: Sequence[FittedEffect], readings: Readings) -> list[tuple[int, Parameter]]:
-    """Non-linear parameters with bounds, of effects that the readings see."""
+    """Non-linear parameters with bounds, of effects that the readings see; what a number is lies within its bounds."""
     return [
-        (i, p)
+        (i, replace(p, high=max(p.high, f.theta[p.name])))
         for i, f in enumerate(effects)
         if np.abs(readings.arms(f.effect.component)).max() > 0.0
-        for p in f.effect.nonlinear(readings.machine)
+        for p in within_record(f.effect, readings.measurements)
         if np.isfinite([p.low, p.high]).all()
     ]
 

@@ -1,11 +1,12 @@
 """What measurements can see: component errors, and axes that moved."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtec.effects import Effect, Parameter
 from rtec.machine import Axis, Machine
 from rtec.machine.chain import component_unit
 from rtec.metrology.measurement import Measurement
@@ -26,6 +27,27 @@ def longest_arms(measurement: Measurement) -> Floats:
     rows = np.unique(np.linspace(0, len(measurement) - 1, SAMPLE).astype(np.int64))
     pose = measurement.state().positions_mm()[rows]
     return np.asarray(np.abs(measurement.instrument.arms(measurement.machine, pose)).max(axis=(0, 1)))
+
+
+def longest_lag_s(measurements: Sequence[Measurement]) -> float:
+    """Half of the longest measurement: what lags longer hardly moves, and its coefficient may be of any size."""
+    return max((float(m.time_s[-1] - m.time_s[0]) for m in measurements if len(m)), default=0.0) / 2.0
+
+
+def within_record(effect: Effect, measurements: Sequence[Measurement]) -> list[Parameter]:
+    """Non-linear parameters of an effect, in order, its delays no longer than measurements show: bounds and grid.
+
+    Args:
+        effect: the effect.
+        measurements: of its machine.
+    """
+    longest, out = longest_lag_s(measurements), []
+    for p in effect.nonlinear(measurements[0].machine):
+        if p.unit == "s" and p.low > 0.0:  # a delay; an instant may be any
+            high = min(p.high, max(longest, 2.0 * p.low))
+            p = replace(p, high=high, grid=tuple(v for v in p.grid if v <= high) or p.grid[:1])  # noqa: PLW2901
+        out.append(p)
+    return out
 
 
 @dataclass(frozen=True)

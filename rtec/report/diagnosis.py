@@ -57,8 +57,8 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
 
 
 def _brief(d: Diagnosis) -> Table | None:
-    """The first candidates; none where there is none."""
-    if not d.findings:
+    """The first candidates; none where there is none, or the record is in doubt."""
+    if not d.findings or any(b.kind in BLAMES_NO_EFFECT for b in d.doubts):
         return None
     shown = d.findings[:BRIEF]
     rows = [

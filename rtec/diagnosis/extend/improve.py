@@ -28,6 +28,8 @@ AT_FLOOR = 1.05
 LITTLE = 0.02
 """A relative fall of the held-out error below this is not worth an effect."""
 MOST = 8
+DETERMINED = 3.0
+"""Standard errors from zero of each number of a further temperature: what is less sure cancels others on one day."""
 FURTHER = (
     "this is a further temperature of an effect that the model has, for a body between several sensors; it was taken "
     "because it predicts held-out runs better, and it names no cause of its own"
@@ -225,7 +227,9 @@ class _Growth:
         if new is None:
             return None
         added = add(model, [new], self.measurements, stage=self.stage, given=self.given)
-        return replace(added, notes=(FURTHER, *added.notes)) if self._gains(added) else None
+        last = added.model.effects[-1]
+        known = all(abs(v) > DETERMINED * last.errors.get(n, 0.0) for n, v in last.values.items())
+        return replace(added, notes=(FURTHER, *added.notes)) if known and self._gains(added) else None
 
     def _first_gain(self, model: Model, found: Diagnosis, findings: Sequence[Finding]) -> Added | None:
         """Add the first that predicts held-out runs better on the channels as the loop has them."""

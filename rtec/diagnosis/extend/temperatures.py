@@ -22,6 +22,7 @@ from rtec.estimation.judge import Judgement
 from rtec.estimation.noise import Whitener, without_drift
 from rtec.estimation.plain import weights
 from rtec.estimation.readings import Readings, looked_at
+from rtec.estimation.visible import within_record
 from rtec.model import FittedEffect, Model
 
 Floats = NDArray[np.float64]
@@ -51,10 +52,22 @@ def further_temperature(judged: Judgement) -> FittedEffect | None:
     columns = [few.columns(effect, theta) for effect, theta in offered]
     squares = [held_out(by, np.concatenate([base, c], axis=1)).folds.sum() for c in columns]
     best = int(np.argmin(squares))
+    effect, theta = offered[best]
+    # A temperature that hardly changed, far from the reference, would take the place of the shape at none.
+    base = np.concatenate([base, _at_constant_temperature(effect, theta, few)], axis=1)
     if _likelier(noise, base, columns[best]) < LIKELIER:
         return None
-    effect, theta = offered[best]
     return new_effect(effect, judged.model, theta)
+
+
+def _at_constant_temperature(effect: Effect, theta: Mapping[str, float], readings: Readings) -> Floats:
+    """Columns of an effect where its temperature is a kelvin above the reference throughout, (m, k)."""
+    sensor = str(getattr(effect, "sensor", ""))
+    states = [
+        replace(s, channels={**s.channels, sensor: np.full(len(s.time_s), s.reference_degc + 1.0)})
+        for s in readings.states
+    ]
+    return readings.with_states(states).columns(effect, theta)
 
 
 def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping[str, float]]]:
@@ -85,7 +98,7 @@ def _delays(effect: Effect) -> Sequence[Mapping[str, bool]]:
 
 def _values(effect: Effect, readings: Readings) -> Sequence[Mapping[str, float]]:
     """Delays that are tried; other parameters stay where they start."""
-    free = effect.nonlinear(readings.machine)
+    free = within_record(effect, readings.measurements)
     start = {p.name: p.start for p in free}
     grids = [(p.name, v) for p in free for v in p.grid if p.unit == "s"]
     return [{**start, name: v} for name, v in grids] or [start]

@@ -31,6 +31,7 @@ from rtec.estimation.noise import Whitener, find_noise, least_noise, without_dri
 from rtec.estimation.outliers import Clean, WrongReading
 from rtec.estimation.readings import Readings, looked_at
 from rtec.estimation.targets import predicts_targets
+from rtec.estimation.visible import within_record
 from rtec.model import Model
 from rtec.model.fit import SearchScale
 from rtec.parallel import each
@@ -56,7 +57,7 @@ def polished(
         projected: gives the noise, and the current model taken out; asked for only where there is something to find.
     """
     start = dict(tried[best])
-    parameters = effect.nonlinear(readings.machine)
+    parameters = within_record(effect, readings.measurements)
     free = [_between(p, tried, start) for p in parameters if _smooth(p)]
     instants = {p.name: _nearby(p.name, tried, start, readings) for p in parameters if _instant(p)}
     if not free and not instants:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from rtec.effects import Effect, Parameter
 from rtec.estimation.gram.normal import Normal
-from rtec.estimation.gram.source import Source, longest_lag_s
+from rtec.estimation.gram.source import Source
 from rtec.estimation.gram.stream import Progress, Slope, Term, gather
+from rtec.estimation.visible import within_record
 from rtec.machine import Machine
 from rtec.model.fit import SearchScale
 
@@ -85,7 +86,8 @@ def starting_terms(effects: Sequence[Effect], sources: Sequence[Source]) -> list
 
 def polish(sources: Sequence[Source], terms: Sequence[Term], progress: Progress | None = None) -> Polished:
     """Find the parameters of all terms together, beginning at those that they have."""
-    free = [(i, p) for i, t in enumerate(terms) for p in _within_record(t.effect, sources)]
+    measurements = [s.measurement for s in sources]
+    free = [(i, p) for i, t in enumerate(terms) for p in within_record(t.effect, measurements)]
     if not free:
         return Polished(tuple(terms), (), gather(sources, terms, progress), ())
     place = np.clip([_place(p, terms[i].theta[p.name]) for i, p in free], 0.0, 1.0)
@@ -103,15 +105,6 @@ def polish(sources: Sequence[Source], terms: Sequence[Term], progress: Progress 
             break
         best, place = trial, there
     return best
-
-
-def _within_record(effect: Effect, sources: Sequence[Source]) -> list[Parameter]:
-    """Non-linear parameters of an effect, its time constants no longer than the measurements can tell."""
-    longest = longest_lag_s(sources)
-    return [
-        replace(p, high=min(p.high, max(longest, 2.0 * p.low))) if p.unit == "s" else p
-        for p in effect.nonlinear(sources[0].measurement.machine)
-    ]
 
 
 def _at(

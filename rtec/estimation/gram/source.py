@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtec.effects import State
 from rtec.estimation.held_out import Blocks, cuts
-from rtec.estimation.visible import NO_ARM, longest_arms
+from rtec.estimation.visible import NO_ARM, longest_arms, longest_lag_s
 from rtec.machine import Axis
 from rtec.metrology.instruments.base import Nuisance
 from rtec.metrology.measurement import Measurement
@@ -269,14 +269,9 @@ def _still(varied_k: dict[str, float]) -> list[str]:
 
 def lags_s(sources: Sequence[Source]) -> list[float]:
     """Time constants worth trying: longer than two readings apart, and no longer than `longest_lag_s`."""
-    steps = [np.diff(s.measurement.time_s) for s in sources]
+    steps, longest = [np.diff(s.measurement.time_s) for s in sources], longest_lag_s([s.measurement for s in sources])
     apart = min((float(np.median(d[d > 0])) for d in steps if (d > 0).any()), default=np.inf)
-    return [tau for tau in TAU_S if 2 * apart <= tau <= longest_lag_s(sources)]
-
-
-def longest_lag_s(sources: Sequence[Source]) -> float:
-    """Half of the longest measurement: what lags longer hardly moves, and its coefficient may be of any size."""
-    return max(float(s.measurement.time_s[-1] - s.measurement.time_s[0]) for s in sources) / 2
+    return [tau for tau in TAU_S if 2 * apart <= tau <= longest]
 
 
 def speed_varies(sources: Sequence[Source]) -> bool:
