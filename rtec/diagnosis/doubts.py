@@ -18,10 +18,11 @@ from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import State
 from rtec.errors import ModelError
 from rtec.estimation import floor
-from rtec.estimation.candidates import real
+from rtec.estimation.candidates import REAL, real
 from rtec.estimation.columns import ordered
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.end_targets import NEXT
+from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
 from rtec.estimation.readings import Readings, Series, looked_at
@@ -34,7 +35,7 @@ Floats = NDArray[np.float64]
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
     "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
-    "instrument_warm_up",
+    "instrument_warm_up", "between_files",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -46,6 +47,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
         "corrected",
         "instrument_warm_up",
         "moved_zero",
+        "between_files",
     }
 )
 """Doubts beside which no effect of the machine is named."""
@@ -68,6 +70,8 @@ BY_FAR = 0.1
 """Or, of a factor, no more than this share of the residual: numbers that are out of date as well leave the rest."""
 SHIFT, SHIFTS = 0.25, 101
 """How far an origin may have moved, as a share of the travel, and how many places are tried."""
+AS_GOOD = 1.1
+"""What leaves less than so many times the residual of another explanation does as well."""
 THIN = 200
 """Readings by which the place is looked for first, at the least."""
 CHANNEL_FACTORS = (60.0, 1 / 60.0, 1000.0, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 5.0, 0.2, 2.0, 0.5, -1.0)
@@ -101,6 +105,11 @@ class Doubt:
     def words(self) -> str:
         """Message and next step."""
         return f"{self.message} {self.next_step}".strip()
+
+    @property
+    def blames_no_effect(self) -> bool:
+        """Whether no effect of the machine is named beside it."""
+        return self.fatal and self.kind in BLAMES_NO_EFFECT
 
 
 def doubts(judged: Judgement) -> tuple[Doubt, ...]:
@@ -239,11 +248,14 @@ class _Edit:
     edit: str
     suspect: str
     check: str
+    fatal: bool = True
 
     def doubt(self, before: float) -> Doubt:
         """The doubt in words, where the model leaves so much as it stands."""
         message = f"with {self.edit} the model leaves {self.residual:.2g} instead of {before:.2g}: {self.suspect}."
-        return Doubt(self.kind, message, f"Check {self.check} before a new effect is blamed.", fatal=True)
+        if not self.fatal:
+            message = f"{message[:-1]}, unless something that grows shifts the readings as much."
+        return Doubt(self.kind, message, f"Check {self.check} before a new effect is blamed.", fatal=self.fatal)
 
 
 class _Edits:
@@ -349,14 +361,45 @@ class _Edits:
             def left(by_mm: float, at: Callable[[float], dict[str, Callable[[State], Floats]]] = moved) -> float:
                 return float(self.residuals([at(by_mm)])[0])
 
-            reach = SHIFT * (axis.travel_mm[1] - axis.travel_mm[0])
-            grid = np.linspace(-reach, reach, SHIFTS)
+            low, high = self._room(axis)
+            if high - low < REAL["mm"]:
+                continue
+            grid = np.linspace(low, high, SHIFTS)
             best = float(grid[np.argmin(self._thin.residuals([moved(by) for by in grid]))])
             step = float(grid[1] - grid[0])
-            by = float(minimize_scalar(left, bounds=(best - step, best + step), method="bounded").x)
+            bounds = max(best - step, low), min(best + step, high)
+            by = float(minimize_scalar(left, bounds=bounds, method="bounded").x)
             edit = f"{axis.channel} moved by {by:+.3g} mm"
             suspect = f"{axis.name} may have been homed elsewhere than when the model was made"
-            yield _Edit(left(by), "moved_origin", edit, suspect, f"the origin of {axis.name}")
+            found = left(by)
+            apart = self._shifted(axis) > AS_GOOD * found
+            yield _Edit(found, "moved_origin", edit, suspect, f"the origin of {axis.name}", fatal=apart)
+
+    def _room(self, axis: Axis) -> tuple[float, float]:
+        """How far an origin may have moved, at the least and at the most, mm: positions stay within the travel."""
+        low, high = axis.travel_mm
+        reach, beyond = SHIFT * (high - low), BEYOND * (high - low)
+        places = np.concatenate([s.channels[axis.channel] for s in self.readings.states])
+        first, last = float(np.nanmin(places)), float(np.nanmax(places))
+        return max(-reach, low - beyond - first), min(reach, high + beyond - last)
+
+    def _shifted(self, axis: Axis) -> float:
+        """Root mean square of the residual beside shifts that follow what the model reads along an axis.
+
+        A part that grows where the axis is mounted shifts the readings as another origin does.
+        """
+        here = [f.effect.channels(self.model.machine) for f in self.model.effects]
+        names = sorted(
+            {c for read in here if axis.channel in read for c in read} & set(self.model.machine.sensor_names)
+        )
+        left = self._left({})
+        if left is None or not names:
+            return math.inf
+        values = [self.readings.channel(n) for n in names]
+        columns = floor.cleaned(self.readings, np.stack([*values, left], axis=1))
+        shifts = columns[:, :-1]
+        rest = columns[:, -1] - shifts @ solve(shifts, columns[:, -1])
+        return floor.pooled(self.readings, floor.rms_by_series(self.readings, rest), self.scale)
 
 
 def one_pass(readings: Readings) -> list[Doubt]:

@@ -37,6 +37,8 @@ BODIES = {
 """What a sensor should be on for an effect to be its own: words in its name, and the place in words."""
 PAUSE_S, LONG_PAUSE = 120.0, 0.2
 """A pause of so long, and of so many time constants, is one that a lag remembers."""
+MUCH_WARMER = 5.0
+"""Kelvin between the medians of files from which on they are cold and warm ones."""
 UNITS = {"um": "µm", "urad": "µrad"}
 
 
@@ -106,6 +108,26 @@ def _warming(readings: Readings, s: Series, warm: float, off: float) -> Floats:
     risen = 1.0 - np.exp(-np.minimum(share, off) / warm)
     out[s.part] = risen * np.exp(-np.maximum(share - off, 0.0) / warm) if math.isfinite(off) else risen
     return out
+
+
+def only_between_files(readings: Readings, effect: Effect) -> Doubt:
+    """That an effect explains only what differs between files; fatal unless a temperature differs there by much.
+
+    Cold on one day and warm on another is a way to measure an expansion. Where both days were nearly as warm, a machine
+    that has changed between them is as likely.
+    """
+    machine = readings.machine
+    read = [n for n in machine.sensor_names if n in effect.channels(machine)]
+    states = [s for s in readings.states if all(n in s.channels for n in read)]
+    middles = {n: [float(np.nanmedian(s.channels[n])) for s in states] for n in read}
+    apart = max((max(v) - min(v) for v in middles.values() if v), default=0.0)
+    names = " and ".join(m.name for m in readings.measurements[:3])
+    message = (
+        f"{label_of(effect)} explains only what differs between {names}: within each of them the readings do not "
+        f"follow {' and '.join(read) or 'it'}. The machine or the set-up may have changed between them."
+    )
+    step = "Measure while that changes, or once more as it was at first."
+    return Doubt("between_files", message, step, fatal=apart < MUCH_WARMER)
 
 
 def own_warm_up(effect: Effect) -> Doubt:

@@ -202,6 +202,21 @@ class Readings:
         )
         return self.with_states(states)
 
+    def at_constant(self, effect: Effect, theta: Mapping[str, float], channel: str) -> Floats:
+        """Columns of an effect if a channel had one value throughout, and every other temperature none, (m, k).
+
+        A temperature is a kelvin above the reference, anything else at its largest value.
+        """
+        sensors, states = self.machine.sensor_names, []
+        high = max(
+            (float(np.nanmax(np.abs(s.channels[channel]))) for s in self.states if channel in s.channels), default=0
+        )
+        for s in self.states:
+            still = {n: np.full(len(s), s.reference_degc + (n == channel)) for n in sensors if n in s.channels}
+            still |= {channel: np.full(len(s), high)} if channel not in sensors and channel in s.channels else {}
+            states.append(replace(s, channels={**s.channels, **still}, _cache={}))
+        return self.with_states(states).columns(effect, theta)
+
     def _basis(self, effect: Effect, theta: Mapping[str, float], source: int) -> list[Floats]:
         state = self.states[source]
         values = effect.basis(self.machine, state, theta)

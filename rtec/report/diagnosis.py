@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 
-from rtec.diagnosis.doubts import BLAMES_NO_EFFECT
 from rtec.diagnosis.result import Diagnosis, Finding, NotTestable, OnCircle, Picture
 from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.words import MOST_NUMBERS, UNITS, fitted_numbers, hardly, labels, sentence
@@ -58,7 +57,7 @@ def diagnosis_page(d: Diagnosis, figures: bool = True) -> Page:
 
 def _brief(d: Diagnosis) -> Table | None:
     """The first candidates; none where there is none, or the record is in doubt."""
-    if not d.findings or any(b.kind in BLAMES_NO_EFFECT for b in d.doubts):
+    if not d.findings or any(b.blames_no_effect for b in d.doubts):
         return None
     shown = d.findings[:BRIEF]
     rows = [
@@ -203,7 +202,7 @@ def _doubt(d: Diagnosis, f: Finding) -> str:
         return "does not lower the error on held-out runs or targets"
     if d.unknown is not None and d.adequacy is not None:
         return f"explains only {percent(max(d.adequacy, 0.0))} of what a shape without a name does"
-    if any(b.kind in BLAMES_NO_EFFECT for b in d.doubts):
+    if any(b.blames_no_effect for b in d.doubts):
         return "no effect is named beside a record in doubt"
     if f.p >= ALPHA:
         return f"is as good in {percent(f.p)} of random draws under noise alone"

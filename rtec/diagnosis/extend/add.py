@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, doubts
+from rtec.diagnosis.doubts import doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
@@ -260,7 +260,7 @@ def _add(
 
 def in_doubt(judged: Judgement) -> tuple[str, ...]:
     """Why no number of a model should follow a record, in words; empty where nothing is wrong with it."""
-    return tuple(d.words for d in doubts(judged) if d.kind in BLAMES_NO_EFFECT)
+    return tuple(d.words for d in doubts(judged) if d.blames_no_effect)
 
 
 NEAR = 0.02

@@ -9,8 +9,9 @@ from rtec.diagnosis.extend.add import WORTH, Added, add, in_doubt, is_there, new
 from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.diagnosis.result import Diagnosis, Finding
 from rtec.diagnosis.search.diagnose import DRAWS, diagnose
-from rtec.diagnosis.search.not_found import ALPHA, SURE
+from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.usable import check_enough
+from rtec.errors import ModelError
 from rtec.estimation.judge import Judgement
 from rtec.estimation.outliers import Clean, clean
 from rtec.machine import Machine
@@ -127,8 +128,13 @@ def improve(
     check_enough(measurements)
     given = clean(measurements, model.reference_degc).without_ends()
     growth = _Growth(measurements, given, model, (seed, alpha, draws), stage, step)
-    refit = growth.refit(model, ask_made)
+    refit = growth.refit(model, ask_made is None)
     if refit is None:
+        return growth.grown(model, ask, ask_made)
+    found = growth.diagnosed(model)
+    if found.verdict == "undecided":  # numbers that are refitted would take up what nobody knows yet
+        return Improved(model, (), (found,), "undecided")
+    if ask_made is not None and not ask_made(refit):
         return growth.grown(model, ask, ask_made)
     if step:
         step(refit)
@@ -157,8 +163,13 @@ class _Growth:
         self.measurements, self.given, self.chance, self.stage, self.step = measurements, given, chance, stage, step
         self.best = residual_size(start.effects, given.readings)
 
-    def refit(self, model: Model, ask: Callable[[Added], bool] | None) -> Added | None:
-        """The model's own numbers refitted; None where that buys little on held-out runs, or is not wanted."""
+    def refit(self, model: Model, alone: bool) -> Added | None:
+        """The model's own numbers refitted; None where that lowers the error on held-out runs by little.
+
+        Args:
+            model: the model.
+            alone: nobody is asked.
+        """
         if not model.effects:
             return None
         made = add(model, [], self.measurements, stage=self.stage, given=self.given)
@@ -166,9 +177,16 @@ class _Growth:
             return None
         if in_doubt(Judgement(model, self.given)):
             return None  # the diagnosis says what is wrong with the record, and nothing is fitted to it
-        if ask is None and one_pass(self.given.readings) and not _at_floor(made):
+        if alone and one_pass(self.given.readings) and not _at_floor(made):
             return None  # the numbers would take up what is missing, and position, direction and heat are one here
-        return made if ask is None or ask(made) else None
+        return made
+
+    def diagnosed(self, model: Model) -> Diagnosis:
+        """What a model misses."""
+        seed, alpha, draws = self.chance
+        return diagnose(
+            model, self.measurements, seed=seed, alpha=alpha, draws=draws, stage=self.stage, given=self.given
+        )
 
     def grown(
         self,
@@ -177,7 +195,6 @@ class _Growth:
         ask_made: Callable[[Added], bool] | None,
     ) -> Improved:
         """Diagnose and add, again and again."""
-        seed, alpha, draws = self.chance
         steps: list[Added] = []
         diagnoses: list[Diagnosis] = []
         declined = False
@@ -190,9 +207,7 @@ class _Growth:
             if further is not None and not declined:
                 model = self._taken(further, steps)
                 continue
-            found = diagnose(
-                model, self.measurements, seed=seed, alpha=alpha, draws=draws, stage=self.stage, given=self.given
-            )
+            found = self.diagnosed(model)
             diagnoses.append(found)
             if not found.findings or not found.findings[0].accepted:
                 return Improved(model, tuple(steps), tuple(diagnoses), _ended(found, steps))
@@ -204,9 +219,9 @@ class _Growth:
             picked = ask(ProposedStep(found, choice, len(steps) + 1)) if ask else choice
             if picked is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
-            # What happened at an instant is added where it is named, never in place of something else.
-            others = [f for f in found.findings[1:] if f.log_evidence > SURE and f.heldout_drop > 0.0]
-            others = [] if ask else [f for f in others if "t0" not in f.theta]
+            # What these data cannot distinguish from it may take its place, but for what happened at an instant.
+            others = [f for f in found.findings[1:] if f.group and f.heldout_drop > 0.0 and "t0" not in f.theta]
+            others = [] if ask or choice.partner is not None else others
             added = self._first_gain(model, found, [picked, *others])
             if added is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
@@ -226,7 +241,10 @@ class _Growth:
         new = further_temperature(Judgement(model, self.given))
         if new is None:
             return None
-        added = add(model, [new], self.measurements, stage=self.stage, given=self.given)
+        try:
+            added = add(model, [new], self.measurements, stage=self.stage, given=self.given)
+        except ModelError:
+            return None
         last = added.model.effects[-1]
         known = all(abs(v) > DETERMINED * last.errors.get(n, 0.0) for n, v in last.values.items())
         return replace(added, notes=(FURTHER, *added.notes)) if known and self._gains(added) else None
@@ -238,7 +256,10 @@ class _Growth:
             new = [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in pair]
             if any(is_there(model, n) for n in new):
                 continue
-            added = add(model, new, self.measurements, stage=self.stage, given=self.given)
+            try:
+                added = add(model, new, self.measurements, stage=self.stage, given=self.given)
+            except ModelError:
+                continue  # on the channels as the loop has them it is confounded with what the model has
             if self._gains(added):
                 return _with_rivals(added, found, finding)
         return None

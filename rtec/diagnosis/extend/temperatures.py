@@ -54,20 +54,10 @@ def further_temperature(judged: Judgement) -> FittedEffect | None:
     best = int(np.argmin(squares))
     effect, theta = offered[best]
     # A temperature that hardly changed, far from the reference, would take the place of the shape at none.
-    base = np.concatenate([base, _at_constant_temperature(effect, theta, few)], axis=1)
+    base = np.concatenate([base, few.at_constant(effect, theta, str(getattr(effect, "sensor", "")))], axis=1)
     if _likelier(noise, base, columns[best]) < LIKELIER:
         return None
     return new_effect(effect, judged.model, theta)
-
-
-def _at_constant_temperature(effect: Effect, theta: Mapping[str, float], readings: Readings) -> Floats:
-    """Columns of an effect where its temperature is a kelvin above the reference throughout, (m, k)."""
-    sensor = str(getattr(effect, "sensor", ""))
-    states = [
-        replace(s, channels={**s.channels, sensor: np.full(len(s.time_s), s.reference_degc + 1.0)})
-        for s in readings.states
-    ]
-    return readings.with_states(states).columns(effect, theta)
 
 
 def _offered(model: Model, readings: Readings) -> Iterator[tuple[Effect, Mapping[str, float]]]:

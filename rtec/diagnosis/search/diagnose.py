@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtec.diagnosis import words
-from rtec.diagnosis.doubts import BLAMES_NO_EFFECT, doubts
-from rtec.diagnosis.heat import own_warm_up, unrecorded_heat, warm_up_curves
+from rtec.diagnosis.doubts import Doubt, doubts
+from rtec.diagnosis.heat import only_between_files, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
@@ -216,7 +216,17 @@ class _Search:
         if sure and self._is_warm_up(best):
             self.doubts = (*self.doubts, own_warm_up(self.candidates[best.number].effect))
             return False
+        if sure and (between := self._between_files(best)) is not None:
+            self.doubts = (*self.doubts, between)
+            return not between.fatal
         return sure and not self.refits.jumps_again(best)
+
+    def _between_files(self, best: Refitted) -> Doubt | None:
+        """That an effect explains only what differs between files: a machine that has changed explains it as well."""
+        beside = self.refits.beside_files(best)
+        if beside is None or beside - self._prior_odds >= SURE:
+            return None
+        return only_between_files(self.readings, self.candidates[best.number].effect)
 
     def _is_warm_up(self, best: Refitted) -> bool:
         """Whether an instrument that warms up by itself explains the readings nearly as well."""
@@ -228,7 +238,7 @@ class _Search:
     @property
     def _doubted(self) -> bool:
         """Whether the record is in such doubt that it proves no effect of the machine."""
-        return any(d.kind in BLAMES_NO_EFFECT for d in self.doubts)
+        return any(d.blames_no_effect for d in self.doubts)
 
     @cached_property
     def _projected(self) -> Projected:

@@ -526,7 +526,28 @@ class Refits:
 
         Heat that no sensor recorded gives it that; what only follows these slopes is no more than heat may be.
         """
-        base, readings = self.prepared.base, with_slopes(self.readings)
+        return self._evidence_beside(t, self.prepared.base, with_slopes(self.readings))
+
+    def beside_files(self, t: Refitted) -> float | None:
+        """Log evidence of a candidate where each file has a number of its own for the same shape at constant channels.
+
+        None where one file alone shows it, or where it reads nothing but positions, directions and time.
+        """
+        readings, effect = self.readings, self.candidates[t.number].effect
+        source = np.array([s.source for s in readings.series])[readings.series_of]
+        files = np.unique(source[np.abs(t.columns).max(axis=1) > 0.0])
+        given = {"spindle_rpm", "load_kg", "force_n", *readings.machine.sensor_names} & set(
+            effect.channels(readings.machine)
+        )
+        if len(files) < 2 or not given:
+            return None
+        shapes = [readings.at_constant(effect, t.theta, channel) for channel in sorted(given)]
+        own = np.concatenate([shape * (source == k)[:, None] for shape in shapes for k in files], axis=1)
+        base = np.concatenate([self.prepared.base, own], axis=1)
+        return self._evidence_beside(t, base, readings)
+
+    def _evidence_beside(self, t: Refitted, base: Floats, readings: Readings) -> float:
+        """Log evidence of a candidate beside other columns than those of the model, (m, p)."""
         noise = find_noise(readings, base, least=self.prepared.whitener.least)
         without, with_it = (
             fit_columns(noise, c).log_likelihood for c in (base, np.concatenate([base, t.columns], axis=1))
