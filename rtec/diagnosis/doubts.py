@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 Kind = Literal[
     "wrong_scale", "wrong_channel", "swapped_sensors", "moved_origin", "wrong_pitch", "contradiction", "corrected",
     "moved_zero", "end_targets", "other_machine", "one_pass", "few_runs", "no_temperature", "other_sensor",
-    "instrument_warm_up", "between_files",
+    "instrument_warm_up", "between_files", "dead_sensor",
 ]  # fmt: skip
 BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
     {
@@ -48,6 +48,7 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
         "instrument_warm_up",
         "moved_zero",
         "between_files",
+        "dead_sensor",
     }
 )
 """Doubts beside which no effect of the machine is named."""

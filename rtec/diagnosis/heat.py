@@ -130,6 +130,30 @@ def only_between_files(readings: Readings, effect: Effect) -> Doubt:
     return Doubt("between_files", message, step, fatal=apart < MUCH_WARMER)
 
 
+def dead_sensor(readings: Readings, effect: Effect, known: Sequence[Effect]) -> Doubt | None:
+    """That an effect stands for one that the model has by a sensor that stood still; None where none did.
+
+    Args:
+        readings: the readings.
+        effect: that would be named.
+        known: effects of the model.
+    """
+    mine = getattr(effect, "sensor", None)
+    for other in known:
+        sensor = str(getattr(other, "sensor", None))
+        if (other.effect, other.component) != (effect.effect, effect.component) or mine is None:
+            continue
+        values = [s.channels[sensor] for s in readings.states if sensor in s.channels]
+        if not values or any(float(np.ptp(v)) > 0.0 for v in values) or sensor == mine:
+            continue
+        message = (
+            f"{sensor}, which {label_of(other)} of the model reads, stood at {values[0][0]:.4g} °C in every row, while "
+            f"the readings follow {mine}: is the sensor connected?"
+        )
+        return Doubt("dead_sensor", message, "Check it, and measure again.", fatal=True)
+    return None
+
+
 def own_warm_up(effect: Effect) -> Doubt:
     """That an instrument that warms up by itself draws the curve of an effect as well."""
     message = (

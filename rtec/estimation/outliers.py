@@ -40,8 +40,8 @@ BURST = 3
 LONG_BURST, LONG_REACH = 5, 12
 """Or so many, far from the median of so many readings on either side, where visits within a step show nothing."""
 GROSS, GROSS_BURST, GROSS_REACH = 25.0, 12, 30
-"""Or so many there that are so many robust standard deviations off, and far from each other: a beam that was broken. A
-machine that is elsewhere for a while is off by as much at each."""
+"""Or so many there, of either sign, of which one is so many robust standard deviations off, and which are far from each
+other: a beam that was broken. A machine that is elsewhere for a while is off by as much at each."""
 VISITS = 3
 """Visits to a place, going the same way, whose median tells what the machine does there."""
 AGAIN, HALF = 1.0 / 3.0, 0.5
@@ -50,6 +50,8 @@ SPEEDS = 10.0
 """Speeds that differ by less than one over so many are one."""
 MOST, FEW = 0.05, 3
 """More than this share of a series, and more than a few, are no mistakes of reading."""
+MOST_WILD = 0.1
+"""With wild bursts, more than this share."""
 PLACE_MM = 0.02
 ROUNDS = 4
 """A wrong reading bends the smooth part, so that it is fitted again with less weight on what is far off."""
@@ -192,8 +194,8 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
     spread = SIGMA_PER_MAD * float(np.median(np.abs(values - np.median(values))))
     least = max(SMALL * spread, HALF * _display_step(values), 1e-9)
     off, wrong, far = np.zeros(n), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    kinds = [_Kind(REACH, 1, BURST, FAR), _Kind(LONG_REACH, 2, LONG_BURST, FAR)]
-    kinds += [] if still else [_Kind(GROSS_REACH, LONG_BURST + 1, GROSS_BURST, GROSS)]
+    kinds = [_Kind(REACH, 1, BURST), _Kind(LONG_REACH, 2, LONG_BURST)]
+    kinds += [] if still else [_Kind(GROSS_REACH, 2, GROSS_BURST, wild=True)]
     for kind in kinds:
         for _ in range(ROUNDS):
             known = np.where(wrong, np.nan, rough)
@@ -202,12 +204,14 @@ def _of_series(readings: Readings, s: Series, values: Floats) -> Floats:
             found = _bursts(off, known, _sigmas(off, sigma, s.run, wrong, kind), linked, near, still, kind)
             if not still:
                 found &= ~np.logical_or.reduce([_again(off, p, found) for p in (place, *near)])
-            far |= found
+            if not kind.wild:
+                far |= found
             found &= ~_mostly(_again_elsewhere(off, anyway, starts, found), found)
             if not found.any():
                 break
             wrong |= found
-    return np.where(wrong & (far.sum() <= max(MOST * n, FEW)), off, np.nan)
+    few = far.sum() <= max(MOST * n, FEW) and wrong.sum() <= max(MOST_WILD * n, FEW)
+    return np.where(wrong & few, off, np.nan)
 
 
 @dataclass(frozen=True)
@@ -217,13 +221,17 @@ class _Kind:
     Attributes:
         reach: neighbours on either side that a reading is compared with.
         least, most: readings in a row.
-        far: robust standard deviations from these neighbours.
+        wild: of either sign, one of them `GROSS`, and far from each other.
     """
 
     reach: int
     least: int
     most: int
-    far: float
+    wild: bool = False
+
+    def signs(self, off: Floats, far: Bools) -> Floats:
+        """What readings in a row have in common, (n,): their sign, or one where that may be either; 0 if not far."""
+        return np.where(far, 1.0 if self.wild else np.sign(off), 0.0)
 
 
 def _linked(s: Series) -> Ints:
@@ -305,7 +313,7 @@ def _sigmas(off: Floats, sigma: float, run: Ints, wrong: Bools, kind: _Kind) -> 
     after it. Only where a reading is far by the standard deviation of all does it matter.
     """
     n, out = len(off), np.full(len(off), sigma)
-    sign = np.where(np.abs(off) > kind.far * sigma, np.sign(off), 0.0)
+    sign = kind.signs(off, np.abs(off) > FAR * sigma)
     far, row = np.flatnonzero(sign), np.cumsum(np.diff(sign, prepend=0.0) != 0)
     long = np.isin(np.bincount(row)[row], range(BURST + 1, max(kind.most, LONG_BURST) + 1))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(run)) + 1, [n]])
@@ -348,7 +356,7 @@ def _bursts(
     reach = burst.reach
     size, out = np.where(np.isfinite(known), np.abs(off), 0.0), np.zeros(len(off), dtype=bool)
     # Of one sign and one stretch: 0 where a reading is not far.
-    kind = np.where(size > burst.far * sigma, np.sign(off), 0.0)
+    kind = burst.signs(off, size > FAR * sigma)
     edge = np.flatnonzero(np.concatenate([[True], (np.diff(kind) != 0) | (np.diff(linked) != 0), [True]]))
     visits, stretch = [np.bincount(p)[p] for p in near], np.bincount(linked)
     for a, b in itertools.pairwise(edge.tolist()):
@@ -357,17 +365,23 @@ def _bursts(
         others = [v[a:b] - _own(p[a:b]) for v, p in zip(visits, near, strict=True)] if b - a > 1 and not still else []
         if others and np.max(others, axis=0).min() < VISITS:
             continue
-        if burst.least > LONG_BURST and float(np.ptp(known[a:b])) < FAR * float(sigma[a:b].min()):
+        if burst.wild and not _wild(known[a:b], size[a:b], float(sigma[a:b].min())):
             continue
         before, after = known[max(a - reach, 0) : a], known[b : b + reach]
         sides = before[linked[max(a - reach, 0) : a] == linked[a]], after[linked[b : b + reach] == linked[a]]
         middles = [float(np.nanmedian(v)) for v in sides if np.isfinite(v).any()]
-        if any((kind[a] * (known[a:b] - m) <= HALF * size[a:b]).any() for m in middles):
+        if any((np.sign(off[a:b]) * (known[a:b] - m) <= HALF * size[a:b]).any() for m in middles):
             continue
-        limit = max(NEAR * float(sigma[a:b].max()), COMPANY * float(size[a:b].min()))
+        usual = np.median if burst.wild else np.min
+        limit = max(NEAR * float(sigma[a:b].max()), COMPANY * float(usual(size[a:b])))
         here = [i for i in (a - 1, b) if 0 <= i < len(off) and linked[i] == linked[a]]
         out[a:b] = max((float(size[i]) for i in here), default=0.0) < limit
     return out
+
+
+def _wild(values: Floats, size: Floats, sigma: float) -> bool:
+    """Whether readings in a row, (k,), are no step of the machine: one is very far, and they are not near each other."""
+    return float(size.max()) > GROSS * sigma and float(np.ptp(values)) > FAR * sigma
 
 
 def _own(near: Ints) -> Ints:

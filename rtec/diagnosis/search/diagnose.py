@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtec.diagnosis import words
 from rtec.diagnosis.doubts import Doubt, doubts
-from rtec.diagnosis.heat import only_between_files, own_warm_up, unrecorded_heat, warm_up_curves
+from rtec.diagnosis.heat import dead_sensor, only_between_files, own_warm_up, unrecorded_heat, warm_up_curves
 from rtec.diagnosis.result import Diagnosis, Number, RunsDiffer, Unknown
 from rtec.diagnosis.search.answer import SearchResult, answer
 from rtec.diagnosis.search.confounded import ALIASES, PERIODS, WITHIN, aliases_mm, step_mm
@@ -216,9 +216,10 @@ class _Search:
         if sure and self._is_warm_up(best):
             self.doubts = (*self.doubts, own_warm_up(self.candidates[best.number].effect))
             return False
-        if sure and (between := self._between_files(best)) is not None:
-            self.doubts = (*self.doubts, between)
-            return not between.fatal
+        effect, known = self.candidates[best.number].effect, [f.effect for f in self.model.effects]
+        if sure and (found := dead_sensor(self.readings, effect, known) or self._between_files(best)) is not None:
+            self.doubts = (*self.doubts, found)
+            return not found.fatal
         return sure and not self.refits.jumps_again(best)
 
     def _between_files(self, best: Refitted) -> Doubt | None:
