@@ -65,7 +65,7 @@ BETTER = 0.5
 """An edit of the record is proposed where it leaves less than this share of the residual,"""
 NEAR_FLOOR, ABOVE = 1.25, 1.5
 """and no more than so many times the noise; it is asked only where the model leaves more than so many times that."""
-NEAR_REFIT = 1.05
+NEAR_REFIT = 1.15
 """Or, of a factor, no more than so many times what the model leaves with its own numbers refitted."""
 BY_FAR = 0.1
 """Or, of a factor, no more than this share of the residual: numbers that are out of date as well leave the rest."""

@@ -110,7 +110,7 @@ def _until_then(d: Diagnosis) -> list[str]:
     if not accepted(d.findings):
         return []
     f = d.findings[0]
-    part = _of_the_residual(f.size_um, d.rms_residual, UNITS[d.unit])
+    part = _of_the_residual(f.size_um, d, UNITS[d.unit])
     return [f"Until then: {f.label} explains {part}, which may be a part of that growth."]
 
 
@@ -126,7 +126,7 @@ def _sentence(d: Diagnosis, smallest: float) -> str:
                 f"alone: adding both removes {percent(f.heldout_drop)} of the held-out mean square error"
             )
         return (
-            f"{f.label} is missing: it explains {_of_the_residual(f.size_um, d.rms_residual, unit)}, "
+            f"{f.label} is missing: it explains {_of_the_residual(f.size_um, d, unit)}, "
             f"and adding it removes {percent(f.heldout_drop)} of the held-out mean square error"
         )
     if d.verdict == "ambiguous":
@@ -188,8 +188,12 @@ def _together(d: Diagnosis) -> str:
     return f"{named_so} {are} missing; what stays has no name in the catalogue and depends on {where}"
 
 
-def _of_the_residual(size: float, residual: float, unit: str) -> str:
-    part, whole = sizes(size, residual)
+def _of_the_residual(size: float, d: Diagnosis, unit: str) -> str:
+    """What an effect explains of the residual; of that of refitted numbers where the model's are out of date."""
+    part, whole = sizes(size, d.rms_residual)
+    if d.out_of_date and size <= d.refit:
+        part, refitted = sizes(size, d.refit)
+        return f"{part} {unit} of the {refitted} {unit} residual with refitted numbers ({whole} {unit} as they are)"
     if float(part) <= float(whole):
         return f"{part} {unit} of the {whole} {unit} residual"
     return f"{part} {unit}; the residual is {whole} {unit} because the model's numbers compensate a part of it"
@@ -219,8 +223,12 @@ def _beside(d: Diagnosis, apart: Collection[tuple[str, str]]) -> str:
     """What may be missing besides: the likeliest, and how many are like it."""
     others = [f for f in d.findings if (f.effect.effect, f.effect.component) in apart]
     names = list(dict.fromkeys(f.label for f in others))
-    more = f" (or one of {len(names) - 1} like it)" if len(names) > 1 else ""
-    return f"{names[0]}{more}" if names else ""
+    return f"{names[0]}{_like(len(names) - 1)}" if names else ""
+
+
+def _like(count: int) -> str:
+    """So many others like one that was named, in brackets; empty for none."""
+    return f" (or {'another' if count == 1 else f'one of {count}'} like it)" if count > 0 else ""
 
 
 def _label(alike: Alike) -> str:
@@ -235,8 +243,7 @@ def beside(significant_too: Sequence[str]) -> tuple[str, ...]:
     """
     if not significant_too:
         return ()
-    n = len(significant_too) - 1
-    more = f" (or one of {n} like it)" if n else ""
+    more = _like(len(significant_too) - 1)
     return (f"more is missing: {significant_too[0]}{more} is also significant; add the first, then diagnose again",)
 
 

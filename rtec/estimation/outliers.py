@@ -380,7 +380,7 @@ def _bursts(
 
 
 def _wild(values: Floats, size: Floats, sigma: float) -> bool:
-    """Whether readings in a row, (k,), are no step of the machine: one is very far, and they are not near each other."""
+    """Whether readings in a row, (k,), are no step of the machine: one is very far, and they differ by much."""
     return float(size.max()) > GROSS * sigma and float(np.ptp(values)) > FAR * sigma
 
 
