@@ -11,6 +11,8 @@ from rtec.bench.sets import measurements_of, model_of
 from rtec.bench.trials import build
 from rtec.diagnosis.compare.compare import compare
 from rtec.diagnosis.doubts import Doubt
+from rtec.diagnosis.extend.add import add, refused
+from rtec.diagnosis.extend.improve import improve
 from rtec.diagnosis.search.diagnose import diagnose
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
@@ -198,3 +200,85 @@ def test_a_file_of_another_machine_is_named() -> None:
     d = diagnose(model_of(trial), measurements_of(trial), draws=50)
     assert d.verdict == "undecided"
     assert "record-1 contradicts record-2, record-3: at the same places its readings differ by" in d.sentence
+
+
+@pytest.mark.parametrize("what", ["wrong_factor", "swapped_sensors", "moved_origin"])
+def test_no_number_of_the_model_follows_a_record_in_doubt(what: str) -> None:
+    """Oracle: the truth of the benchmark, which the model has; a refit would take up what was done to the file."""
+    trial = build("wrong_file", what, 2)
+    known, given = model_of(trial), measurements_of(trial)
+    done = improve(known, given, draws=50)
+    assert done.reason == "undecided"
+    assert done.model.hash == known.hash
+    made = add(known, [], given)
+    assert not made.better
+    assert refused(made).startswith("the record is in doubt: with ")
+
+
+def test_no_effect_is_named_beside_readings_of_the_wrong_sign() -> None:
+    """Oracle: what was done to the second file; play is hidden in both."""
+    known, play = "scale,component=EXX,axis=X,k=90", "backlash,component=EXX,axis=X,B=3"
+    good, bad = laser([known, play], 61), laser([known, play], 62)
+    turned = replace(bad, readings={k: -v for k, v in bad.readings.items()})
+    d = diagnose(model(known), [good, turned], draws=50)
+    assert d.verdict == "undecided"
+    assert "is the sign of the readings right? Correct the file first." in d.sentence
+    assert not d.findings[0].accepted
+
+
+@pytest.mark.parametrize(
+    ("changed", "seed"), [("backlash,component=EXX,axis=X,B={}", 71), ("scale,component=EXX,axis=X,k={}", 75)]
+)
+def test_what_changed_between_two_days_is_no_heat(changed: str, seed: int) -> None:
+    """The air was two kelvin warmer on the day after a repair. Oracle: what was put in, which no temperature drives."""
+    known = [*BENT, changed.format(2 if "backlash" in changed else 0)]
+    grown = [*BENT, changed.format(5 if "backlash" in changed else 45)]
+    days = []
+    for n, (true, degc) in enumerate(((known, 20.0), (grown, 22.0))):
+        m = laser(true, seed + n, protocol="cold")
+        wander = 0.1 * np.random.default_rng(seed + n).standard_normal(len(m))
+        days.append(
+            replace(m, channels={**m.channels, "T_bed": np.full(len(m), 20.0) + wander, "T_air": degc + wander})
+        )
+    d = diagnose(model(*known), days, draws=50)
+    assert d.verdict == "undecided"
+    assert not d.findings[0].accepted
+    assert "explains only what differs between" in d.sentence or "contradict" in d.sentence
+
+
+def test_a_cold_day_and_a_warm_one_show_an_expansion() -> None:
+    """Oracle: the expansion that was put in; twelve kelvin lie between the days, each of one temperature."""
+    days = []
+    for n, degc in enumerate((18.0, 30.0)):
+        m = laser(BENT, 81 + n, protocol="cold")
+        grown = 9e-3 * m.channels["x"] * (degc - 20.0)
+        bed = np.full(len(m), degc) + 0.02 * np.random.default_rng(n).standard_normal(len(m))
+        read = {k: v + grown for k, v in m.readings.items()}
+        days.append(replace(m, readings=read, channels={**m.channels, "T_bed": bed, "T_air": np.full(len(m), 20.0)}))
+    d = diagnose(model(*BENT), days, draws=50)
+    assert (d.findings[0].effect.effect, getattr(d.findings[0].effect, "sensor", "")) == ("axis_expansion", "T_bed")
+    assert d.findings[0].accepted
+    (doubt,) = [x for x in d.doubts if x.kind == "between_files"]
+    assert not doubt.fatal
+
+
+def test_a_sensor_of_the_model_that_stood_still_is_no_new_effect() -> None:
+    """Oracle: what was done to the channel of the bed; the axis grows with it."""
+    grows = "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=6"
+    m = laser([*BENT, grows], 91)
+    warm = m.channels["T_bed"]
+    dead = replace(m, channels={**m.channels, "T_bed": np.full(len(m), 20.0), "T_air": 20.0 + 0.4 * (warm - 20.0)})
+    d = diagnose(model(*BENT, grows), [dead], draws=50)
+    assert "dead_sensor" in kinds(d.doubts)
+    assert "T_bed, which axis_expansion(EXX, X, T_bed) of the model reads, stood at 20 °C" in d.sentence
+    assert not d.findings[0].accepted
+    assert diagnose(model(*BENT, grows), [m], draws=50).verdict == "nothing_missing"
+
+
+def test_what_grows_where_an_axis_is_mounted_is_no_moved_origin() -> None:
+    """Oracle: the mount that was put in. An origin elsewhere shifts the readings in just the same way."""
+    known = [*BENT, "axis_expansion,component=EXX,axis=X,sensor=T_bed,k=9"]
+    m = laser([*known, "mount_expansion,component=EXX,sensor=T_bed,k=0.5"], 95)
+    d = diagnose(model(*known), [m], draws=50)
+    assert not any(x.fatal for x in d.doubts)
+    assert "mount_expansion" in {f.effect.effect for f in d.group}

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import doubts
+from rtec.diagnosis.doubts import Doubt, doubts
 from rtec.diagnosis.extend.history import Errors, entry_of, notes_of, ranges_of
 from rtec.diagnosis.extend.parameter_scan import ranged
 from rtec.diagnosis.result import Alike, Diagnosis, Finding
@@ -241,7 +241,9 @@ def _add(
     tell("refitting the model as it is", 0, 3)
     there = given or clean(measurements, model.reference_degc).without_ends()
     readings = there.readings
-    check_scales(readings, predicted(model.effects, readings))
+    wrong = in_doubt(Judgement(model, there)) if given is None else ()
+    if all(d.kind == "wrong_scale" for d in wrong):
+        check_scales(readings, predicted(model.effects, readings))
     # Readings that the model was fitted to before say nothing new of how sure its numbers are.
     again = any(m.fingerprint in model.measurements.values() for m in measurements)
     loose = LOOSE if again else None
@@ -253,14 +255,19 @@ def _add(
     tell("held-out runs", 3, 3)
     named, known = labels([*model.effects, *new]), set(before.undetermined if new else after.undetermined)
     cancelling = tuple(named[i] for i in after.undetermined if i not in known)
-    wrong = in_doubt(Judgement(model, there)) if given is None else ()
     better = made.better and not cancelling and not wrong
-    return replace(made, notes=(*made.notes, *searched), undetermined=cancelling, better=better, doubts=wrong)
+    return replace(
+        made,
+        notes=(*made.notes, *searched),
+        undetermined=cancelling,
+        better=better,
+        doubts=tuple(d.words for d in wrong),
+    )
 
 
-def in_doubt(judged: Judgement) -> tuple[str, ...]:
-    """Why no number of a model should follow a record, in words; empty where nothing is wrong with it."""
-    return tuple(d.words for d in doubts(judged) if d.blames_no_effect)
+def in_doubt(judged: Judgement) -> tuple[Doubt, ...]:
+    """Why no number of a model should follow a record; empty where nothing is wrong with it."""
+    return tuple(d for d in doubts(judged) if d.blames_no_effect)
 
 
 NEAR = 0.02

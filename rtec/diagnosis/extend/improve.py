@@ -170,13 +170,11 @@ class _Growth:
             model: the model.
             alone: nobody is asked.
         """
-        if not model.effects:
-            return None
+        if not model.effects or any(d.kind != "wrong_scale" for d in in_doubt(Judgement(model, self.given))):
+            return None  # of a record in doubt the diagnosis says what is wrong, and nothing is fitted to it
         made = add(model, [], self.measurements, stage=self.stage, given=self.given)
         if made.after.held_out > (1.0 - LITTLE) * made.before.held_out or not self._no_worse(made):
             return None
-        if in_doubt(Judgement(model, self.given)):
-            return None  # the diagnosis says what is wrong with the record, and nothing is fitted to it
         if alone and one_pass(self.given.readings) and not _at_floor(made):
             return None  # the numbers would take up what is missing, and position, direction and heat are one here
         return made
