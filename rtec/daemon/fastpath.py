@@ -37,8 +37,8 @@ from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.ports import IntArray, OneWay
 from rtec.loop.records import MODES_BY_NAME, Commands, Samples
 from rtec.loop.run_file import Setup
-from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
-from rtec.loop.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
+from rtec.loop.state import Saved, StateWriter, is_damaged, newest, state_text, structure_of, units_of
+from rtec.loop.state_files import StatePlaces, disk_is_damaged, read_disk, state_memory
 from rtec.loop.step import Step, StepSettings
 
 NOTES_PER_S: Final = 10
@@ -253,10 +253,10 @@ def _found(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: P
     """Look at what there is: kept state, ledger, counts."""
     in_memory = image.tobytes()
     saved: Saved | None = newest(in_memory)
-    new_boot, slack_s, spoilt = False, 2.0 / setup.file.run.rate_hz, [places.memory] if is_spoilt(in_memory) else []
+    new_boot, slack_s, damaged = False, 2.0 / setup.file.run.rate_hz, [places.memory] if is_damaged(in_memory) else []
     if saved is None and places.disk is not None:
         (saved, new_boot), slack_s = read_disk(places.disk), DISK_SLACK_S
-        spoilt += [places.disk] if saved is None and disk_is_spoilt(places.disk) else []
+        damaged += [places.disk] if saved is None and disk_is_damaged(places.disk) else []
     axes = len(step.layout.axes)
     output, counts = np.zeros(axes, np.int64), np.zeros(axes, np.int64)
     if saved is not None and saved.units == units_of(step) and isinstance(ports.actuator, OneWay):
@@ -268,15 +268,15 @@ def _found(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: P
         output=output if _tells(ports, output) else None,
         counts=counts if _counted(ports, counts) else None,
         start_mode=MODES_BY_NAME[setup.file.run.mode],
-        damaged=_damaged(spoilt),
+        damaged=_damaged(damaged),
         one_way=isinstance(ports.actuator, OneWay),
     )
 
 
-def _damaged(spoilt: list[Path]) -> str:
-    if not spoilt:
+def _damaged(damaged: list[Path]) -> str:
+    if not damaged:
         return ""
-    places = " and ".join(str(path) for path in spoilt)
+    places = " and ".join(str(path) for path in damaged)
     return f"the state that the run before kept in {places} is damaged, or of another version of rtec"
 
 

@@ -75,7 +75,7 @@ def recover(step: Step, found: Found) -> Start:
         return _anew(step, found)
     if saved.structure == structure_of(step) and not found.new_boot:
         step.restore(saved.state)
-        step.look_anew()  # its coefficients may be others than they were
+        step.recompute_slow_part()  # its coefficients may be others than they were
         step.forget_directions(_moved(step, saved, found.counts), found.counts)
     output = saved.output if found.output is None else found.output
     if not np.array_equal(step.output_of(step.state), output):

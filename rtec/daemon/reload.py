@@ -196,7 +196,7 @@ def _at_this_moment(old: Step, new: Step, now: Now) -> list[tuple[float, float]]
         new.adopt(old, now.samples)
     asked = []
     for step in (old, new):
-        step.look_anew()
+        step.recompute_slow_part()
         asked.append(step.run(now.samples).requested_um[0])
     return list(zip(*np.array(asked).tolist(), strict=True)) if np.isfinite(asked).all() else []
 
