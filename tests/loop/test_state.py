@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
-from rtec.daemon.recover import Found, recover
+from rtec.daemon.recover import AtStart, recover
 from rtec.errors import RtecError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Samples
@@ -196,7 +196,7 @@ def test_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (places.memory.parent, places.disk) == (Path("/run/rtec"), Path("/var/lib/rtec/run.state"))
 
 
-def found(saved: Saved | None, **more: object) -> Found:
+def found(saved: Saved | None, **more: object) -> AtStart:
     told: dict[str, object] = {
         "saved": saved,
         "new_boot": False,
@@ -205,7 +205,7 @@ def found(saved: Saved | None, **more: object) -> Found:
         "counts": np.array([5000, -5000]),
         "start_mode": MODE_ON,
     }
-    return Found(**{**told, **more})  # type: ignore[arg-type]
+    return AtStart(**{**told, **more})  # type: ignore[arg-type]
 
 
 def saved_of(step: Step, **more: object) -> Saved:
