@@ -9,7 +9,7 @@ from rtec.correction.flags import HOLD_REASONS, REASONS, Flag
 from rtec.loop.clock import wall_clock_ns
 from rtec.text import clean
 
-STANDS_S: Final = 1.0
+STALLED_S: Final = 1.0
 """A newest row that is older: the loop stands, and nothing that it said is a value of now."""
 ORDERED: Final = Flag.ORDERED_HOLD | Flag.ORDERED_OFF
 Level = Literal["fault", "warning"]
@@ -119,7 +119,7 @@ def conditions(found: Mapping[str, Any]) -> Iterator[StatusCondition]:
 def stands(found: Mapping[str, Any]) -> bool:
     """Does the loop stand still, or has it not begun? Then a status has no values of now."""
     age_s = found["status_age_s"]
-    return age_s is None or age_s > STANDS_S
+    return age_s is None or age_s > STALLED_S
 
 
 def instant(found: Mapping[str, Any] | None = None) -> str:
