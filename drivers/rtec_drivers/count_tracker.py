@@ -1,4 +1,4 @@
-"""From a counter that wraps to a position that does not, refusing what the machine cannot have done."""
+"""From a counter that wraps to a position that does not; refuses readings that the machine cannot have reached."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ from rtec.errors import DriverFault
 
 NS = 1e-9
 SLACK_COUNTS = 2
-"""Two counts of the encoder's own flicker, which no speed limit excludes."""
+"""Counts of the encoder's own flicker, which no speed limit excludes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """Counters as read.
+    """One reading of the counters.
 
     Attributes:
         values: unwrapped counts.
@@ -27,12 +27,12 @@ class Seen:
 class CountTracker:
     """Unwraps the counters of all axes together.
 
-    A reading further from the last accepted one than the machine's highest speed allows is refused. If the next one
-    stands by it, the counters have really jumped: from then on nothing is accepted until `restart`, because nobody
-    can say where the machine is. If it goes back, the refused one was a slip, and all goes on.
+    A reading further from the last accepted one than the machine's highest speed allows is refused. If the next reading
+    confirms it, the counters have really jumped: from then on nothing is accepted until `restart`, because the position
+    is unknown. If the next reading goes back, the refused one was a slip, and reading goes on.
 
     Args:
-        axes: their names.
+        axes: names of the axes.
         bits: width of the counters; 64: they do not wrap.
         max_counts_per_s: highest speed of each axis.
     """
@@ -44,18 +44,18 @@ class CountTracker:
         self._refused: Seen | None = None
 
     def restart(self) -> None:
-        """Forget everything: the next reading is taken as it stands, as a signed number of that many bits."""
+        """Forget everything: the next reading is accepted as it is, as a signed number of that many bits."""
         self.lost, self._good, self._refused = "", None, None
 
     def update(self, raw: Sequence[int], earliest_ns: int, latest_ns: int) -> tuple[int, ...]:
-        """Give the unwrapped counts of one reading.
+        """The unwrapped counts of one reading.
 
         Args:
             raw: counters, as wide as `bits`.
             earliest_ns, latest_ns: they were latched between these two instants.
 
         Raises:
-            DriverFault: they cannot be; `lost` says why if that stays so.
+            DriverFault: the reading is not possible; `lost` has the reason once the position is unknown.
         """
         if self.lost:
             raise DriverFault(self.lost)
@@ -98,7 +98,7 @@ class CountTracker:
         return ""
 
     def _stands_by_refused(self, seen: Seen) -> bool:
-        """Is it nearer to the refused reading than to the accepted one, and could it have come from there?"""
+        """Is it nearer to the refused reading than to the accepted one, and reachable from there?"""
         if self._refused is None or self._good is None or self._too_fast(self._refused, seen):
             return False
         return _distance(seen, self._refused) < _distance(seen, self._good)

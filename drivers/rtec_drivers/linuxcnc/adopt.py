@@ -15,7 +15,7 @@ UNIT_UM = 0.01
 
 @dataclass(frozen=True)
 class AdoptedMachine:
-    """What an INI file says of its machine.
+    """An INI file's description of its machine.
 
     Attributes:
         ini: the file.
@@ -33,7 +33,7 @@ class AdoptedMachine:
         """Copy the INI file's folder, put rtec into the copy's HAL files; give the difference.
 
         Raises:
-            ConfigError: the HAL files are not understood, or the folder is there already.
+            ConfigError: the HAL files are not understood, or the folder exists already.
         """
         bridge = Path(__file__).with_name("bridge.py")
         wiring = RtecWiring(self.joints, bridge, Path(SOCKET), dict.fromkeys(sensors, ""), UNIT_UM, inch=self.inch)
@@ -44,7 +44,7 @@ def adopt(ini: Path) -> AdoptedMachine:
     """Read an INI file.
 
     Raises:
-        ConfigError: it cannot be read, or the machine is not of a kind that rtec has a template for.
+        ConfigError: it cannot be read, or rtec has no template for the kind of machine.
     """
     try:
         said = _sections(ini.read_text(encoding="utf-8"))
@@ -66,7 +66,7 @@ def adopt(ini: Path) -> AdoptedMachine:
 
 
 def _answers(said: dict[tuple[str, str], str], axes: dict[str, Any]) -> dict[str, Any]:
-    """LinuxCNC reads and corrects everything; temperature pins are for the user to wire."""
+    """Answers with LinuxCNC as every device; the user wires the temperature pins."""
     kind = "following_error"
     return {
         "template": "mill" if "Y" in axes else "lathe",
