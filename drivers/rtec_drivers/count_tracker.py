@@ -11,7 +11,7 @@ SLACK_COUNTS = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class CounterReading:
     """One reading of the counters.
 
     Attributes:
@@ -40,8 +40,8 @@ class CountTracker:
     def __init__(self, axes: Sequence[str], bits: int, max_counts_per_s: Sequence[float]) -> None:
         self.lost, self.bits = "", bits
         self._axes, self._fastest = tuple(axes), tuple(max_counts_per_s)
-        self._good: Seen | None = None
-        self._refused: Seen | None = None
+        self._good: CounterReading | None = None
+        self._refused: CounterReading | None = None
 
     def restart(self) -> None:
         """Forget everything: the next reading is accepted as it is, as a signed number of that many bits."""
@@ -60,24 +60,24 @@ class CountTracker:
         if self.lost:
             raise DriverFault(self.lost)
         if self._good is None:
-            self._good = Seen(tuple(_signed(n, self.bits) for n in raw), earliest_ns, latest_ns)
+            self._good = CounterReading(tuple(_signed(n, self.bits) for n in raw), earliest_ns, latest_ns)
             return self._good.values
         self._check_gap(self._good, latest_ns)
-        seen = Seen(self._near(raw, self._good.values), earliest_ns, latest_ns)
-        fault = self._too_fast(self._good, seen)
-        if not fault and not self._stands_by_refused(seen):
-            self._good, self._refused = seen, None
-            return seen.values
-        if self._refused is not None and self._stands_by_refused(seen):
+        reading = CounterReading(self._near(raw, self._good.values), earliest_ns, latest_ns)
+        fault = self._too_fast(self._good, reading)
+        if not fault and not self._confirms_refused(reading):
+            self._good, self._refused = reading, None
+            return reading.values
+        if self._refused is not None and self._confirms_refused(reading):
             self.lost = f"{fault or 'counts jumped'}, and stayed there: the position is not known"
             raise DriverFault(self.lost)
-        self._refused = seen
+        self._refused = reading
         raise DriverFault(f"{fault}: refused")
 
     def _near(self, raw: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
         return tuple(known + _signed(n - known, self.bits) for n, known in zip(raw, last, strict=True))
 
-    def _check_gap(self, good: Seen, latest_ns: int) -> None:
+    def _check_gap(self, good: CounterReading, latest_ns: int) -> None:
         gap_s = (latest_ns - good.earliest_ns) * NS
         for axis, fastest in zip(self._axes, self._fastest, strict=True):
             if fastest * gap_s >= 2 ** (self.bits - 1):
@@ -87,7 +87,7 @@ class CountTracker:
                 )
                 raise DriverFault(self.lost)
 
-    def _too_fast(self, before: Seen, after: Seen) -> str:
+    def _too_fast(self, before: CounterReading, after: CounterReading) -> str:
         span_s = max(0, after.latest_ns - before.earliest_ns) * NS
         for axis, fastest, old, new in zip(self._axes, self._fastest, before.values, after.values, strict=True):
             if abs(new - old) > fastest * span_s + SLACK_COUNTS:
@@ -97,11 +97,11 @@ class CountTracker:
                 )
         return ""
 
-    def _stands_by_refused(self, seen: Seen) -> bool:
+    def _confirms_refused(self, reading: CounterReading) -> bool:
         """Is it nearer to the refused reading than to the accepted one, and reachable from there?"""
-        if self._refused is None or self._good is None or self._too_fast(self._refused, seen):
+        if self._refused is None or self._good is None or self._too_fast(self._refused, reading):
             return False
-        return _distance(seen, self._refused) < _distance(seen, self._good)
+        return _distance(reading, self._refused) < _distance(reading, self._good)
 
 
 def _signed(number: int, bits: int) -> int:
@@ -109,5 +109,5 @@ def _signed(number: int, bits: int) -> int:
     return ((number + half) & ((1 << bits) - 1)) - half
 
 
-def _distance(a: Seen, b: Seen) -> int:
+def _distance(a: CounterReading, b: CounterReading) -> int:
     return max(abs(x - y) for x, y in zip(a.values, b.values, strict=True))

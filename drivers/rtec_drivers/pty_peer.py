@@ -43,7 +43,7 @@ class WireFaults:
         """Send a message."""
         if self.silent:
             return
-        data = self.babble + self._spoilt(message)
+        data = self.babble + self._damaged(message)
         if data:
             self._on_the_way.append((now_ns + self.late_ns, data))
 
@@ -58,7 +58,7 @@ class WireFaults:
         """When the next bytes arrive; None without any on the way."""
         return self._on_the_way[0][0] if self._on_the_way else None
 
-    def _spoilt(self, message: bytes) -> bytes:
+    def _damaged(self, message: bytes) -> bytes:
         if not message:
             return message
         self.passed += 1
@@ -69,9 +69,9 @@ class WireFaults:
             self.garbled += 1
         elif self._chance.random() < self.flip_rate:
             bit = self._chance.randrange(8 * len(message))
-            spoilt = bytearray(message)
-            spoilt[bit // 8] ^= 1 << bit % 8
-            message = bytes(spoilt)
+            damaged = bytearray(message)
+            damaged[bit // 8] ^= 1 << bit % 8
+            message = bytes(damaged)
             self.garbled += 1
         return message
 

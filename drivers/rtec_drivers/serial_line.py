@@ -83,8 +83,8 @@ class PortFinder:
                 return str(ours[0].device)
         if same:
             raise DriverUnavailable(f"several ports have the USB serial number {self._serial!r}; name one with port")
-        seen = ", ".join(f"{p.device} ({p.serial_number})" for p in there if p.serial_number) or "none"
-        raise DriverUnavailable(f"no port with the USB serial number {self._serial!r}; USB ports here: {seen}")
+        listed = ", ".join(f"{p.device} ({p.serial_number})" for p in there if p.serial_number) or "none"
+        raise DriverUnavailable(f"no port with the USB serial number {self._serial!r}; USB ports here: {listed}")
 
     def remember(self, device: str) -> None:
         """Remember the adapter behind an open port, so that it is found again by its number.
@@ -97,8 +97,8 @@ class PortFinder:
             there = [p for p in self._ports() if p.serial_number]
         except DriverUnavailable:  # the port is open all the same, so the number is not needed
             return
-        for found in (p for p in there if os.path.realpath(p.device) == real):
-            number, interface = found.serial_number, _interface(found)
+        for port in (p for p in there if os.path.realpath(p.device) == real):
+            number, interface = port.serial_number, _interface(port)
             if [(p.serial_number, _interface(p)) for p in there].count((number, interface)) == 1:
                 self._serial, self._interface = number, interface
 

@@ -42,10 +42,10 @@ MUTANTS = {
 def solve(smt2: Path, steps: int, *more: str) -> bool:
     """Does yosys-smtbmc prove every assertion?"""
     command = ["yosys-smtbmc", "-s", "z3", "--unroll", "--noprogress", "-t", str(steps), *more, str(smt2)]
-    said = subprocess.run(command, capture_output=True, text=True, check=False).stdout  # noqa: S603 (our own words)
-    if "Status: PASSED" not in said and "Status: FAILED" not in said:
-        sys.exit(f"yosys-smtbmc says neither: {said[-500:]}")
-    return "Status: PASSED" in said
+    output = subprocess.run(command, capture_output=True, text=True, check=False).stdout  # noqa: S603 (our own words)
+    if "Status: PASSED" not in output and "Status: FAILED" not in output:
+        sys.exit(f"yosys-smtbmc says neither: {output[-500:]}")
+    return "Status: PASSED" in output
 
 
 def holds(module: str, old: str = "", new: str = "", *, induction: bool = True) -> bool:

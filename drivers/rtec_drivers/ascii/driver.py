@@ -60,18 +60,18 @@ class ReadingBook:
 
     def take(self, line: bytes, instant_ns: int, now_ns: int) -> bool:
         """Process a line that arrived between two instants; return whether it held a reading."""
-        said = self._parser.parse(line)
-        if said is None:
+        printed = self._parser.parse(line)
+        if printed is None:
             return False
-        if said.values:
+        if printed.values:
             self.faults.pop("", None)
-        for name, value in said.values.items():
+        for name, value in printed.values.items():
             if name not in self._axes:
                 self._take_one(name, value, instant_ns, now_ns)
-        if self._tracker is not None and all(name in said.values for name in self._axes):
-            self._take_axes(self._tracker, [round(said.values[name]) for name in self._axes], instant_ns, now_ns)
-        self.faults.update(said.faults)
-        return bool(said.values)
+        if self._tracker is not None and all(name in printed.values for name in self._axes):
+            self._take_axes(self._tracker, [round(printed.values[name]) for name in self._axes], instant_ns, now_ns)
+        self.faults.update(printed.faults)
+        return bool(printed.values)
 
     def _take_one(self, name: str, value: float, instant_ns: int, now_ns: int) -> None:
         stuck = self._stuck.look(name, value, now_ns)

@@ -47,7 +47,7 @@ class OffsetAccount:
         self.lost, self.wake, self._starts_with, self._keeps = "", threading.Event(), starts_with, keeps
         self._lock = threading.Lock()
         self._has: Output | None = None
-        self._wanted: Output | None = None
+        self._requested: Output | None = None
         self._sent: Output | None = None
         self._trouble: DriverError | None = DriverUnavailable("not opened yet")
         self._refusal: DriverError | None = None
@@ -62,7 +62,7 @@ class OffsetAccount:
             if self.lost:
                 raise DriverFault(self.lost)
             if output != self._has or self._refusal is not None:
-                self._wanted = output
+                self._requested = output
                 self.wake.set()
             if trouble := self._trouble or self._refusal:
                 raise trouble
@@ -78,7 +78,7 @@ class OffsetAccount:
                 raise self._trouble or DriverUnavailable("the controller has not said yet which offsets it has")
             return self._has
 
-    def told(self, output: Output) -> None:
+    def set_from_earlier_run(self, output: Output) -> None:
         """Take over the controller's offsets from an earlier run."""
         with self._lock:
             self._has = output
@@ -87,11 +87,11 @@ class OffsetAccount:
         """The output to command now, once; None for nothing."""
         with self._lock:
             self.wake.clear()
-            wanted, self._wanted = self._wanted, None
-            if wanted is None or self.lost or (wanted == self._has and self._refusal is None):
+            requested, self._requested = self._requested, None
+            if requested is None or self.lost or (requested == self._has and self._refusal is None):
                 return None
-            self._sent = wanted
-            return wanted
+            self._sent = requested
+            return requested
 
     def agrees(self, output: Output) -> bool:
         """Has the controller this output, and did it accept the command?"""
@@ -141,7 +141,7 @@ class OffsetAccount:
             self.lost = ""
 
     def _lose(self, why: str) -> None:
-        self._wanted = None
+        self._requested = None
         self.lost = self.lost or f"{why}: check a known position; {HOLDS}"
 
 
@@ -189,7 +189,7 @@ line_end = "crlf"
         self._worker: Worker[ByteLine] | None = None
         self._ending = False
         if options.ask is None:
-            self._account.told(nothing)
+            self._account.set_from_earlier_run(nothing)
             self.was_told = self._was_told
             """Only where offsets cannot be read back is it a `OneWay`."""
 
@@ -224,11 +224,11 @@ line_end = "crlf"
 
     def refuses(self, sink: Sink) -> str:
         """Refuse all kinds but that of the options, and any other resolution."""
-        wanted = self.options
-        if sink.kind == "pulse" or sink.kind != wanted.actuator:
-            return f"takes {wanted.actuator!r} (its option actuator), not {sink.kind!r}"
-        if not math.isclose(sink.unit_um, wanted.resolution_um, rel_tol=1e-9):
-            return f"has resolution_um = {wanted.resolution_um:g}, the output has {sink.unit_um:g}: make them equal"
+        options = self.options
+        if sink.kind == "pulse" or sink.kind != options.actuator:
+            return f"takes {options.actuator!r} (its option actuator), not {sink.kind!r}"
+        if not math.isclose(sink.unit_um, options.resolution_um, rel_tol=1e-9):
+            return f"has resolution_um = {options.resolution_um:g}, the output has {sink.unit_um:g}: make them equal"
         return ""
 
     def apply(self, output: IntArray) -> None:
@@ -264,7 +264,7 @@ line_end = "crlf"
         self._account.resume()
 
     def _was_told(self, output: IntArray) -> None:
-        self._account.told(tuple(int(n) for n in output))
+        self._account.set_from_earlier_run(tuple(int(n) for n in output))
 
     def _check_entered(self) -> None:
         if self._worker is None:
@@ -372,8 +372,8 @@ class OffsetTalk:
 
     def _silent(self, sent: str) -> DriverTimeout:
         place, wait_s = self._options.place, self._options.timeout_s
-        said = f"; it said {self._heard[-1][:60]!r}" if self._heard else ""
-        return DriverTimeout(f"{place}: no answer to {sent!r} that is understood, within {wait_s:g} s{said}")
+        text = f"; it said {self._heard[-1][:60]!r}" if self._heard else ""
+        return DriverTimeout(f"{place}: no answer to {sent!r} that is understood, within {wait_s:g} s{text}")
 
     def _end_ns(self) -> int:
         self._heard.clear()

@@ -97,7 +97,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
             session = self._connect()
             self._adopt(session)
             with suppress(DriverFault):  # a fault that the box remembers; at the first command it checks again
-                self._ledger.told(self._first_answer(session).state)
+                self._ledger.reported(self._first_answer(session).state)
         except DriverError as e:
             if self.options.at_start == "required":
                 self._leave()
@@ -235,7 +235,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
     def _digest(self, answer: BoxAnswer) -> tuple[int, ...]:
         """The unwrapped counts of a state, if it is valid."""
         state = answer.state
-        self._ledger.told(state)
+        self._ledger.reported(state)
         if self._ledger.must_resume:
             raise DriverFault(self._ledger.must_resume)
         frozen, self._last_us = state.time_us == self._last_us, state.time_us

@@ -350,10 +350,10 @@ class GatewareBox:
         places = self._places if self._frozen else tuple(self.plant.counts(now_ns))
         moved, self._places = places != self._places, places
         if due > 0 or moved:
-            wanted = min(max(due, 0), self._longest)
-            took = self.chip.run(wanted, list(places))
+            clocks = min(max(due, 0), self._longest)
+            took = self.chip.run(clocks, list(places))
             took += self.chip.run(PIPELINE_CLOCKS, list(places)) if moved else 0
-            self._clocks += max(due - wanted, 0) + took
+            self._clocks += max(due - clocks, 0) + took
         self._tell()
         return self.chip.received()
 

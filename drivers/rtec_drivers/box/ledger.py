@@ -48,7 +48,7 @@ class BoxLedger:
         if not self.must_resume:
             self.must_resume = f"{why}; {HOLDS}"
 
-    def told(self, state: BoxState) -> None:
+    def reported(self, state: BoxState) -> None:
         """Process the box's report.
 
         Raises:

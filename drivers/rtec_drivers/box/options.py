@@ -45,13 +45,13 @@ def axis_order(axes: tuple[str, ...] | None, machine: Machine) -> tuple[int, ...
         ConfigError: an axis that the machine does not have, or one that is missing or named twice.
     """
     names = machine.axis_names
-    wanted = names if axes is None else axes
-    faults = [f"axes: machine {machine.name!r} has no axis {n!r}{nearest(n, names)}" for n in wanted if n not in names]
-    faults += [f"axes: {n!r} is there {wanted.count(n)} times; every axis must, once" for n in names
-               if wanted.count(n) != 1]  # fmt: skip
+    ordered = names if axes is None else axes
+    faults = [f"axes: machine {machine.name!r} has no axis {n!r}{nearest(n, names)}" for n in ordered if n not in names]
+    faults += [f"axes: {n!r} is there {ordered.count(n)} times; every axis must, once" for n in names
+               if ordered.count(n) != 1]  # fmt: skip
     if faults:
         raise ConfigError("\n".join(faults))
-    return tuple(names.index(n) for n in wanted)
+    return tuple(names.index(n) for n in ordered)
 
 
 def max_counts_per_s(max_speed_mm_s: dict[str, float], machine: Machine) -> tuple[float, ...]:

@@ -178,8 +178,8 @@ def command_payload(boot: int, targets: Sequence[int]) -> bytes:
 
 def command_of(payload: bytes) -> tuple[int, tuple[int, ...]] | None:
     """Boot number and targets of a COMMAND; None where the length is wrong."""
-    axes, left = divmod(len(payload) - 2, 4)
-    if left or not 0 < axes <= MAX_AXES:
+    axes, rest = divmod(len(payload) - 2, 4)
+    if rest or not 0 < axes <= MAX_AXES:
         return None
     boot, *targets = struct.unpack(f"<H{axes}i", payload)
     return boot, tuple(targets)
@@ -209,8 +209,8 @@ def state_payload(state: BoxState) -> bytes:
 
 def state_of(payload: bytes) -> BoxState | None:
     """Content of a STATE; None where the length is wrong."""
-    axes, left = divmod(len(payload) - _STATE.size, 8)
-    if left or not 0 < axes <= MAX_AXES:
+    axes, rest = divmod(len(payload) - _STATE.size, 8)
+    if rest or not 0 < axes <= MAX_AXES:
         return None
     pairs = struct.unpack_from("<" + "Ii" * axes, payload, _STATE.size)
     boot, status, last_command, time_us = _STATE.unpack_from(payload)

@@ -134,10 +134,10 @@ class BoxSession:
             DriverUnavailable: the line is gone.
         """
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
-        wanted = self.ask(protocol.READ)
+        question = self.ask(protocol.READ)
         for _ in range(READS_PER_WAIT):
             newest = self.collect() or newest
-            if newest is not None and self._answers(wanted):
+            if newest is not None and self._answers(question):
                 return newest
             left_ns = deadline_ns - self._clock.now_ns()
             if left_ns <= 0 or not self.line.wait(left_ns * 1e-9):
@@ -186,9 +186,9 @@ class BoxSession:
             self.ask(protocol.READ)
         raise DriverTimeout(f"{self.line.device}: {self.silence}")
 
-    def _answers(self, wanted: int) -> bool:
+    def _answers(self, question: int) -> bool:
         """Has that question been answered?"""
-        return all(sequence != wanted for sequence, _ in self._asked)
+        return all(sequence != question for sequence, _ in self._asked)
 
     def _asked_at(self, frame: Frame) -> int | None:
         """Instant of this answer's question; closes it and the older ones."""

@@ -127,8 +127,8 @@ class BoxSimulator:
         )
         steps, before = int(self._credit), list(self._ledger)
         for i, target in enumerate(self._target):
-            left = target - self._ledger[i]
-            self._ledger[i] += max(-steps, min(steps, left))
+            distance = target - self._ledger[i]
+            self._ledger[i] += max(-steps, min(steps, distance))
         if self._ledger != before:
             self._credit -= steps
             self.plant.insert(list(self._ledger))
@@ -230,17 +230,17 @@ def stuff(body: bytes) -> bytes:
 
 def unstuff(block: bytes) -> bytes:
     """The body; empty where a distance points beyond the end."""
-    out, left = bytearray(), block[0]
+    out, distance = bytearray(), block[0]
     if len(block) > 255:
         return b""
     for byte in block[1:]:
-        left -= 1
-        if left:
+        distance -= 1
+        if distance:
             out.append(byte)
         else:
             out.append(0)
-            left = byte
-    return bytes(out) if left == 1 else b""
+            distance = byte
+    return bytes(out) if distance == 1 else b""
 
 
 class MovingPlant:

@@ -246,9 +246,9 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         if newest is None or newest is self._digested:
             return
         self._digested = newest
-        told = self._session.ledger(newest.boot)
+        ledger = self._session.ledger(newest.boot)
         not_yet = self._ledger.boot < 0 and newest.status & NOT_RESUMED
-        if told is not None and not not_yet:
-            values, last_command = told
-            self._ledger.told(BoxState(newest.boot, newest.status, last_command, 0, newest.counts, values))
+        if ledger is not None and not not_yet:
+            values, last_command = ledger
+            self._ledger.reported(BoxState(newest.boot, newest.status, last_command, 0, newest.counts, values))
         self._good = (self._tracker.update(newest.counts, newest.asked_ns, newest.came_ns), newest.asked_ns)

@@ -169,8 +169,8 @@ class CanBoxSession:
 
     def ledger(self, boot: int) -> tuple[tuple[int, ...], int] | None:
         """The ledger that this start of the box reported, and the number of the last accepted command."""
-        told = [self._ledgers.get(k) for k in range(self._axes)]
-        same = [f for f in told if f is not None and f.boot == boot]
+        ledgers = [self._ledgers.get(k) for k in range(self._axes)]
+        same = [f for f in ledgers if f is not None and f.boot == boot]
         return (tuple(f.number for f in same), same[-1].sequence) if len(same) == self._axes else None
 
     def send(self, place: int, frame: BoxFrame) -> None:

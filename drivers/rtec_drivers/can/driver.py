@@ -136,8 +136,8 @@ map = ["i32"]
         self._nodes = NodeWatch(list(options.node.values()))
         self._heard_ns = dict.fromkeys(options.temperature, 0)
         self._rpm, self._rpm_ns = math.nan, -(2**62)
-        wanted = [s for s in (*self._sources.values(), self._spindle) if s is not None]
-        filters = {(s.identifier, s.extended) for s in wanted} | set(self._nodes.identifiers())
+        sources = [s for s in (*self._sources.values(), self._spindle) if s is not None]
+        filters = {(s.identifier, s.extended) for s in sources} | set(self._nodes.identifiers())
         self._port = CanPort(options, clock, sorted(filters), self._frame, self._look)
 
     def __enter__(self) -> Self:

@@ -134,11 +134,11 @@ class CanScanner:
             return ["u32"] * (len(data) // 4)
         out, at = [], 0
         while at < len(data):
-            left = len(data) - at
-            if left >= 4 and in_room(_number("f32", data[at : at + 4]), degc=True):
+            remaining = len(data) - at
+            if remaining >= 4 and in_room(_number("f32", data[at : at + 4]), degc=True):
                 out.append("f32")
             else:
-                out.append("i16" if left >= 2 else "u8")
+                out.append("i16" if remaining >= 2 else "u8")
             at += int(out[-1][1:]) // 8
         return out
 

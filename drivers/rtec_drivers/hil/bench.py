@@ -73,10 +73,10 @@ def _words(bus: Bus, wiring: Wiring) -> str:
 def _check_faults(faults: Sequence[FaultOrder], wiring: Wiring) -> None:
     """Refuse a fault of a bus that the run file does not have."""
     there = set(wiring.buses.values())
-    absent = sorted({f.name for f in faults if FAULTS[f.name].bus not in there})
-    if absent:
+    missing = sorted({f.name for f in faults if FAULTS[f.name].bus not in there})
+    if missing:
         raise ConfigError(
-            f"{wiring.path}: no device for {', '.join(absent)}; the run file has {', '.join(sorted(there))}"
+            f"{wiring.path}: no device for {', '.join(missing)}; the run file has {', '.join(sorted(there))}"
         )
 
 

@@ -102,13 +102,13 @@ class FarSides:
         line = pipe.readline() if pipe is not None else ""
         if not line:
             raise self._died(part)
-        found: dict[str, Any] = json.loads(line)
-        return found
+        answer: dict[str, Any] = json.loads(line)
+        return answer
 
     def _died(self, part: str) -> DriverUnavailable:
         process = self._processes[part]
-        said = process.communicate()[1].strip().splitlines()
-        why = said[-1] if said else f"exit code {process.returncode}"
+        lines = process.communicate()[1].strip().splitlines()
+        why = lines[-1] if lines else f"exit code {process.returncode}"
         return DriverUnavailable(f"the bench's process {part!r} ended: {why}")
 
     def _let_go(self) -> None:

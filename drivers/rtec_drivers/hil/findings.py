@@ -52,13 +52,13 @@ def faults_found(
         recovered_s = _recovered_s(spans, order, until_s, on_s)
         meanwhile = inside(track.time_s, [(order.at_s, order.end_s + (recovered_s if recovered_s > 0.0 else 0.0))])
         during = inside(seconds, [(order.at_s, order.end_s)])
-        told = watch.told[k]
+        reports = watch.reports[k]
         out.append(
             FaultFound(
                 order=order,
                 what=FAULTS[order.name].what,
-                told=dict(told.texts),
-                noticed_s=told.noticed_s,
+                told=dict(reports.texts),
+                noticed_s=reports.noticed_s,
                 held_s=float(np.count_nonzero(mine & logbook.held)) * period_s,
                 recovered_s=recovered_s,
                 largest_um=float(error[meanwhile].max()) if meanwhile.any() else math.nan,

@@ -93,7 +93,7 @@ class Resources:
             for what, value in _figures(pid).items():
                 self._series.setdefault((name, what), ResourceSeries()).values.append(value)
 
-    def found(self) -> list[Resource]:
+    def figures(self) -> list[Resource]:
         """Every figure, in the first, the second and the last third of the run."""
         return [
             Resource(process, what, UNITS[what], *series.thirds(), flat=_flat(what, series))
@@ -120,7 +120,7 @@ class Resources:
         """Requirements; on a PC that runs other programs, too, missed deadlines are reported but not judged."""
         out = []
         for what in UNITS:
-            mine = [r for r in self.found() if r.what == what]
+            mine = [r for r in self.figures() if r.what == what]
             text = "; ".join(f"{r.process} {r.middle:.4g} then {r.last:.4g} {r.unit}".strip() for r in mine)
             long_enough = what != "memory" or self._cycles * period_ns >= LEAST_S * 1e9
             words = text if long_enough else f"not judged in less than {LEAST_S:.0f} s of cycles: {text}"

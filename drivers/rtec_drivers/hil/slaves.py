@@ -52,8 +52,8 @@ class SlaveSimulator:
         return self._frozen is not None
 
     @frozen.setter
-    def frozen(self, wanted: bool) -> None:
-        self._frozen = [p.degc() for p in self._places] if wanted else None
+    def frozen(self, on: bool) -> None:
+        self._frozen = [p.degc() for p in self._places] if on else None
 
     def answer(self, function: int, address: int, count: int) -> bytes:
         """Function, count of bytes and registers; or the refusal of registers that it does not have."""

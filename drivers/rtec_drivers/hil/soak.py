@@ -61,7 +61,7 @@ def soak(order: SoakOrder, tell: Tell) -> SoakResult:
             duration_s=summary["cycles"] / run.setup.file.run.rate_hz,
             seed=order.seed,
             faults=_counted(faults, run),
-            resources=resources.found(),
+            resources=resources.figures(),
             deadlines=resources.deadlines(cycle_ns),
             timing={k: summary[k] for k in ("cycles", "deadline_misses", "wake_up", "compute", "driver_errors")},
             checks=[*_checks(run, faults, not order.shared), *resources.checks(cycle_ns, judged=not order.shared)],
@@ -74,9 +74,9 @@ def _counted(faults: Sequence[FaultOrder], run: BusRun) -> list[SoakFault]:
     """Number of times of each fault, how often the daemon reported it, and its longest time to a report."""
     times = Counter(f.name for f in faults)
     soon: dict[str, list[float]] = {name: [] for name in times}
-    for fault, told in zip(faults, run.watch.told, strict=True):
-        if np.isfinite(told.noticed_s):
-            soon[fault.name].append(told.noticed_s)
+    for fault, reported in zip(faults, run.watch.reports, strict=True):
+        if np.isfinite(reported.noticed_s):
+            soon[fault.name].append(reported.noticed_s)
     return [SoakFault(n, times[n], len(soon[n]), max(soon[n], default=float("nan"))) for n in sorted(times)]
 
 

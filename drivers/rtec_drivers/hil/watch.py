@@ -16,7 +16,7 @@ LATER_S = 3.0
 
 
 @dataclass
-class Told:
+class DeviceReports:
     """The daemon's messages during one fault.
 
     Attributes:
@@ -55,7 +55,7 @@ class FaultWatch:
     ) -> None:
         self.start_ns = 0
         self._buses = buses
-        self.told = [Told() for _ in faults]
+        self.reports = [DeviceReports() for _ in faults]
         self.unasked: dict[str, str] = {}
         self.faults, self._clock, self._tell = faults, clock, tell
         self.resume: Callable[[], None] = lambda: None
@@ -84,8 +84,8 @@ class FaultWatch:
         if not mine:
             self.unasked[device] = text
         for k in mine:
-            told = self.told[k]
-            if math.isnan(told.noticed_s):
-                told.noticed_s = now_s - self.faults[k].at_s
-            if now_s <= self.faults[k].end_s or device not in told.texts:
-                told.texts[device] = text
+            reports = self.reports[k]
+            if math.isnan(reports.noticed_s):
+                reports.noticed_s = now_s - self.faults[k].at_s
+            if now_s <= self.faults[k].end_s or device not in reports.texts:
+                reports.texts[device] = text

@@ -57,12 +57,12 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--sampler", type=int, default=0, help="channel of LinuxCNC's sampler")
     parser.add_argument("--inch", action="store_true", help="LinuxCNC's LINEAR_UNITS is inch")
     parser.add_argument("--group", default="", help="group that may use the socket, beside the user")
-    told = parser.parse_args(argv)
-    told.axes = [a for a in told.axes.split(",") if a]
-    told.sensors = [s for s in told.sensors.split(",") if s]
-    if not (told.unit_um > 0 and math.isfinite(told.unit_um)):
+    options = parser.parse_args(argv)
+    options.axes = [a for a in options.axes.split(",") if a]
+    options.sensors = [s for s in options.sensors.split(",") if s]
+    if not (options.unit_um > 0 and math.isfinite(options.unit_um)):
         parser.error("--unit-um must be above zero")
-    return told
+    return options
 
 
 class HalOffsets:
@@ -70,9 +70,9 @@ class HalOffsets:
 
     cleared: list[int] | None = None
 
-    def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
+    def __init__(self, component: Any, options: argparse.Namespace, unit: float) -> None:
         self.component, self.unit = component, unit
-        self.pins = ["offset-" + a.lower() for a in told.axes]
+        self.pins = ["offset-" + a.lower() for a in options.axes]
         for pin in self.pins:
             component.newpin(pin, hal.HAL_FLOAT, hal.HAL_OUT)
 
@@ -99,10 +99,10 @@ class HalOffsets:
 class ExternalOffsets(HalOffsets):
     """`axis.L.eoffset-counts`: LinuxCNC adds up their changes, and clears the sum when the machine goes off."""
 
-    def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
+    def __init__(self, component: Any, options: argparse.Namespace, unit: float) -> None:
         self.component, self.unit = component, unit
-        self.pins = ["eoffset-counts-" + a.lower() for a in told.axes]
-        self.requests = ["eoffset-request-" + a.lower() for a in told.axes]
+        self.pins = ["eoffset-counts-" + a.lower() for a in options.axes]
+        self.requests = ["eoffset-request-" + a.lower() for a in options.axes]
         for pin in self.pins:
             component.newpin(pin, hal.HAL_S32, hal.HAL_OUT)
         for pin in self.requests:
@@ -148,10 +148,10 @@ class ExternalOffsets(HalOffsets):
 class StepgenPulses(HalOffsets):
     """Counts for a `stepgen` that inserts them; its own counter has the inserted counts."""
 
-    def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
+    def __init__(self, component: Any, options: argparse.Namespace, unit: float) -> None:
         self.component, self.unit = component, unit
-        self.pins = ["pulses-" + a.lower() for a in told.axes]
-        self.counted = ["pulses-fb-" + a.lower() for a in told.axes]
+        self.pins = ["pulses-" + a.lower() for a in options.axes]
+        self.counted = ["pulses-fb-" + a.lower() for a in options.axes]
         for pin in self.pins:
             component.newpin(pin, hal.HAL_FLOAT, hal.HAL_OUT)
         for pin in self.counted:
@@ -173,21 +173,21 @@ WAYS = {"following_error": HalOffsets, "origin_offset": ExternalOffsets, "pulse"
 class HalBridge:
     """One component with its pins, the sampler's rows, and the client."""
 
-    def __init__(self, told: argparse.Namespace) -> None:
-        self.told = told
-        self.mm = MM_PER_INCH if told.inch else 1.0
-        self.listener = listen(told.socket, told.group)
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.mm = MM_PER_INCH if options.inch else 1.0
+        self.listener = listen(options.socket, options.group)
         self.component = new_component()
-        self.outputs = WAYS[told.actuator](self.component, told, told.unit_um * 1e-3 / self.mm)
-        for name in told.sensors:
+        self.outputs = WAYS[options.actuator](self.component, options, options.unit_um * 1e-3 / self.mm)
+        for name in options.sensors:
             self.component.newpin(name, hal.HAL_FLOAT, hal.HAL_IN)
         self.component.newpin("spindle-rpm", hal.HAL_FLOAT, hal.HAL_IN)
         take_over(self.component)
         self.component.ready()
         self.session = session()
-        n = len(told.axes)
-        self.inside = 0 if told.actuator == "following_error" else n
-        key = hal.sampler_base + told.sampler
+        n = len(options.axes)
+        self.inside = 0 if options.actuator == "following_error" else n
+        key = hal.sampler_base + options.sampler
         self.stream = hal.stream(self.component, key, "f" * (n + self.inside) + "bb")
         self.client: socket.socket | None = None
         self.row: dict[str, Any] | None = None
@@ -225,7 +225,7 @@ class HalBridge:
             self.outputs.look(values[-1])  # off and on again between two looks clears, too
         if values is None:
             return False
-        n = len(self.told.axes)
+        n = len(self.options.axes)
         at = values[:n]
         if self.inside:
             at = [p - c for p, c in zip(at, values[n : 2 * n])]
@@ -248,7 +248,7 @@ class HalBridge:
             "seq": self.seq,
             **(self.row or {}),
             "rpm": finite(self.component["spindle-rpm"]) if "spindle-rpm" in wired else None,
-            "degc": [finite(self.component[s]) if s in wired else None for s in self.told.sensors],
+            "degc": [finite(self.component[s]) if s in wired else None for s in self.options.sensors],
             "out": self.outputs.read(),
             "cleared_um": None if cleared is None else [n * unit_um for n in cleared],
         }
@@ -264,17 +264,17 @@ class HalBridge:
             return
         self.client = peer
         prefix = self.component.getprefix()
-        self.wired = {s for s in [*self.told.sensors, "spindle-rpm"] if hal.pin_has_writer(prefix + "." + s)}
-        told = self.told
+        self.wired = {s for s in [*self.options.sensors, "spindle-rpm"] if hal.pin_has_writer(prefix + "." + s)}
+        options = self.options
         self.send(
             {
                 "hello": 1,
                 "session": self.session,
-                "axes": told.axes,
-                "sensors": told.sensors,
+                "axes": options.axes,
+                "sensors": options.sensors,
                 "wired": sorted(self.wired),
-                "actuator": told.actuator,
-                "unit_um": told.unit_um,
+                "actuator": options.actuator,
+                "unit_um": options.unit_um,
                 "component": prefix,
             }
         )
@@ -311,10 +311,10 @@ class HalBridge:
         if order.get("resume"):
             self.outputs.start()
             return ""
-        if not isinstance(out, list) or len(out) != len(self.told.axes) or any(type(n) is not int for n in out):
+        if not isinstance(out, list) or len(out) != len(self.options.axes) or any(type(n) is not int for n in out):
             return "a command that is not one whole number an axis"
-        if self.told.actuator != "pulse" and any(abs(n) * self.told.unit_um > self.told.max_um for n in out):
-            return f"beyond {self.told.max_um:g} µm (the bridge's option --max-um)"
+        if self.options.actuator != "pulse" and any(abs(n) * self.options.unit_um > self.options.max_um for n in out):
+            return f"beyond {self.options.max_um:g} µm (the bridge's option --max-um)"
         why = self.outputs.refuses(self.row)
         if not why:
             self.outputs.write(out)
@@ -412,10 +412,10 @@ def main(argv: list[str]) -> int:
     if argv[:1] != ["--served"]:
         arguments(argv)
         return watch(argv)
-    told = arguments(argv[1:])
+    options = arguments(argv[1:])
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: sys.exit(0))
-    HalBridge(told).run()
+    HalBridge(options).run()
     return 0
 
 

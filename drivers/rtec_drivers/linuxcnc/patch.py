@@ -61,8 +61,8 @@ def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
     if folder.exists():
         raise ConfigError(f"{folder}: is there already; choose another folder for the copy")
     try:
-        said = ini.read_text(encoding="utf-8")
-        files = {p.name: p.read_text(encoding="utf-8") for p in _hal_files(ini, INI_HALFILE.findall(said))}
+        ini_text = ini.read_text(encoding="utf-8")
+        files = {p.name: p.read_text(encoding="utf-8") for p in _hal_files(ini, INI_HALFILE.findall(ini_text))}
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{ini}: cannot be read: {e}") from e
     changed = patched(files, wiring, str(ini))
@@ -71,8 +71,10 @@ def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
     for name, text in changed.items():
         if text != files[name]:
             (folder / name).write_text(text, encoding="utf-8")
-            said = re.sub(rf"^(\s*HALFILE\s*=\s*)LIB:{re.escape(name)}\s*$", rf"\g<1>{name}", said, flags=re.MULTILINE)
-    (folder / ini.name).write_text(said, encoding="utf-8")
+            ini_text = re.sub(
+                rf"^(\s*HALFILE\s*=\s*)LIB:{re.escape(name)}\s*$", rf"\g<1>{name}", ini_text, flags=re.MULTILINE
+            )
+    (folder / ini.name).write_text(ini_text, encoding="utf-8")
     return "".join(
         line
         for name, text in changed.items()

@@ -208,13 +208,13 @@ open_codes = [32767, -32768]
 def _register_maps(options: ModbusOptions) -> dict[str, Mapping[str, Register]]:
     out: dict[str, Mapping[str, Register]] = {}
     faults: list[str] = []
-    seen: dict[str, str] = {}
+    slave_of: dict[str, str] = {}
     for name, table in options.slave.items():
         out[name] = {**_from_profile(name, table, faults), **table.register_}
         for sensor in out[name]:
-            if sensor in seen:
-                faults.append(f"sensor {sensor!r} is in slave {seen[sensor]!r} and in slave {name!r}")
-            seen[sensor] = name
+            if sensor in slave_of:
+                faults.append(f"sensor {sensor!r} is in slave {slave_of[sensor]!r} and in slave {name!r}")
+            slave_of[sensor] = name
     numbers = [t.id for t in options.slave.values()]
     faults += [f"two slaves have id {n}" for n in sorted(set(numbers)) if numbers.count(n) > 1]
     if faults:

@@ -131,7 +131,7 @@ def why_not(data: bytes, request: ModbusRequest) -> str:
 
 
 def split_tcp(data: bytes) -> tuple[list[tuple[int, int, bytes]], bytes] | None:
-    """Received bytes to (transaction, unit, content) of each whole message, and the rest; None if they are no Modbus."""
+    """Received bytes to (transaction, unit, content) of each whole message, and the rest; None if not Modbus."""
     out = []
     while len(data) >= MBAP_BYTES:
         length = int.from_bytes(data[4:6], "big")
@@ -202,10 +202,10 @@ class TcpExchange:
         """Send with the next number; skip answers with any other."""
         self._transaction = self._transaction % 0xFFFF + 1
         line.send(request.tcp(self._transaction))
-        seen = b""
+        noise = b""
         while self._clock.now_ns() < until_ns:
             more = line.receive(until_ns)
-            seen = (seen + more)[-LONGEST_NOISE:]
+            noise = (noise + more)[-LONGEST_NOISE:]
             parts = split_tcp(self._rest + more)
             if parts is None:
                 raise DriverUnavailable("what comes is no Modbus TCP; is it the right port?")
@@ -213,5 +213,5 @@ class TcpExchange:
             for transaction, unit, content in messages:
                 answer = decode(content, request)
                 if transaction == self._transaction and unit == request.slave and answer is not None:
-                    return answer, seen
-        return None, seen
+                    return answer, noise
+        return None, noise

@@ -103,8 +103,8 @@ class ModbusScanner:
         for name, place in places.items():
             number, register = self._places[place]
             table = slaves.setdefault(f"slave_{number}", {"id": number, "register": {}})
-            said = register.model_dump(include={"address", "function", "type"}) | {"scale": unit}
-            table["register"][name] = said | ({"word_order": "low"} if register.word_order == "low" else {})
+            keys = register.model_dump(include={"address", "function", "type"}) | {"scale": unit}
+            table["register"][name] = keys | ({"word_order": "low"} if register.word_order == "low" else {})
         return {"slave": slaves}
 
     def _whatever_the_number(self) -> bool:
@@ -152,8 +152,8 @@ class ModbusScanner:
         within = {a + 1 for a in floats}
         for address in (a for a in there if a not in within):
             order = floats.get(address)
-            said = {"type": "float32", "word_order": order} if order else {"type": "int16"}
-            register = Register.model_validate({"address": address, "function": NAMES[function], **said})
+            keys = {"type": "float32", "word_order": order} if order else {"type": "int16"}
+            register = Register.model_validate({"address": address, "function": NAMES[function], **keys})
             kind = {"high": "float", "low": "float, low word first"}.get(order or "", "")
             words = f"registers {address} and {address + 1} ({kind})" if order else f"register {address}"
             self._places[f"slave {slave}, {NAMES[function]} {words}"] = (slave, register)

@@ -49,7 +49,7 @@ class CommandAccount:
         if not self.must_resume:
             self.must_resume = f"{why}; {HOLDS}"
 
-    def told(self, boot: str, output: Mapping[str, int]) -> None:
+    def reported(self, boot: str, output: Mapping[str, int]) -> None:
         """Process the other process' report."""
         if not self._boot:
             self._boot = boot
@@ -266,7 +266,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         for text in self._sockets.states():
             state = self._book.take(text, now_ns)
             if state is not None:
-                self._commands.told(state.boot, state.output)
+                self._commands.reported(state.boot, state.output)
         for text in self._sockets.answers():
             try:
                 self._commands.answered(message.read_answer(text))
