@@ -1,4 +1,4 @@
-"""What is published, whatever the protocol: quantities with units, and the reasons of the guard as conditions."""
+"""The published values of all protocols: quantities with units, and the reasons of the guard as conditions."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from rtec.loop.clock import wall_clock_ns
 from rtec.text import clean
 
 STALLED_S: Final = 1.0
-"""A newest row that is older: the loop stands, and nothing that it said is a value of now."""
+"""Age, s, of the newest row above which the loop counts as stalled, and its values as outdated."""
 ORDERED: Final = Flag.ORDERED_HOLD | Flag.ORDERED_OFF
 Level = Literal["fault", "warning"]
 
@@ -20,9 +20,9 @@ class Quantity:
     """One kind of value.
 
     Attributes:
-        key: its name; ends with the unit where it has one.
-        unit: "mm", "um", "degc", "s", "rpm"; "" where it has none.
-        words: what it is, for people.
+        key: its name; ends with the unit if it has one.
+        unit: "mm", "um", "degc", "s", "rpm"; "" without one.
+        words: description, for people.
     """
 
     key: str
@@ -50,12 +50,12 @@ OF_MACHINE: Final = (
 
 @dataclass(frozen=True)
 class StatusCondition:
-    """Something that keeps the correction from being the requested one, or a part that does not work.
+    """A reason for which the applied correction is not the requested one, or a part that does not work.
 
     Attributes:
-        code: stays the same while it lasts: name of a flag, "device NAME" or "part NAME".
+        code: constant while it lasts: name of a flag, "device NAME" or "part NAME".
         level: "fault": the correction is held, or a device or part is in trouble; else "warning".
-        text: in words.
+        text: description in words.
     """
 
     code: str
@@ -64,7 +64,7 @@ class StatusCondition:
 
 
 def axes(found: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
-    """The values of each axis, by `OF_AXIS`; None is not known."""
+    """The values of each axis, by `OF_AXIS`; None where unknown."""
     status, residual = found["status"], found["left"]["axes"]
     return {
         axis: {
@@ -102,7 +102,7 @@ def machine(found: Mapping[str, Any]) -> dict[str, float | str | None]:
 
 
 def conditions(found: Mapping[str, Any]) -> Iterator[StatusCondition]:
-    """Everything that is wrong now, or that somebody ordered."""
+    """All present faults and orders."""
     status = found["status"]
     for flag, text in REASONS.items():
         if flag.name in status["flags"]:
@@ -117,7 +117,7 @@ def conditions(found: Mapping[str, Any]) -> Iterator[StatusCondition]:
 
 
 def stands(found: Mapping[str, Any]) -> bool:
-    """Does the loop stand still, or has it not begun? Then a status has no values of now."""
+    """Is the loop stalled, or not started? Then a status has no current values."""
     age_s = found["status_age_s"]
     return age_s is None or age_s > STALLED_S
 
