@@ -29,7 +29,7 @@ class PortOptions(Strict):
         port: device file, or a link under /dev/serial/by-id.
         usb_serial: serial number of the USB adapter, by which the port is found whatever its present name. Without
             it, the number of the adapter behind `port` is remembered, and found again after it was pulled.
-        baud, bytesize, parity, stopbits: settings of the device.
+        baud, bytesize, parity, stopbits: as set on the device.
         at_start: "required": the run does not begin without the port; "later": it may appear any time.
         first_retry_s, longest_retry_s: wait between two attempts to open; doubled from the first up to the longest.
     """
