@@ -41,8 +41,8 @@ class AxisAnswer(Strict):
     Attributes:
         direction: machine coordinate along which it moves.
         travel_mm: lowest and highest position.
-        resolution_um: µm per count of its scale or encoder, after x4; or
-        counts_per_mm: counts per millimetre.
+        resolution_um: µm per count of its scale or encoder, after x4; either this or `counts_per_mm`.
+        counts_per_mm: counts per millimetre; either this or `resolution_um`.
         pitch_mm: pitch of the screw or scale; omit it where there is none.
         compensate: may rtec correct it?
     """

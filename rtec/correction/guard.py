@@ -12,7 +12,7 @@ Every cycle, in this order:
    (`rtec.correction.ledger`) within the sink's range (`within_sink`).
 
 While anything is wrong the correction brakes within its acceleration limit and stays where it comes to rest: never a
-jump, never a silent zero. While the actuator is in trouble, the correction stands at once at the actuator's output,
+jump, never a silent zero. While the actuator is in trouble, the correction stops at once, with the actuator's output,
 because a command that the actuator ignores moves nothing; it goes on from there, from rest. A gap between two cycles
 counts as one cycle at most (`cycle_s`), so one large command never makes up for a pause.
 

@@ -24,8 +24,8 @@ class ZmqOptions(Strict):
     Attributes:
         state: address at which the other process publishes, `tcp://host:port` or `ipc://path`.
         command: address at which it accepts commands; not given: it is no actuator.
-        actuator, unit_um: kind of output that it accepts, by the name of the sink; one unit of it, for kinds that do
-            not count pulses.
+        actuator: kind of output that it accepts, by the name of the sink.
+        unit_um: one unit of output, µm, for kinds that do not count pulses.
         clock: "shared": the other process' instants are those of this computer's monotonic clock; "own": of any other
             clock, which is then compared with this one by the fastest messages of the last minute.
         max_speed_mm_s: highest speed of each axis; needed where it gives counts; faster counts are refused.
