@@ -326,7 +326,7 @@ class Bench(Protocol):
 
         Raises:
             ConfigError: the run file has no section `[hil]`, or names a device that cannot be simulated here.
-            KeyboardInterrupt: a signal ended it; nothing is left behind.
+            KeyboardInterrupt: a signal ended it; its processes and files are gone.
         """
         ...
 

@@ -12,9 +12,9 @@ Every cycle, in this order:
    (`rtec.correction.ledger`) within the sink's range (`within_sink`).
 
 While anything is wrong the correction brakes within its acceleration limit and stays where it comes to rest: never a
-jump, never a silent zero. While the actuator is in trouble, the correction stops at once, with the actuator's output,
-because a command that the actuator ignores moves nothing; it goes on from there, from rest. A gap between two cycles
-counts as one cycle at most (`cycle_s`), so one large command never makes up for a pause.
+jump, never a silent zero. While the actuator is in trouble, the correction is held at the actuator's output, without
+braking, because a command that the actuator ignores moves nothing; it goes on from there, from rest. A gap between two
+cycles counts as one cycle at most (`cycle_s`), so one large command never makes up for a pause.
 
 The functions are compiled where numba is installed, and are plain Python elsewhere. `rtec.loop.step_source` writes
 the source that calls them for a machine's axes and sensors; it decides nothing.
@@ -218,8 +218,8 @@ def guard_update(
 
     Returns:
         applied and speed after the cycle. Speed never exceeds `slew`, changes by at most `acceleration · dt`, and is
-        always low enough to come to rest at a constant target; `applied` never exceeds `stop`, and where it does
-        already it never moves further away.
+        always low enough to come to rest at a constant target; `applied` never exceeds `stop`; where it is
+        beyond already, it never moves further away.
     """
     if dt <= 0.0:
         return applied, speed

@@ -4,7 +4,7 @@ It owns the count source, the actuator and the kept state. It ends when its cycl
 requests it through the ring, or in the next cycle after the supervisor has ended. In each case the devices hold, then
 close.
 
-AfterCycle two cycles (`AfterCycle`) it publishes the row, reads the orders, and takes over a reload. A reload with the
+Between two cycles (`AfterCycle`) it publishes the row, reads the orders, and takes over a reload. A reload with the
 same structure (other limits, other coefficients) only copies numbers. Another structure is another compiled step: a
 thread of lower priority compiles it while the loop goes on.
 """

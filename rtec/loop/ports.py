@@ -157,9 +157,8 @@ class Resumable(Protocol):
 class Scanner(Protocol):
     """Scans a port or bus for numbers, before a file says where they are. It reads, and commands nothing.
 
-    A driver's class that can scan has a class method `scanner(table, clock)`; `table` has the keys of the device's
-    table
-    that are known by then: port, or interface and channel. Entering opens, leaving closes.
+    A driver's class that can scan has a class method `scanner(table, clock)`; `table` has the known keys of the
+    device's table: port, or interface and channel. Entering opens, leaving closes.
 
     Attributes:
         duration: of `search`, in words that follow "takes".

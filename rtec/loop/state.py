@@ -1,6 +1,6 @@
 """The loop's kept state: an image of three slots. One of them is whole at every instant, even within a write.
 
-Slots 0 and 1 are written in turns, slot 2 at a new beginning (a reload). Each slot is a row of 64-bit words: kind,
+Slots 0 and 1 are written in turns, slot 2 at a new beginning (a reload). Each slot is a row of 64-bit words: header,
 ledger, counts, the step's memory, and a CRC-32 of all that. The CRC of a slot that was not written to its end does not
 match; the other slot then still holds the cycle before. The loop writes a slot every cycle *before* the command goes
 out: after a kill, the ledger is the actuator's last command, or the one that was about to go out.
