@@ -141,7 +141,7 @@ class SerialLine:
             self._serial.close()
 
     def write(self, data: bytes) -> None:
-        """Pass all or none of these bytes to the system; the next call sends the rest that did not fit into its buffer.
+        """Pass bytes on to the system, all or none of them; the next call sends those that its full buffer refused.
 
         Raises:
             DriverTimeout: the port accepts no bytes now; nothing of `data` was sent.

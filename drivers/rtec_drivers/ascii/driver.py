@@ -111,7 +111,7 @@ class AsciiLinesDriver:
         options: options of the run file.
         machine: machine with the axes and sensors of the arrays.
         clock: clock of the instants.
-        base: not used: there are no files.
+        base: not used, as there are no files.
         ports: lists the serial ports; None: pyserial's list.
 
     Raises:

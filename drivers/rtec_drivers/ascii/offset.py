@@ -156,7 +156,7 @@ class AsciiOffsetDriver:
         options: options of the run file.
         machine: machine with the axes of the outputs.
         clock: clock of the deadlines.
-        base: not used: there are no files.
+        base: not used, as there are no files.
 
     Raises:
         ConfigError: the lines do not fit the machine, or print too few digits.

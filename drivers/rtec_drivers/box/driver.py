@@ -41,7 +41,7 @@ class SerialBoxDriver:
         options: options of the run file.
         machine: machine with the axes of the arrays.
         clock: clock of instants and deadlines.
-        base: not used: there are no files.
+        base: not used, as there are no files.
         ports: lists the serial ports; None: pyserial's list.
 
     Raises:

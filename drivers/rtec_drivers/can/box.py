@@ -67,7 +67,7 @@ class CanBoxDriver:
         options: options of the run file.
         machine: machine with the axes of the arrays.
         clock: clock of instants and deadlines.
-        base: not used: there are no files.
+        base: not used, as there are no files.
 
     Raises:
         ConfigError: axes or speeds do not fit the machine.

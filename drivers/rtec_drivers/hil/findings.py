@@ -72,7 +72,8 @@ def _recovered_s(spans: Spans, order: FaultOrder, until_s: float, on_s: float) -
     """From the fault's end until the end of the last hold; 0 without a hold after its end, NaN where it never ends.
 
     A hold for some cycles that begins after the fault's end is a hiccup of this PC. A hold that lasts into the next
-    fault, at `until_s`, is followed to its end: its cause is then unknown. Only the run's end counts as never.
+    fault, at `until_s`, is followed to its end: its cause is then unknown. Only a hold until
+    the run's end counts as never.
     """
     behind = [
         high

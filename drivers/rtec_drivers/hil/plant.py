@@ -98,7 +98,7 @@ class MachinePlant:
     """The simulated machine at an encoder box: its time stands still until `start`, then follows the clock.
 
     Attributes:
-        jump_counts: error of the box' counts.
+        jump_counts: error of the box's counts.
     """
 
     def __init__(self, machine: SimulatedMachine, sensed: Sensed, every_ns: int) -> None:

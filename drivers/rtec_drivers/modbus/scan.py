@@ -184,8 +184,8 @@ class ModbusScanner:
 def float_pairs(words: Mapping[int, int]) -> Iterator[tuple[int, str]]:
     """First address and word order of registers that may be a room's temperature as a float.
 
-    The high word alone shows that. Its low word is the neighbour with which it begins at an even address; the data do
-    not show it.
+    The high word alone shows that. The data do not show its low word; numbers of two registers are taken to begin at
+    even addresses.
     """
     for address, word in words.items():
         first = address - address % 2
