@@ -166,7 +166,7 @@ class Interview:
             return special[driver.name](out, names)
         self._talk.say(f"An example of its table, to be changed in the file:\n{driver.example}")
         options = [o for o in driver.options if o.required and "." not in o.name]
-        return {o.name: self._typed(f"{o.name}: {o.meaning}", o.kind) for o in options}
+        return {o.name: self._value_of_kind(f"{o.name}: {o.meaning}", o.kind) for o in options}
 
     def _box(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
@@ -261,7 +261,7 @@ class Interview:
         speed = self._number("fastest speed of the axes, mm/s; faster readings are errors", 400.0)
         return dict.fromkeys(names, speed)
 
-    def _typed(self, question: str, kind: str) -> Any:
+    def _value_of_kind(self, question: str, kind: str) -> Any:
         if kind.startswith(("number", "whole")):
             number = self._number(question, 0.0)
             return int(number) if kind.startswith("whole") else number

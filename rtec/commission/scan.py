@@ -60,17 +60,17 @@ def search(scanner: Scanner, talk: Talk, title: str) -> list[str]:
     Raises:
         DriverUnavailable: the port or bus is gone.
     """
-    found: list[str] = []
+    matches: list[str] = []
     try:
         with talk.progress(title) as show:
             for share, words in scanner.search():
                 show(round(1000 * share), 1000)
-                found += [words] if words else []
+                matches += [words] if words else []
     except KeyboardInterrupt:
         talk.say("The search was ended early; what it found is kept, and so are your answers.")
-    for words in found:
+    for words in matches:
         talk.say(f"  {words}")
-    return found
+    return matches
 
 
 def by_changes(scanner: Scanner, names: Sequence[str], kind: str, talk: Talk, watched: Watched) -> dict[str, str]:

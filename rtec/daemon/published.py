@@ -169,7 +169,7 @@ class PublishedReader:
     """
 
     def __init__(self, memory: Published, sensors: int) -> None:
-        self._memory, self._seen = memory, -1
+        self._memory, self._read_version = memory, -1
         self.degc, self.time_ns = np.full(sensors, np.nan), np.full(sensors, NEVER)
         self.rpm, self.read = np.full(1, np.nan), np.zeros(sensors, dtype=np.bool_)
         self._new_degc, self._new_time_ns, self._new_rpm = self.degc.copy(), self.time_ns.copy(), self.rpm.copy()
@@ -179,10 +179,10 @@ class PublishedReader:
         memory = self._memory
         for _ in range(TRIES):
             version = memory.version
-            if version == self._seen:
+            if version == self._read_version:
                 return True
             if memory.copy(self._new_degc, self._new_time_ns, self._new_rpm):
-                self._seen = version  # the copy is at least this new; a newer one is copied the next time
+                self._read_version = version  # the copy is at least this new; a newer one is copied the next time
                 self.degc[:], self.time_ns[:], self.rpm[:] = self._new_degc, self._new_time_ns, self._new_rpm
                 np.not_equal(self.time_ns, NEVER, out=self.read)
                 return True

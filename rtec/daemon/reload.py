@@ -99,8 +99,8 @@ def read_again(old: Setup, now: Now | None = None, accepts_doubts: bool = False)
     message = _bytes(step.all_numbers() if same else new.step_settings())
     if len(message) > MOST_BYTES:
         raise OrderRefused(f"{new.model.name}: too large to be taken up while the loop runs; start it again")
-    if not accepts_doubts and (found := doubts(before, step, now)):
-        raise OrderRefused(f"{'; '.join(found)}; if that is meant: `rtec ctl reload --yes`")
+    if not accepts_doubts and (reasons := doubts(before, step, now)):
+        raise OrderRefused(f"{'; '.join(reasons)}; if that is meant: `rtec ctl reload --yes`")
     return Reloaded(new, message, _changed(old, new))
 
 
@@ -194,11 +194,11 @@ def _at_this_moment(old: Step, new: Step, now: Now) -> list[tuple[float, float]]
         new.restore(old.state)
     else:
         new.adopt(old, now.samples)
-    asked = []
+    requests = []
     for step in (old, new):
         step.recompute_slow_part()
-        asked.append(step.run(now.samples).requested_um[0])
-    return list(zip(*np.array(asked).tolist(), strict=True)) if np.isfinite(asked).all() else []
+        requests.append(step.run(now.samples).requested_um[0])
+    return list(zip(*np.array(requests).tolist(), strict=True)) if np.isfinite(requests).all() else []
 
 
 def _bytes(content: object) -> bytes:
@@ -331,16 +331,16 @@ class ReloadDesk:
 
     def send(self, ring: Ring, pipe: Connection) -> None:
         """Send the result to the loop."""
-        found = self._reader.poll()
-        if isinstance(found, str):
-            self._done(ring, found, "not reloaded")
-        elif found is not None and not found.changed:
+        outcome = self._reader.poll()
+        if isinstance(outcome, str):
+            self._done(ring, outcome, "not reloaded")
+        elif outcome is not None and not outcome.changed:
             self._done(ring, "reloaded: nothing changed", "reloaded")
-        elif found is not None:
-            self._coming = found
+        elif outcome is not None:
+            self._coming = outcome
             self._generation += 1
             with suppress(BrokenPipeError, ConnectionResetError):  # the loop died; its end is reported elsewhere
-                pipe.send_bytes(found.message)
+                pipe.send_bytes(outcome.message)
             ring.orders.reloads = self._generation
 
     def look(self, ring: Ring, disk: DiskThread) -> None:

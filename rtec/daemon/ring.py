@@ -59,7 +59,7 @@ class Note:
     def __init__(self, version: NDArray[np.int64], text: NDArray[np.uint8], barrier: Callable[[], None]) -> None:
         self._version, self._text, self._barrier = version, text, barrier
         self._written: Mapping[str, list[str]] = {}
-        self._seen, self._read = 0, dict[str, list[str]]()
+        self._read_version, self._read = 0, dict[str, list[str]]()
 
     def write(self, reasons: Mapping[str, list[str]]) -> None:
         """Write the faults, where they have changed; a text that is too long is cut."""
@@ -79,13 +79,13 @@ class Note:
         """The last note."""
         for _ in range(_TRIES):
             version = int(self._version[0])
-            if version == self._seen:
+            if version == self._read_version:
                 break
             self._barrier()
             data = self._text.tobytes()
             self._barrier()
             if version % 2 == 0 and int(self._version[0]) == version:
-                self._seen, self._read = version, _decoded(data)
+                self._read_version, self._read = version, _decoded(data)
         return self._read
 
 
@@ -102,8 +102,8 @@ def _encoded(reasons: Mapping[str, list[str]]) -> bytes:
 
 
 def _decoded(data: bytes) -> dict[str, list[str]]:
-    found: Any = json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")] or b"{}")
-    return {str(name): [str(text) for text in texts] for name, texts in found.items()}
+    reasons: Any = json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")] or b"{}")
+    return {str(name): [str(text) for text in texts] for name, texts in reasons.items()}
 
 
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)

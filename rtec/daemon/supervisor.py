@@ -102,7 +102,7 @@ class Supervisor:
         self._disk_state = None if disk is None else DiskState(disk)
         self._reload = ReloadDesk(setup, self._memory, self._note, self.parts.add("reload"))
         self._step_orders = StepOrders(setup, self._clock)
-        self._interrupted, self._ended, self._at_once = False, False, False
+        self._interrupted, self._ended, self._ends_at_once = False, False, False
         self._disk: DiskThread | None = None
         self._held_without: list[str] = []
         self._flush_ns, self._deleted = 0, False
@@ -244,7 +244,7 @@ class Supervisor:
             workers.look()
             self._carry_out(ring)
             ending = self._interrupted or self._ended
-            if self._step_orders.look(ring.orders, self._watch.status, ending) or self._at_once:
+            if self._step_orders.look(ring.orders, self._watch.status, ending) or self._ends_at_once:
                 ring.stop_requested = 1
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
@@ -357,7 +357,7 @@ class Supervisor:
         elif number == signal.SIGHUP and self._notifier.listens:
             self._orders.put((Order.RELOAD, "signal HUP", "signal"))
         else:
-            self._at_once, self._interrupted = self._interrupted, True
+            self._ends_at_once, self._interrupted = self._interrupted, True
 
 
 def _died(code: int | None, last_words: str) -> str:

@@ -112,10 +112,10 @@ class TableFile:
             return None
         axes = TableAxes(self.moves.name, self.corrects.name, self._second.name if self._second else "")
         try:
-            found = self.form.read(text, str(self.path), axes)
-            if found.others:
-                raise ConfigError(f"{self.path}: holds {found.others} more tables, of other axes")
-            return found
+            content = self.form.read(text, str(self.path), axes)
+            if content.others:
+                raise ConfigError(f"{self.path}: holds {content.others} more tables, of other axes")
+            return content
         except ConfigError as e:
             raise ConfigError(
                 f"{e}; [table] files.{self._key} would replace it: name another file, or move this one away"
@@ -145,7 +145,7 @@ class TableKeeper:
             raise ConfigError("\n".join(faults))
         self._times: list[float] = []
         self._slow: list[dict[str, float]] = []
-        self._said: dict[str, str] = {}
+        self._last_texts: dict[str, str] = {}
 
     def look(self, setup: Setup, status: Status, mode: str) -> None:
         """Check all files once.
@@ -180,12 +180,12 @@ class TableKeeper:
             if line or (wrong and self._is_new(str(file.path), wrong)):
                 self._report("table" if line else "alarm", line or wrong)
             if not wrong:
-                self._said.pop(str(file.path), None)
+                self._last_texts.pop(str(file.path), None)
 
     def _is_new(self, about: str, text: str) -> bool:
         """Does the text differ from the last one? Differences in numbers do not count."""
         plain = re.sub(r"[-+]?\d+(\.\d+)?", "", text)
-        before, self._said[about] = self._said.get(about, ""), plain
+        before, self._last_texts[about] = self._last_texts.get(about, ""), plain
         return before != plain
 
     def _remember(self, time_s: float, now: dict[str, float]) -> None:

@@ -279,13 +279,13 @@ def idle_states(pc: Pc, realtime: Realtime) -> PcFinding:
 def governor(pc: Pc, realtime: Realtime) -> PcFinding:
     """Does the processor run at full speed?"""
     topic, ours = "speed governor", loops_processor(pc, realtime)
-    found = pc.text(f"{CPU}/cpu{ours}/cpufreq/scaling_governor")
-    if found is None:
+    setting = pc.text(f"{CPU}/cpu{ours}/cpufreq/scaling_governor")
+    if setting is None:
         return PcFinding(topic, "not to be read here", "unknown")
-    if found == "performance":
-        return PcFinding(topic, found, "good")
+    if setting == "performance":
+        return PcFinding(topic, setting, "good")
     how = ("sudo cpupower frequency-set -g performance   # Debian: package linux-cpupower",)
-    return PcFinding(topic, found, "better", "after an idle moment the processor first runs slowly", commands=how)
+    return PcFinding(topic, setting, "better", "after an idle moment the processor first runs slowly", commands=how)
 
 
 def firmware(pc: Pc, before: int | None, after: int | None, seconds: float) -> PcFinding:

@@ -53,18 +53,18 @@ def text_of(path: Path) -> str:
 
 def serial_ports(root: Path = ROOT) -> list[PortHere]:
     """The serial ports with hardware behind them, USB adapters first."""
-    found = []
-    for entry in _entries(root / "sys/class/tty"):
-        if not (entry / "device").exists() or text_of(entry / "type") == "0":  # 0: no hardware behind it
+    ports = []
+    for port in _entries(root / "sys/class/tty"):
+        if not (port / "device").exists() or text_of(port / "type") == "0":  # 0: no hardware behind it
             continue
-        adapter = _usb_adapter(entry / "device", root)
+        adapter = _usb_adapter(port / "device", root)
         if adapter is None:
-            found.append(PortHere(f"/dev/{entry.name}"))
+            ports.append(PortHere(f"/dev/{port.name}"))
             continue
         names = [text_of(adapter / "manufacturer"), text_of(adapter / "product")]
         product = " ".join(n for n in names if n)
-        found.append(PortHere(f"/dev/{entry.name}", text_of(adapter / "serial"), product))
-    return sorted(found, key=lambda p: (p.serial == "", p.device))
+        ports.append(PortHere(f"/dev/{port.name}", text_of(adapter / "serial"), product))
+    return sorted(ports, key=lambda p: (p.serial == "", p.device))
 
 
 def holders(device: str, root: Path = ROOT) -> list[Holder]:
@@ -110,7 +110,7 @@ def can_state(channel: str, root: Path = ROOT) -> str:
 
 def can_interfaces(root: Path = ROOT) -> list[str]:
     """Names of the kernel's CAN interfaces (type 280 is ARPHRD_CAN)."""
-    return [entry.name for entry in _entries(root / "sys/class/net") if text_of(entry / "type") == "280"]
+    return [link.name for link in _entries(root / "sys/class/net") if text_of(link / "type") == "280"]
 
 
 def _entries(folder: Path) -> Iterator[Path]:

@@ -96,26 +96,26 @@ def measured(realtime: Realtime, rate_hz: float, seconds: float, tell: Callable[
     return WakeUps(**json.loads(outcome))
 
 
-def judged(found: WakeUps, rate_hz: float) -> PcFinding:
+def judged(wake_ups: WakeUps, rate_hz: float) -> PcFinding:
     """Are the wake-ups early enough for the loop?"""
     cycle_us = 1e6 / rate_hz
     text = (
-        f"late by {found.p50_us:.0f} µs (p50), {found.p99_us:.0f} (p99), {found.p99_9_us:.0f} (p99.9), "
-        f"{found.max_us:.0f} (max) of {found.n}, cycle {cycle_us:.0f} µs"
+        f"late by {wake_ups.p50_us:.0f} µs (p50), {wake_ups.p99_us:.0f} (p99), {wake_ups.p99_9_us:.0f} (p99.9), "
+        f"{wake_ups.max_us:.0f} (max) of {wake_ups.n}, cycle {cycle_us:.0f} µs"
     )
     state: State = "good"
     why = ""
-    if found.late > MANY * found.n:
-        state, why = "wrong", f"{found.late} of {found.n} came later than a whole cycle: deadlines are missed"
-    elif found.late or found.p99_9_us > POOR * cycle_us:
+    if wake_ups.late > MANY * wake_ups.n:
+        state, why = "wrong", f"{wake_ups.late} of {wake_ups.n} came later than a whole cycle: deadlines are missed"
+    elif wake_ups.late or wake_ups.p99_9_us > POOR * cycle_us:
         state, why = (
             "better",
-            f"{found.late} came later than a whole cycle"
-            if found.late
+            f"{wake_ups.late} came later than a whole cycle"
+            if wake_ups.late
             else "a tenth of the cycle and more is over before its work begins",
         )
-    if found.refused:
-        why = "; ".join(t for t in (why, f"measured without: {found.refused}") if t)
+    if wake_ups.refused:
+        why = "; ".join(t for t in (why, f"measured without: {wake_ups.refused}") if t)
     return PcFinding("wake-ups", text, state, why)
 
 
@@ -129,8 +129,8 @@ def main() -> None:
         sys.stdout.write(".\n")
         sys.stdout.flush()
 
-    found = measure(RealClock(), orders["rate_hz"], orders["seconds"], "; ".join(refused), dot)
-    sys.stdout.write(json.dumps(asdict(found)) + "\n")
+    wake_ups = measure(RealClock(), orders["rate_hz"], orders["seconds"], "; ".join(refused), dot)
+    sys.stdout.write(json.dumps(asdict(wake_ups)) + "\n")
 
 
 if __name__ == "__main__":

@@ -58,14 +58,14 @@ class Installed:
         if self.trouble:
             raise DriverUnavailable(f"driver {self.name!r} {self.trouble}")
         try:
-            found = getattr(importlib.import_module(self.module), self.kind, None)
+            driver_type = getattr(importlib.import_module(self.module), self.kind, None)
         except ImportError as e:
             raise DriverUnavailable(f"driver {self.name!r} {_cannot(e, self.package)}") from e
         except Exception as e:  # a package's own code may raise anything while it is imported
             raise DriverUnavailable(f"driver {self.name!r} cannot be imported: {type(e).__name__}: {e}") from e
-        if found is None:
+        if driver_type is None:
             raise DriverUnavailable(f"driver {self.name!r}: module {self.module} has no {self.kind}")
-        return found
+        return driver_type
 
 
 def installed() -> dict[str, Installed]:

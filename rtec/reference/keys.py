@@ -122,13 +122,13 @@ def matching(path: str) -> list[Key]:
     tables = [key for key in keys if _is(_parts(key.table), parts) or (path in FILES and key.file == path)]
     by_driver = [key for key in keys if _is([key.when.split('"')[-2:-1][0], key.name] if key.when else [], parts)]
     ends = [key for key in keys if _is(_parts(key.path)[-len(parts) :], parts)]
-    found = whole or tables or by_driver or ends
-    if not found:
+    matches = whole or tables or by_driver or ends
+    if not matches:
         names = sorted({key.name for key in keys} | {key.path for key in keys})
         close = difflib.get_close_matches(path, names, n=1, cutoff=NEAR)
         way = f"did you mean {close[0]!r}?" if close else "`rtec explain` lists the tables"
         raise ConfigError(f"rtec explain: no key {path!r}; {way}")
-    return found
+    return matches
 
 
 def tables() -> list[tuple[str, str, str, int]]:

@@ -25,22 +25,22 @@ class Follower:
         name: name of the protocol in the daemon's events.
 
     Attributes:
-        found: newest status; None where no daemon answers.
+        report: newest status; None where no daemon answers.
     """
 
     def __init__(self, config: Path, name: str) -> None:
         self._config, self._name = config, name
-        self.found: Mapping[str, Any] | None = None
+        self.report: Mapping[str, Any] | None = None
 
     @property
     def live(self) -> Mapping[str, Any] | None:
         """The newest status if its values are current; else None."""
-        return None if self.found is None or stands(self.found) else self.found
+        return None if self.report is None or stands(self.report) else self.report
 
     @property
     def state(self) -> str:
         """State in words: "running", "loop stands" or "no daemon"."""
-        return "no daemon" if self.found is None else "running" if self.live else "loop stands"
+        return "no daemon" if self.report is None else "running" if self.live else "loop stands"
 
     async def follow(self) -> None:
         """Follow until cancelled, through restarts of the daemon."""
@@ -51,7 +51,7 @@ class Follower:
                 except (OSError, RequestError, RtecError, EOFError, TimeoutError, asyncio.LimitOverrunError):
                     continue
                 finally:
-                    self.found = None
+                    self.report = None
             await asyncio.sleep(AGAIN_S)
 
     async def _read(self, path: Path) -> None:
@@ -64,6 +64,6 @@ class Follower:
                 if "error" in answer or "refused" in answer:
                     raise RtecError(str(answer))
                 if "status" in answer:
-                    self.found = answer
+                    self.report = answer
         finally:
             writer.close()

@@ -83,20 +83,20 @@ def units() -> dict[str, str]:
 def state(follower: Follower) -> dict[str, Any]:
     """The retained state: the daemon's state, and the units of the values."""
     content: dict[str, Any] = {"schema": SCHEMA, "state": follower.state}
-    if (found := follower.found) is not None:
-        content |= {key: found[key] for key in ("machine", "model", "rtec_version", "axes", "sensors", "started")}
+    if (report := follower.report) is not None:
+        content |= {key: report[key] for key in ("machine", "model", "rtec_version", "axes", "sensors", "started")}
     return {**content, "units": units()}
 
 
-def values(found: Mapping[str, Any]) -> dict[str, Any]:
+def values(report: Mapping[str, Any]) -> dict[str, Any]:
     """One message with all values that change."""
     return {
         "schema": SCHEMA,
-        "utc": instant(found),
-        **machine(found),
-        "axes": axes(found),
-        "temperatures": sensors(found),
-        "conditions": [vars(condition) for condition in conditions(found)],
+        "utc": instant(report),
+        **machine(report),
+        "axes": axes(report),
+        "temperatures": sensors(report),
+        "conditions": [vars(condition) for condition in conditions(report)],
     }
 
 
@@ -157,17 +157,17 @@ class Publisher:
                 listening.cancel()
 
     async def _publish(self, client: Any, follower: Follower) -> None:
-        said, now, since_s = "", asyncio.get_running_loop().time, 0.0
+        published, now, since_s = "", asyncio.get_running_loop().time, 0.0
         while True:
             text = _text(state(follower))
-            if text != said or self._heard != said or now() - since_s > AGAIN_S:
-                self._heard = said = text
+            if text != published or self._heard != published or now() - since_s > AGAIN_S:
+                self._heard = published = text
                 await client.publish(f"{self._topic}/state", text, qos=1, retain=True)
                 since_s, self._wait_s = now(), FIRST_WAIT_S
-            if (found := follower.live) is not None:
-                await client.publish(f"{self._topic}/values", _text(values(found)), qos=1)
-            if (found := follower.found) is not None:
-                await self._send_events(client, found)
+            if (report := follower.live) is not None:
+                await client.publish(f"{self._topic}/values", _text(values(report)), qos=1)
+            if (report := follower.report) is not None:
+                await self._send_events(client, report)
             await asyncio.sleep(self._table.period_s)
 
     async def _listen(self, client: Any) -> None:
@@ -176,18 +176,18 @@ class Publisher:
             if message.topic.value == f"{self._topic}/state":
                 self._heard = bytes(message.payload).decode(errors="replace")
 
-    async def _send_events(self, client: Any, found: Mapping[str, Any]) -> None:
-        for event in self._new_events(found):
+    async def _send_events(self, client: Any, report: Mapping[str, Any]) -> None:
+        for event in self._new_events(report):
             await client.publish(f"{self._topic}/events", _text({"schema": SCHEMA, **event}), qos=1)
-        self._events = (found["pid"], found["events_total"])
+        self._events = (report["pid"], report["events_total"])
 
-    def _new_events(self, found: Mapping[str, Any]) -> list[dict[str, Any]]:
+    def _new_events(self, report: Mapping[str, Any]) -> list[dict[str, Any]]:
         """Events since the last message; no old ones of a daemon that was not followed before."""
         if self._events is None:
             return []
         pid, total = self._events
-        new = found["events_total"] - (total if pid == found["pid"] else 0)
-        events: list[dict[str, Any]] = found["events"]
+        new = report["events_total"] - (total if pid == report["pid"] else 0)
+        events: list[dict[str, Any]] = report["events"]
         return events[-new:] if new > 0 else []
 
 

@@ -71,16 +71,16 @@ def known_keys(axis_names: Sequence[str], sensor_names: Sequence[str]) -> list[s
     return [*of_axes, *(key_of(name, "temperature") for name in sensor_names), "spindle", "mode"]
 
 
-def values(found: Mapping[str, Any]) -> Values:
+def values(report: Mapping[str, Any]) -> Values:
     """Values of a status, by key; lengths in millimetres, as in the standard."""
     out: Values = {}
-    for axis, of in axes(found).items():
+    for axis, of in axes(report).items():
         out[key_of(axis, "position")] = (_number(of["position_mm"], 1.0),)
         for what in ("requested", "applied", "residual"):
             out[key_of(axis, what)] = (_number(of[f"{what}_um"], 1e-3),)
-    for name, of in sensors(found).items():
+    for name, of in sensors(report).items():
         out[key_of(name, "temperature")] = (_number(of["temperature_degc"], 1.0),)
-    whole = machine(found)
+    whole = machine(report)
     out["spindle"] = (_number(whole["spindle_rpm"], 1.0),)
     mode = whole["mode"]
     out["mode"] = (UNAVAILABLE,) if mode is None else (str(mode), f"the correction is ordered to be {mode}")
@@ -113,17 +113,17 @@ class SentToAgent:
     values: Values = field(default_factory=dict)
     conditions: dict[str, StatusCondition] = field(default_factory=dict)
 
-    def lines(self, found: Mapping[str, Any] | None, everything: Sequence[str]) -> Iterator[str]:
+    def lines(self, report: Mapping[str, Any] | None, everything: Sequence[str]) -> Iterator[str]:
         """Changes, as lines; they then count as sent.
 
         Args:
             found: newest status; None where there are no current values.
             everything: keys of all values.
         """
-        at, available = instant(found), found is not None
+        at, available = instant(report), report is not None
         lost: tuple[str, ...] = (UNAVAILABLE,)
-        new = values(found) if found is not None else dict.fromkeys(everything, lost)
-        active = {c.code: c for c in conditions(found)} if found is not None else {}
+        new = values(report) if report is not None else dict.fromkeys(everything, lost)
+        active = {c.code: c for c in conditions(report)} if report is not None else {}
         began = available is not self.available
         if began:
             yield f"{at}|avail|{'AVAILABLE' if available else UNAVAILABLE}"
@@ -187,16 +187,16 @@ class Adapter:
                     agent.writer.transport.abort()
 
     def _publish(self, follower: Follower) -> None:
-        found = follower.live
-        if found is not None:
-            self._keys = known_keys(found["axes"], found["sensors"])
+        report = follower.live
+        if report is not None:
+            self._keys = known_keys(report["axes"], report["sensors"])
         now_s = asyncio.get_running_loop().time()
         for agent in [*self._agents]:
             if agent.pings and now_s - agent.heard_s > 2e-3 * HEARTBEAT_MS:
                 self._say("an agent that asked before is silent now: its connection is closed")
                 agent.writer.transport.abort()
             elif agent.writer.transport.get_write_buffer_size() < LARGEST_BUFFER:
-                agent.writer.write("".join(f"{line}\n" for line in agent.shown.lines(found, self._keys)).encode())
+                agent.writer.write("".join(f"{line}\n" for line in agent.shown.lines(report, self._keys)).encode())
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         agent = _Agent(writer, asyncio.get_running_loop().time())

@@ -85,16 +85,16 @@ def server(task: Any, say: Callable[[str], None]) -> "UaPublisher":
     return UaPublisher(task.table, task.config.parent, task.machine, say)
 
 
-def values(found: Mapping[str, Any]) -> Values:
+def values(report: Mapping[str, Any]) -> Values:
     """Values of a status, by node such as `Axes.X.position_mm`; None where unknown."""
-    out: Values = {f"Axes.{axis}.{key}": v for axis, of in axes(found).items() for key, v in of.items()}
-    out |= {f"Temperatures.{name}.{key}": v for name, of in sensors(found).items() for key, v in of.items()}
-    out |= machine(found)
-    active = list(conditions(found))
+    out: Values = {f"Axes.{axis}.{key}": v for axis, of in axes(report).items() for key, v in of.items()}
+    out |= {f"Temperatures.{name}.{key}": v for name, of in sensors(report).items() for key, v in of.items()}
+    out |= machine(report)
+    active = list(conditions(report))
     out["Conditions"] = [f"{c.level}: {c.code}: {c.text}" for c in active]
     out["DeviceHealth"] = FAILURE if any(c.level == "fault" for c in active) else OFF_SPEC if active else NORMAL
-    out["SoftwareRevision"] = found["rtec_version"]
-    out["ErrorModel"] = found["model"]
+    out["SoftwareRevision"] = report["rtec_version"]
+    out["ErrorModel"] = report["model"]
     return out
 
 
@@ -161,10 +161,10 @@ class UaPublisher:
 
     async def _publish(self, served: Any, follower: Follower) -> None:
         while True:
-            found = follower.live
-            if found is not None and not self._nodes:
-                await self._make(served, found)
-            await self._write(found)
+            report = follower.live
+            if report is not None and not self._nodes:
+                await self._make(served, report)
+            await self._write(report)
             await asyncio.sleep(self._table.period_s)
 
     async def _cut_off(self, transports: Sequence[asyncio.WriteTransport]) -> None:
@@ -219,7 +219,7 @@ class UaPublisher:
         served.limits.max_message_size, served.limits.max_chunk_count = LARGEST_MESSAGE, 17
         return served
 
-    async def _make(self, served: Any, found: Mapping[str, Any]) -> None:
+    async def _make(self, served: Any, report: Mapping[str, Any]) -> None:
         from asyncua import ua
 
         number = {uri: await served.register_namespace(uri) for uri in (OURS, DI, MACHINERY, MACHINE_TOOL)}
@@ -256,8 +256,8 @@ class UaPublisher:
             kind = whole.get(quantity.key, kinds.Double if quantity.unit else kinds.Int64)
             await variable(monitoring, quantity.key, name_of(quantity), kind, unit=quantity.unit)
         for group, names, quantities in (
-            ("Axes", found["axes"], OF_AXIS),
-            ("Temperatures", found["sensors"], OF_SENSOR),
+            ("Axes", report["axes"], OF_AXIS),
+            ("Temperatures", report["sensors"], OF_SENSOR),
         ):
             folder = await part(monitoring, group, group)
             for name in names:
@@ -265,12 +265,12 @@ class UaPublisher:
                 for q in quantities:
                     await variable(one, f"{group}.{name}.{q.key}", name_of(q), kinds.Double, unit=q.unit)
 
-    async def _write(self, found: Mapping[str, Any] | None) -> None:
+    async def _write(self, report: Mapping[str, Any] | None) -> None:
         from asyncua import ua
 
-        new = {} if found is None else values(found)
-        missing = ua.StatusCodes.BadNoCommunication if found is None else ua.StatusCodes.BadDataUnavailable
-        at = datetime.fromisoformat(instant(found))
+        new = {} if report is None else values(report)
+        missing = ua.StatusCodes.BadNoCommunication if report is None else ua.StatusCodes.BadDataUnavailable
+        at = datetime.fromisoformat(instant(report))
         for node, made in self._nodes.items():
             value = new.get(node)
             state = (value, missing if value is None else 0)

@@ -137,22 +137,22 @@ class KeptProcess:
         self._task, self._clock, self._part = task, clock, part
         self._context = multiprocessing.get_context("spawn")
         self._alive: Any = self._context.Value("q", 0, lock=False)
-        self._seen, self._seen_ns = 0, 0
+        self._last_value, self._last_change_ns = 0, 0
         self.process: Any = None
 
     def start(self) -> None:
         """Start the process."""
         name = f"rtec-{self._task.protocol}"
         self.process = self._context.Process(target=work, args=(self._task, self._alive), name=name, daemon=True)
-        self._seen_ns = self._clock.now_ns()
+        self._last_change_ns = self._clock.now_ns()
         with signals_wait():
             self.process.start()
 
     def look(self) -> None:
         """Check it; restart it when that is due."""
         now_ns = self._clock.now_ns()
-        if self._alive.value != self._seen:
-            self._seen, self._seen_ns = self._alive.value, now_ns
+        if self._alive.value != self._last_value:
+            self._last_value, self._last_change_ns = self._alive.value, now_ns
         if self.process is None:
             if self._part.due:
                 self.start()
@@ -160,7 +160,7 @@ class KeptProcess:
             self.process.join()
             self._part.failed(f"its process ended (exit code {self.process.exitcode})", "a new one is started")
             self.process = None
-        elif now_ns - self._seen_ns > SILENT_NS:
+        elif now_ns - self._last_change_ns > SILENT_NS:
             self.process.kill()
 
     def end(self) -> None:

@@ -65,7 +65,7 @@ class BoxSession:
         self._looked_ns = clock.now_ns()
         self._waiting_ns: int | None = None  # since the first question after the last answer
         self._reader = FrameReader()
-        self._asked: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_QUESTIONS)
+        self._open_questions: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_QUESTIONS)
 
     def talk(self, timeout_s: float) -> BoxAnswer:
         """Ask for the state as `exchange` does; after a silence less often, and without waiting.
@@ -151,7 +151,7 @@ class BoxSession:
         """Send a question that a STATE answers; remember its instant."""
         now_ns = self._clock.now_ns()
         sequence = self.send(kind, payload)
-        self._asked.append((sequence, now_ns))
+        self._open_questions.append((sequence, now_ns))
         if self._waiting_ns is None:
             self._waiting_ns = now_ns
         return sequence
@@ -167,7 +167,7 @@ class BoxSession:
             state = protocol.state_of(frame.payload) if asked_ns is not None else None
             if asked_ns is not None and state is not None and len(state.counts) == self.info.axes:
                 newest = BoxAnswer(state, asked_ns, self._clock.now_ns())
-                self._waiting_ns = self._asked[0][1] if self._asked else None
+                self._waiting_ns = self._open_questions[0][1] if self._open_questions else None
         return newest
 
     def send(self, kind: int, payload: bytes = b"") -> int:
@@ -188,16 +188,16 @@ class BoxSession:
 
     def _answers(self, question: int) -> bool:
         """Has that question been answered?"""
-        return all(sequence != question for sequence, _ in self._asked)
+        return all(sequence != question for sequence, _ in self._open_questions)
 
     def _asked_at(self, frame: Frame) -> int | None:
         """Instant of this answer's question; closes it and the older ones."""
         if frame.kind != protocol.STATE or frame.version != protocol.VERSION:
             return None
-        if all(sequence != frame.sequence for sequence, _ in self._asked):
+        if all(sequence != frame.sequence for sequence, _ in self._open_questions):
             return None
         while True:
-            sequence, asked_ns = self._asked.popleft()
+            sequence, asked_ns = self._open_questions.popleft()
             if sequence == frame.sequence:
                 return asked_ns
 

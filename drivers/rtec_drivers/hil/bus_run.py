@@ -23,7 +23,7 @@ class BusRun:
         track: positions of the tool tip.
         logbook: summary of the log.
         log: path of the log.
-        found: counts of the far sides.
+        far_counts: counts of the far sides.
         watch: the daemon's messages.
         warnings: what the system refused.
     """
@@ -34,6 +34,6 @@ class BusRun:
     track: TipTrack
     logbook: Logbook
     log: Path
-    found: Mapping[str, Mapping[str, Any]]
+    far_counts: Mapping[str, Mapping[str, Any]]
     watch: FaultWatch
     warnings: Sequence[str]

@@ -79,7 +79,7 @@ def run_on_buses(
         report = supervisor.run(duration_s)
         if report.interrupted:
             raise KeyboardInterrupt
-        found = far.finish()
+        far_counts = far.finish()
         return BusRun(
             setup,
             report,
@@ -87,7 +87,7 @@ def run_on_buses(
             TipTrack.load(folder / TRACK),
             read_logbook(log, setup),
             log,
-            found,
+            far_counts,
             watch,
             [*far.warnings, *report.warnings],
         )

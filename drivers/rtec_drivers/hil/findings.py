@@ -127,7 +127,7 @@ def checks_of(which: str, run: BusRun, found: Sequence[FaultFound], judged: bool
     """
     summary, logbook = run.report.summary, run.logbook
     own, logged = list(summary["output"].values()), list(logbook.output.values())
-    machine = list(run.found["machine"]["inserted"])
+    machine = list(run.far_counts["machine"]["inserted"])
     replayed = replay_log(run.setup, run.log, check=True)
     lost = [f.order.name for f in found if math.isnan(f.recovered_s)]
     astray, looked = given_astray(run)

@@ -229,12 +229,12 @@ class Poller:
             data += more
         self._look_for_late(data, None)
 
-    def _look_for_late(self, data: bytes, asked: Slave | None) -> None:
+    def _look_for_late(self, data: bytes, expected: Slave | None) -> None:
         if self._exchange.numbered or not data:
             return
         numbers = {number for number, _ in frames_of_slaves(data)}
         for slave in self._slaves:
-            if slave is not asked and slave.number in numbers and not (asked and slave.in_step):
+            if slave is not expected and slave.number in numbers and not (expected and slave.in_step):
                 self.late += 1
                 slave.spoke_unasked(self._clock.now_ns())
                 why = f"slave {slave.number} ({slave.name}): answers later than its timeout_s"
