@@ -1,7 +1,7 @@
 """The public API, which the commands call too: load, simulate, fit, compare, diagnose, add, improve, plan, evaluate.
 
-Paths are `str` or `Path`. A model, a machine or a measurement is given as its file or as what was loaded from it.
-`progress(stage, done, total)` is called now and then by what takes long: the stage in words, and how much is done.
+Paths are `str` or `Path`. A model, a machine or a measurement is given as its file or as the loaded object.
+Long calls report with `progress(stage, done, total)`: the stage in words, the amount done, and the total.
 Every error is an `rtec.errors.RtecError`, and its message says what to do.
 """
 
@@ -74,7 +74,7 @@ def load_machine(path: PathLike) -> Machine:
     """Read a machine file.
 
     Raises:
-        ConfigError: file, section, key and what is allowed; all faults of the file at once.
+        ConfigError: all faults of the file, with file, section, key and what is allowed.
     """
     return _load_machine(Path(path))
 
@@ -83,11 +83,11 @@ def load_model(path: PathLike, machine: MachineLike | None = None) -> Model:
     """Read a model file.
 
     Args:
-        path: of the model.
-        machine: that it was made for; by default its file is looked for beside the model.
+        path: path of the model.
+        machine: machine of the model; None: the machine file beside the model.
 
     Raises:
-        ModelError: the file cannot be used, or no machine file belongs to it.
+        ModelError: the file cannot be used, or there is no machine file for it.
     """
     return _model(path, machine)[0]
 
@@ -97,11 +97,11 @@ def load_measurement(path: PathLike, machine: MachineLike, leniency: "Leniency |
 
     Args:
         path: table, TOML, or their common stem.
-        machine: that it was made on.
-        leniency: what is accepted, beside what the TOML accepts.
+        machine: machine of the measurement.
+        leniency: faults to accept, in addition to those that the TOML accepts.
 
     Raises:
-        MeasurementError: all faults of the table, by row, each with a way on.
+        MeasurementError: all faults of the table, by row, each with a way out.
     """
     from rtec.metrology.files.load import load_measurement as load
 
@@ -111,15 +111,15 @@ def load_measurement(path: PathLike, machine: MachineLike, leniency: "Leniency |
 def propose_import(
     path: PathLike, machine: MachineLike | None = None, answers: Mapping[str, str] | None = None
 ) -> "ImportProposal":
-    """Propose how a table of another program is read: its columns, first values, guesses with reasons, questions.
+    """Propose how to read another program's table: its columns, first values, guesses with reasons, questions.
 
     Args:
         path: the table.
-        machine: that it was measured on; its axes and sensors are looked for.
-        answers: to questions, by key; `ImportProposal.answered` gives more of them.
+        machine: machine of the measurement; its axes and sensors are matched with the columns.
+        answers: answers to questions, by key; `ImportProposal.answered` adds more.
 
     Raises:
-        MeasurementError: the file is no table, or an answer is not possible.
+        MeasurementError: the file is no table, or an answer is not allowed.
     """
     from rtec.metrology.importing import propose
 
@@ -137,20 +137,21 @@ def import_table(
     missing_codes: Sequence[str] = (),
     force: bool = False,
 ) -> "Imported":
-    """Read a table of another program, and write it as a measurement: NAME.csv (or .parquet) and NAME.toml.
+    """Read another program's table, and write it as a measurement: NAME.csv (or .parquet) and NAME.toml.
 
     Args:
         path: the table; several of one form become runs.
         map: TOML with the meaning of each column; or a proposal, which is then written as NAME-map.toml.
         out: NAME, NAME.csv or NAME.parquet.
-        machine: to check the result against; `Imported.measurement` is None without it, and without a proposal's.
-        reader: that reads the table; by default the one that recognises its content.
-        drop_bad_rows, missing_codes: what is accepted; noted in NAME.toml.
+        machine: machine to check the result against; without it, and without a proposal's, `Imported.measurement` is
+            None.
+        reader: reader of the table; None: the one that recognises its content.
+        drop_bad_rows, missing_codes: faults to accept; recorded in NAME.toml.
         force: overwrite existing files.
 
     Raises:
-        MeasurementError: the table or the map is wrong, or the proposal has open questions; line, column or key, and a
-            way on.
+        MeasurementError: the table or the map is at fault, or the proposal has open questions; line, column or key, and
+            a way out.
     """
     from rtec.metrology.importing import ImportProposal, import_to_files, load_map, save_map
 
@@ -185,25 +186,25 @@ def simulate(
     out: PathLike | None = None,
     truth_out: PathLike | None = None,
 ) -> "Simulated":
-    """Simulate a measurement on a machine whose true effects you choose; the same seed gives the same numbers.
+    """Simulate a measurement on a machine with true effects of your choice; the same seed gives the same numbers.
 
     Args:
-        machine: that is measured.
-        instrument: its name, for example "laser_linear".
-        axis: that it follows.
+        machine: machine to measure.
+        instrument: name of the instrument, for example "laser_linear".
+        axis: axis that the instrument follows.
         component: component error that it reads directly, without lever arm.
         setup: keys of its set-up, as under `[setup]` of a measurement: `{"beam_offset_mm": [0, 0, 150]}`.
         truth: model with the true effects.
         effects: further true effects, each as `NAME,key=value,…`.
         settings: TOML file with targets, phases, temperatures, noise.
-        changes: keys and tables over those of `settings`: `{"cycles": 3, "noise": {"white_um": 0.1}}`; None changes
-            nothing.
-        seed: of noise, weather and nuisances.
-        out: NAME or NAME.csv or NAME.parquet, to write the measurement to.
+        changes: keys and tables that replace those of `settings`: `{"cycles": 3, "noise": {"white_um": 0.1}}`; None
+            changes nothing.
+        seed: seed of noise, weather and nuisances.
+        out: NAME or NAME.csv or NAME.parquet for the measurement.
         truth_out: file for the true effects as a model.
 
     Raises:
-        ConfigError, ModelError, MeasurementError: what cannot be, with what can.
+        ConfigError, ModelError, MeasurementError: an impossible argument; the message lists the possible ones.
     """
     from rtec.metrology.files.save import save_measurement
     from rtec.sim.campaign.campaign import simulate_with_truth
@@ -241,17 +242,17 @@ def fit(
     """Characterise a machine: choose effects and temperatures on held-out runs, and fit them.
 
     Args:
-        machine: that was measured.
+        machine: machine that was measured.
         measurements: one or several, of any instruments.
-        effects: fit these and no others, each as `scale` or `mount_expansion:EXX:sensor=T_bed`.
-        leave_out_h: hold out stretches of so many hours, not runs.
-        name: of the model; by default that of its file.
+        effects: fit only these, each as `scale` or `mount_expansion:EXX:sensor=T_bed`.
+        leave_out_h: hold out stretches of this many hours instead of runs.
+        name: name of the model; None: that of its file.
         out: file for the model.
         report: folder for the report with figures.
         progress: called with stage, done and total.
 
     Raises:
-        ModelError: nothing can be fitted, or what was asked for is not shown by the readings.
+        ModelError: nothing can be fitted, or the readings do not show a requested effect.
         MeasurementError: a measurement cannot be read or used.
     """
     from rtec.characterise import characterise, read_wanted
@@ -290,14 +291,14 @@ def compare(
     """Compare a model with measurements: the residual, how much of it is noise, and where it is largest.
 
     Args:
-        model: taken as it is; nothing is refitted.
+        model: model to compare, without a refit.
         measurements: one or several, of any instruments.
-        machine: of the model; by default its file is looked for beside the model.
-        seed: of the random draws.
+        machine: machine of the model; None: the machine file beside the model.
+        seed: seed of the random draws.
         report: folder for the report with figures.
         progress: called with stage, done and total.
-        residual: called with measured and predicted value of each reading as soon as they are known: with very many
-            readings long before the noise floor and the worst regions are.
+        residual: called with measured and predicted value of each reading as soon as they are known, which may be long
+            before noise floor and worst regions.
 
     Raises:
         ModelError, MeasurementError: a file cannot be read or used.
@@ -323,12 +324,12 @@ def diagnose(
     """Name the physical effect that a model lacks, with the evidence, the rivals and what could not be tested.
 
     Args:
-        model: that is diagnosed.
+        model: model to diagnose.
         measurements: one or several, of any instruments.
-        machine: of the model; by default its file is looked for beside the model.
+        machine: machine of the model; None: the machine file beside the model.
         only: test these effects only.
         alpha: accepted false-positive rate, above 0 and at most 0.5.
-        seed: of the random draws; same seed, same result.
+        seed: seed of the random draws; same seed, same result.
         report: folder for the report with figures.
         progress: called with stage, done and total.
 
@@ -346,8 +347,8 @@ def diagnose(
         effect_class(name, "--only")
     known, path, machine_path = _model(model, machine)
     read, paths = _measurements(_listed(measurements), known.machine)
-    found = find(known, read, seed=seed, alpha=alpha, only=names, explain=True, stage=progress)
-    return _finished(replace(found, machine_file=machine_path), path, paths, report)
+    result = find(known, read, seed=seed, alpha=alpha, only=names, explain=True, stage=progress)
+    return _finished(replace(result, machine_file=machine_path), path, paths, report)
 
 
 def add(
@@ -368,23 +369,24 @@ def add(
     """Add an effect to a model, refit all of it, and give the error before and after.
 
     Args:
-        model: that grows; it is not changed itself, the new one is `Added.model`.
+        model: model to extend; it is unchanged, and the new one is `Added.model`.
         measurements: one or several, to refit with.
-        effect: its name, an effect, or a finding of `diagnose`; without it and without `expr` the model's own numbers
-            are refitted and nothing is added.
-        component: component error that a named effect or an expression feeds, for example "EXX".
+        effect: name of an effect, an effect, or a finding of `diagnose`; without it and without `expr` the model's own
+            numbers are refitted and nothing is added.
+        component: component error of a named effect or an expression, for example "EXX".
         expr: an effect of your own, `A*sin(2*pi*x/p + phi)`.
-        params: its parameters that it is not linear in: `{"p": (start, low, high)}`.
+        params: its non-linear parameters: `{"p": (start, low, high)}`.
         arguments: further arguments of a named effect, `{"sensor": "T_bed"}`.
-        machine: of the model; by default its file is looked for beside the model.
-        out: file for the new model; not written where the error on held-out runs does not fall by 0.1 %.
-        force: write it nonetheless.
+        machine: machine of the model; None: the machine file beside the model.
+        out: file for the new model; not written unless the error on held-out runs falls by at least 0.1 %.
+        force: write it in any case.
         report: folder for the report with figures.
         progress: called with stage, done and total.
 
     Raises:
-        ModelError, MeasurementError: a file cannot be read or used; the effect is in the model already, no reading
-            shows it, or something that it needs is missing.
+        ModelError, MeasurementError: a file cannot be read or used; the model has the effect already, no reading shows
+        it,
+            or something that it needs is missing.
     """
     from rtec.diagnosis.extend.add import add as add_effects
 
@@ -414,14 +416,14 @@ def improve(
     """Diagnose and add, one effect after the other, until no significant effect is missing.
 
     Args:
-        model: that grows; it is not changed itself, the new one is `Improved.model`.
+        model: model to extend; it is unchanged, and the new one is `Improved.model`.
         measurements: one or several, of any instruments.
-        ask: which candidate to add, None to stop; without it the best one is added.
-        ask_made: whether to keep what is worth it and names no cause: a refit of the model's own numbers (no labels), a
-            further temperature of one of its effects; without it, it is kept.
-        step: given the refit and each addition as soon as it is made and written.
-        seed: of the random draws.
-        machine: of the model; by default its file is looked for beside the model.
+        ask: selects the candidate to add; None: stop. Without it the best one is added.
+        ask_made: decides whether to keep an improvement without a cause: a refit of the model's own numbers (no
+            labels), or a further temperature of one of its effects; without it, it is kept.
+        step: called with the refit and each addition as soon as it is made and written.
+        seed: seed of the random draws.
+        machine: machine of the model; None: the machine file beside the model.
         out: file for the new model, written after each step; not written where nothing is added.
         report: folder for the report with figures.
         progress: called with stage, done and total.
@@ -452,8 +454,8 @@ def history(model: ModelLike, *, machine: MachineLike | None = None, report: Pat
     """Every change of a model, with the error on held-out runs before and after it.
 
     Args:
-        model: whose history it is.
-        machine: of the model; by default its file is looked for beside the model.
+        model: model with the history.
+        machine: machine of the model; None: the machine file beside the model.
         report: folder for the report with its figure.
 
     Raises:
@@ -481,20 +483,20 @@ def plan(
     """Which parameters planned tests separate, which stay confounded, and which test to add.
 
     Args:
-        machine: that is to be measured.
+        machine: machine to measure.
         tests: measurements, or TOML files of planned tests; nothing needs to be measured yet.
-        effects: to separate, each as `scale:EXX`; by default the usual ones.
+        effects: effects to separate, each as `scale:EXX`; None: the usual ones.
         model: take the effects of this model instead.
         rivals: rank tests by how well they separate these effects.
         ball_bar: the parameters of a ball-bar diagnosis instead: of straight guides, or of bent ones.
-        centre: of a ball bar: one centre of the table-side ball for all tests, or one for each.
+        centre: for a ball bar: one centre of the table-side ball for all tests, or one for each.
         noise: white noise of a reading, µm or µrad.
-        suggest: whether to look for tests to add.
+        suggest: look for tests to add?
         report: folder for the report.
         progress: called with stage, done and total.
 
     Raises:
-        ConfigError, ModelError: what is asked does not fit the tests or the machine.
+        ConfigError, ModelError: an argument does not fit the tests or the machine.
     """
     from rtec.diagnosis.plan.answer import Question, answer
     from rtec.diagnosis.plan.tests import load_test, thinned
@@ -525,14 +527,14 @@ def ballbar(
     """Diagnose ball-bar tests of one plane together: scales, squareness, clearance, servo, bent guides, dynamics.
 
     Args:
-        machine: that was measured.
+        machine: machine that was measured.
         tests: one or several, of instrument ball_bar.
-        model: straight guides ("linear"), bent ones ("non-linear"), or what the readings show.
-        window_deg: readings so near to a quadrant are not fitted, degrees; with dynamic effects they are.
+        model: straight guides ("linear"), bent ones ("non-linear"), or by the readings ("auto").
+        window_deg: readings within this angle of a quadrant are not fitted, degrees; with dynamic effects they are.
         centre: one centre of the table-side ball for all tests ("shared"), or one for each ("each").
         phase: the servo phase is one "angle" in all tests, or one "time".
-        dynamic: whether to test dynamic effects and those of the drive.
-        orders: harmonics, from 3 on.
+        dynamic: test dynamic effects and those of the drive?
+        orders: number of harmonics, at least 3.
         report: folder for the report with figures.
         progress: called with stage, done and total.
 
@@ -545,8 +547,8 @@ def ballbar(
     read, paths = _measurements(_listed(tests), _machine(machine))
     if progress:
         progress(f"diagnosing {counted(len(read), 'test')}", 0, 1)
-    found = find(read, model, window_deg, centre, orders, dynamic=dynamic, phase=phase)
-    return _finished(found, _path(machine), paths, report)
+    result = find(read, model, window_deg, centre, orders, dynamic=dynamic, phase=phase)
+    return _finished(result, _path(machine), paths, report)
 
 
 def grid(
@@ -561,11 +563,11 @@ def grid(
     """Evaluate grid-encoder paths: squareness, linear deviation, straightness and pitch, with uncertainties.
 
     Args:
-        machine: that was measured.
+        machine: machine that was measured.
         measurements: one set-up each; several are compared.
-        corner_mm: report on the edges that meet here; by default the first corner.
-        trim_mm: skipped at both ends of each straight piece.
-        magnification: of the figures; by default a round one.
+        corner_mm: report on the edges that meet here; None: the first corner.
+        trim_mm: length skipped at both ends of each straight piece.
+        magnification: magnification of the figures; None: a round one.
         report: folder for the report with figures.
 
     Raises:
@@ -589,9 +591,9 @@ def iso230(
 
     Args:
         tests: `.dat` files of ecmc, or measurements of instrument laser_linear.
-        machine: that a measurement was made on.
-        pitch_mm: of the screw; by default that of the machine's axis.
-        swap: in a `.dat` take FWD as backward.
+        machine: machine of a measurement.
+        pitch_mm: pitch of the screw; None: that of the machine's axis.
+        swap: in a `.dat` file, take FWD as backward.
         report: folder for the report with figures.
 
     Raises:
@@ -627,20 +629,20 @@ def straightness(
     Args:
         table: CSV with `x_mm` (or another axis), `spindle_deg`, `probe1_um`, `probe2_um`, `run`; or a measurement of
             instrument straightness with reversed runs.
-        machine: that a measurement was made on.
-        method: "reversal", "pair" or "face" of a table, by default what its columns allow; a measurement is always that
-            of an artefact which is turned over.
+        machine: machine of a measurement.
+        method: "reversal", "pair" or "face" for a table; None: by its columns. A measurement is always that of an
+            artefact that is reversed.
         report: folder for the report with figures.
 
     Raises:
-        MeasurementError: the table does not hold what the method needs.
+        MeasurementError: the table lacks columns of the method.
         ConfigError: a measurement without a machine.
     """
     from rtec.metrology.procedures.tables import straightness_of, straightness_table
 
     plain = _plain_table(table)
-    found = straightness_table(plain, method) if plain else straightness_of(_measured(table, machine), method)
-    return _finished(found, None, None, report)
+    result = straightness_table(plain, method) if plain else straightness_of(_measured(table, machine), method)
+    return _finished(result, None, None, report)
 
 
 def parallelism(table: PathLike, *, report: PathLike | None = None) -> "ParallelismResult":
@@ -670,9 +672,9 @@ def drift(
 
     Args:
         table: CSV with `time_s`, `spindle_rpm`, probes and temperatures; or a measurement of instrument spindle_drift.
-        machine: that a measurement was made on.
-        columns: of the probes "radial1", "radial2", "axial" in a CSV, where they have other names.
-        distance_mm: between the radial probes, for the tilt.
+        machine: machine of a measurement.
+        columns: names of the probes "radial1", "radial2", "axial" in a CSV, where they differ.
+        distance_mm: distance of the radial probes, for the tilt.
         report: folder for the report with figures.
 
     Raises:
@@ -683,10 +685,10 @@ def drift(
 
     plain = _plain_table(table)
     if plain is None:
-        found = drift_of(_measured(table, machine), distance_mm, columns)
+        result = drift_of(_measured(table, machine), distance_mm, columns)
     else:
-        found = drift_table(plain, columns or {}, distance_mm)
-    return _finished(found, None, None, report)
+        result = drift_table(plain, columns or {}, distance_mm)
+    return _finished(result, None, None, report)
 
 
 def replay(
@@ -703,7 +705,7 @@ def replay(
         config: run file: machine, model, limits.
         log: a log of `rtec run`, a folder of logs (always checked), or a capture (`.sr`).
         check: compare with the commands in the log, bit for bit.
-        out: file for what is recomputed; by default beside the log, and none where it is checked.
+        out: file for the recomputed commands; None: beside the log, and no file where it is checked.
         progress: called with stage, done and total.
 
     Raises:
@@ -719,7 +721,7 @@ def _machine(machine: MachineLike) -> Machine:
 
 
 def _model(model: ModelLike, machine: MachineLike | None) -> tuple[Model, Path | None, Path | None]:
-    """The model, its file and its machine's file, as far as they are known."""
+    """The model, its file and its machine's file; None for a file that is unknown."""
     from rtec.diagnosis.machine_file import machine_file
     from rtec.model import load_model as load
 
@@ -749,7 +751,7 @@ def _plain_table(table: MeasurementLike) -> Path | None:
 
 
 def _measured(item: MeasurementLike, machine: MachineLike | None) -> Measurement:
-    """A measurement of a procedure, read where it is a path."""
+    """A measurement of a procedure; reads it if it is a path."""
     if isinstance(item, Measurement):
         return item
     if machine is None:
@@ -764,7 +766,7 @@ def _joined(names: str | Iterable[str] | None) -> str | None:
 def _measurements(
     given: Sequence[MeasurementLike], machine: Machine
 ) -> tuple[tuple[Measurement, ...], tuple[Path, ...] | None]:
-    """Measurements, read where they are paths, all faults together; and the paths, where all are."""
+    """Measurements; paths are read, with all faults together. And the paths, if all are paths."""
     from rtec.metrology.files.load import load_measurements
 
     paths = [Path(item) for item in given if isinstance(item, str | Path)]
@@ -781,7 +783,7 @@ def _new_effects(
     params: Mapping[str, Bounds] | Sequence[str],
     arguments: Mapping[str, Any],
 ) -> "list[Any]":
-    """What is to be added: nothing, an effect, or a finding with the one that goes with it."""
+    """The effects to add: none, one, or a finding with its partner."""
     from rtec.diagnosis.extend.add import asked_effect, new_effect
     from rtec.diagnosis.result import Finding
     from rtec.effects.expression import expression_from_text
@@ -802,8 +804,8 @@ def _new_effects(
     if isinstance(effect, str):
         return [asked_effect(effect, component, arguments, model)]
     if isinstance(effect, Finding):
-        found = [effect, *([effect.partner] if effect.partner else [])]
-        return [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in found]
+        findings = [effect, *([effect.partner] if effect.partner else [])]
+        return [new_effect(f.effect, model, f.theta, {k: n.value for k, n in f.parameters.items()}) for f in findings]
     return [new_effect(effect, model)]
 
 
@@ -814,14 +816,14 @@ def _finished(
     report: PathLike | None,
     written: Mapping[str, Path | None] | None = None,
 ) -> R:
-    """The result with the files that it is of, and its report where one is wanted."""
+    """The result with its files and, if one is requested, its report."""
     files = (first, *measurements) if first is not None and measurements is not None else ()
     whole = replace(result, files=files, written={**(written or {}), "report": None})
     return whole if report is None else whole.save_report(report)
 
 
 def _check_out(out: Path, inputs: Sequence[PathLike]) -> None:
-    """Before a long fit rather than after it: a model takes the place of no input, and its folder is there."""
+    """Before a long fit: check that the model's file replaces no input, and that its folder exists."""
     read = {p.resolve() for path in map(Path, inputs) for p in (path, path.with_suffix(".toml"))}
     if out.resolve() in read:
         raise ModelError(f"{out}: is read by this fit (a table's TOML counts); name another file with -o")

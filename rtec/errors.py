@@ -1,16 +1,16 @@
 """Every error that rtec raises on purpose.
 
     RtecError
-    ├── ConfigError            a machine, run or device file says something that cannot be
+    ├── ConfigError            a machine, run or device file has a value that is not allowed
     ├── DriverError
-    │   ├── DriverUnavailable  the port, device or library is not there
-    │   ├── DriverTimeout      it is there and did not answer in time
+    │   ├── DriverUnavailable  the port, device or library does not exist here
+    │   ├── DriverTimeout      the device exists but did not answer in time
     │   └── DriverFault        it answered, and the answer is wrong
-    ├── ModelError             a model file or an effect is wrong, or does not fit the machine
-    ├── MeasurementError       a measurement file is wrong
+    ├── ModelError             a model file or an effect is at fault, or does not fit the machine
+    ├── MeasurementError       a measurement file is at fault
     └── LogError               a log or capture cannot be read
 
-A message names the file, the section, the key or row, what was found and what is allowed. The command line
+A message names the file, the section, the key or row, the value and what is allowed. The command line
 prints it alone, without a traceback, and exits with status 2.
 """
 
@@ -18,22 +18,22 @@ from rtec.text import clean, clean_lines
 
 
 class RtecError(Exception):
-    """Base of all errors that a user can mend; its text, cleaned of what is not printable, is shown as it is."""
+    """Base of all errors that a user can mend; its text, without unprintable characters, is shown unchanged."""
 
     def __init__(self, *content: object) -> None:
         super().__init__(*(clean_lines(part) if isinstance(part, str) else part for part in content))
 
 
 class ConfigError(RtecError):
-    """A machine, run or device file says something that cannot be."""
+    """A machine, run or device file has a value that is not allowed."""
 
 
 class DriverError(RtecError):
-    """A device could not do what was asked."""
+    """A device could not carry out a request."""
 
 
 class DriverUnavailable(DriverError):
-    """The port, the device or the library that speaks to it is not there."""
+    """The port, the device or its library does not exist here."""
 
 
 class DriverTimeout(DriverError):
@@ -45,11 +45,11 @@ class DriverFault(DriverError):
 
 
 class ModelError(RtecError):
-    """A model file or an effect is wrong, or does not fit the machine."""
+    """A model file or an effect is at fault, or does not fit the machine."""
 
 
 class MeasurementError(RtecError):
-    """A measurement file is wrong."""
+    """A measurement file is at fault."""
 
 
 class LogError(RtecError):
@@ -57,8 +57,8 @@ class LogError(RtecError):
 
 
 def unforeseen(error: Exception) -> str:
-    """Tell a fault that nobody foresaw, where something must go on or end in order all the same.
+    """Describe an unforeseen fault, where the program must go on or end in order all the same.
 
-    Libraries of makers raise what they like, also for half a line of garbage.
+    Makers' libraries may raise anything, even for half a line of garbage.
     """
     return clean(f"fault in the program or in a library that it uses: {type(error).__name__}: {error}")

@@ -17,7 +17,7 @@ def frame(columns: Mapping[str, Any], kind: Kind | None = None) -> Any:
         kind: "pandas", "polars" or "arrow" (`pyarrow.Table`); by default the first of them that is installed.
 
     Raises:
-        RtecError: what `kind` names is not installed, or is none of the three.
+        RtecError: the package that `kind` names is not installed, or `kind` is none of the three.
     """
     kinds: tuple[Kind, ...] = get_args(Kind)
     if kind is not None and kind not in kinds:
@@ -39,7 +39,7 @@ def frame(columns: Mapping[str, Any], kind: Kind | None = None) -> Any:
 
 
 def is_frame(data: object) -> bool:
-    """Whether it looks like a frame of pandas, polars or Arrow: columns by name."""
+    """Does it look like a frame of pandas, polars or Arrow, with columns by name?"""
     return hasattr(data, "columns") and hasattr(data, "__getitem__") and not isinstance(data, Mapping)
 
 

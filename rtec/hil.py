@@ -1,9 +1,9 @@
-"""Hardware in the loop: what is asked of a bench. The bench itself comes by entry point.
+"""Hardware in the loop: the interface of a bench, and its results. The bench itself comes by entry point.
 
 A bench puts a simulated machine behind real buses and runs the daemon against it. It is loaded from the entry point
-group `rtec.hil` as drivers are, so that this package knows no bus.
+group `rtec.hil` as drivers are, so this package depends on no bus.
 
-What a bench found: plain data, for reports and programs.
+The results are plain data, for reports and programs.
 """
 
 import re
@@ -20,7 +20,7 @@ from rtec.errors import ConfigError, DriverUnavailable
 from rtec.tomlfile import nearest
 
 WITHIN = 0.10
-"""Real buses may cost this share of the improvement that the all-simulated run has."""
+"""Share of the all-simulated run's improvement that real buses may cost."""
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class Accuracy:
     """Tool-tip error, actual minus commanded, in the directions that are compensated.
 
     Attributes:
-        rms_um, largest_um: of all those directions together; `largest_um` of the worst one.
+        rms_um, largest_um: over all those directions; `largest_um` is that of the worst one.
         axis_rms_um: by direction.
     """
 
@@ -41,7 +41,7 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class OffAndOn:
-    """One way of running the machine, uncorrected and corrected.
+    """Accuracy of one kind of run, uncorrected and corrected.
 
     Attributes:
         off, on: accuracy.
@@ -58,14 +58,14 @@ class OffAndOn:
 
 @dataclass(frozen=True)
 class FaultFound:
-    """What a fault did.
+    """Effect of a fault.
 
     Attributes:
-        order: which and when.
-        what: it, in words.
-        told: by device, the last that the daemon said of it.
-        noticed_s: from its beginning until the daemon said so; NaN where it never did.
-        held_s: so long the correction was held, until the next fault began; faults that overlap share that.
+        order: the fault and its time.
+        what: description.
+        told: by device, the daemon's last message on it.
+        noticed_s: from its beginning until the daemon reported it; NaN where it never did.
+        held_s: time for which the correction was held, until the next fault began; overlapping faults share it.
         recovered_s: from its end until the correction followed again; NaN where it did not within the run.
         largest_um: largest tip error from its beginning until then.
         oldest_s: by sensor, its oldest reading meanwhile.
@@ -83,13 +83,13 @@ class FaultFound:
 
 @dataclass(frozen=True)
 class Check:
-    """Something that must be so.
+    """A requirement.
 
     Attributes:
-        name: what must be so.
-        passed: whether it is.
-        found: in words and figures.
-        judged: it decides whether the run passed; not so where it depends on the clock of a PC that others use, too.
+        name: the requirement.
+        passed: is it met?
+        found: the result in words and figures.
+        judged: does it decide whether the run passed? No, where it depends on the clock of a PC that others use, too.
     """
 
     name: str
@@ -99,12 +99,12 @@ class Check:
 
     @property
     def good(self) -> bool:
-        """Is it so, or not judged?"""
+        """Is it met, or not judged?"""
         return self.passed or not self.judged
 
     @property
     def words(self) -> str:
-        """What was found, and whether it counts."""
+        """The result, and whether it counts."""
         return self.found if self.judged else f"not judged, as this PC is shared: {self.found}"
 
 
@@ -115,7 +115,7 @@ class Course:
     Attributes:
         directions: names of the columns.
         time_s: (n,).
-        off_um, on_um: behind real buses.
+        off_um, on_um: errors behind real buses.
     """
 
     directions: tuple[str, ...]
@@ -126,20 +126,20 @@ class Course:
 
 @dataclass(frozen=True)
 class HilResult:
-    """What a bench found.
+    """Result of a bench.
 
     Attributes:
-        machine: its name.
-        rate_hz: of the loop.
-        off_s, on_s: how long it ran.
-        wiring: by device of the run file, the bus that it was put behind.
-        buses, simulated: accuracy behind real buses, and of the all-simulated run of the same machine and programme.
+        machine: name of the machine.
+        rate_hz: rate of the loop.
+        off_s, on_s: durations.
+        wiring: by device of the run file, the bus that it is behind.
+        buses, simulated: accuracy behind real buses, and of the all-simulated run of the same machine and program.
         off_timing, on_timing: the daemon's own figures.
-        faults: what each did.
-        checks: what must be so.
-        warnings: what the system did not grant.
-        course: for the figure.
-        log: of the corrected run, where it is kept.
+        faults: effect of each fault.
+        checks: the requirements.
+        warnings: what the system refused.
+        course: tip error over time, for the figure.
+        log: log of the corrected run, where it is kept.
     """
 
     machine: str
@@ -159,13 +159,13 @@ class HilResult:
 
     @property
     def passed(self) -> bool:
-        """Whether all that must be so is."""
+        """Are all requirements met?"""
         return all(c.good for c in self.checks)
 
 
 @dataclass(frozen=True)
 class SoakFault:
-    """One kind of fault in a long run: how often it came, how often the daemon said so, how soon at the latest, s."""
+    """One kind of fault in a long run: its number, how often the daemon reported it, its longest delay, s."""
 
     name: str
     times: int
@@ -188,15 +188,16 @@ class Resource:
 
 @dataclass(frozen=True)
 class Deadlines:
-    """Deadlines that were lost.
+    """Missed deadlines.
 
     Attributes:
-        lost: all of them.
-        own: while the loop used clearly more processor time than usual: our own code may be the cause.
-        taken_away: while another process had its processor, or the host took it away, as far as the host tells.
-        behind_worker: the loop waited, with a processor at hand, while another thread of its process had none: that one
-            may have held the interpreter.
-        usual_cpu_us: processor time of a cycle; 19 in 20 stretches of 20 ms need no more.
+        lost: number of all.
+        own: missed while the loop used clearly more processor time than usual: its own code may be the cause.
+        taken_away: missed while another process had its processor, or the host took it away, as far as the host reports
+            it.
+        behind_worker: missed while the loop waited, with a free processor, and another thread of its process had none:
+            that thread may have held the interpreter's lock.
+        usual_cpu_us: processor time of a cycle, µs; 19 in 20 stretches of 20 ms need no more.
     """
 
     lost: int
@@ -208,20 +209,20 @@ class Deadlines:
 
 @dataclass(frozen=True)
 class SoakResult:
-    """What a long run found.
+    """Result of a long run.
 
     Attributes:
-        machine: its name.
-        rate_hz: of the loop.
-        duration_s: how long it ran.
-        seed: of the faults.
+        machine: name of the machine.
+        rate_hz: rate of the loop.
+        duration_s: duration, s.
+        seed: seed of the faults.
         faults: by kind.
         resources: memory, files, threads.
-        deadlines: lost ones.
+        deadlines: missed deadlines.
         timing: the daemon's own figures.
-        checks: what must be so.
-        warnings: what the system did not grant.
-        log: where it is kept.
+        checks: the requirements.
+        warnings: what the system refused.
+        log: path of the log.
     """
 
     machine: str
@@ -238,27 +239,27 @@ class SoakResult:
 
     @property
     def passed(self) -> bool:
-        """Whether all that must be so is."""
+        """Are all requirements met?"""
         return all(c.good for c in self.checks)
 
 
 GROUP = "rtec.hil"
 FAULT = re.compile(r"(?P<name>[a-z][a-z0-9-]*)@(?P<at>\d+(?:\.\d+)?)s(?:\+(?P<length>\d+(?:\.\d+)?)s)?")
 LENGTH_S = 5.0
-"""A fault without a duration lasts so long."""
+"""Duration, s, of a fault that is ordered without one."""
 
 Tell = Callable[[str, int, int], None]
-"""Is told what is being done, how much of it is done, of how much."""
+"""Called with a description of the present work, the amount done, and the total."""
 
 
 @dataclass(frozen=True)
 class FaultOrder:
-    """A fault that is ordered.
+    """An ordered fault.
 
     Attributes:
-        name: as the bench calls it.
-        at_s: when it begins, s after the corrected run began.
-        length_s: how long it lasts.
+        name: the bench's name of it.
+        at_s: its beginning, s after the corrected run began.
+        length_s: its duration, s.
     """
 
     name: str
@@ -267,21 +268,21 @@ class FaultOrder:
 
     @property
     def end_s(self) -> float:
-        """When it is over, s after the corrected run began."""
+        """Its end, s after the corrected run began."""
         return self.at_s + self.length_s
 
 
 @dataclass(frozen=True)
 class HilOrder:
-    """What a bench is to do.
+    """An order for a bench.
 
     Attributes:
         config: run file with a section `[hil]`.
-        off_s, on_s: how long without and with correction; the run file says where not given.
-        faults: to inject while corrected.
-        keep: the log of the corrected run is kept in this folder.
-        shared: others use this PC's processors, too: what depends on its clock is reported, not judged.
-        gateware: a library of simulated gateware (`make -C drivers/box sim`), in the place of the box in software.
+        off_s, on_s: duration without and with correction; not given: as in the run file.
+        faults: faults during the corrected run.
+        keep: folder in which the log of the corrected run is kept.
+        shared: others use this PC's processors, too: results that depend on its clock are reported, not judged.
+        gateware: a library of simulated gateware (`make -C drivers/box sim`), which replaces the box in software.
     """
 
     config: Path
@@ -295,13 +296,13 @@ class HilOrder:
 
 @dataclass(frozen=True)
 class SoakOrder:
-    """A long run with faults by chance.
+    """An order for a long run with random faults.
 
     Attributes:
         config: run file with a section `[hil]`.
-        minutes: how long.
-        seed: the same seed draws the same faults.
-        keep: the log is kept in this folder.
+        minutes: duration.
+        seed: the same seed gives the same faults.
+        keep: folder in which the log is kept.
         shared, gateware: as for `HilOrder`.
     """
 
@@ -314,23 +315,23 @@ class SoakOrder:
 
 
 class Bench(Protocol):
-    """Puts a simulated machine behind real buses."""
+    """A simulated machine behind real buses."""
 
     def faults(self) -> Mapping[str, str]:
-        """All faults that it can make happen: name, and what it is."""
+        """All faults that it can cause: name, and description."""
         ...
 
     def run(self, order: HilOrder, tell: Tell) -> HilResult:
         """Run the daemon against it.
 
         Raises:
-            ConfigError: the run file has no section `[hil]`, or names a device that has no far side here.
-            KeyboardInterrupt: somebody ended it; nothing is left behind.
+            ConfigError: the run file has no section `[hil]`, or names a device that cannot be simulated here.
+            KeyboardInterrupt: a signal ended it; its processes and files are gone.
         """
         ...
 
     def soak(self, order: SoakOrder, tell: Tell) -> SoakResult:
-        """Run the daemon against it for long, with faults by chance.
+        """Run the daemon against it for a long time, with random faults.
 
         Raises:
             ConfigError, KeyboardInterrupt: as `run`.
@@ -339,18 +340,18 @@ class Bench(Protocol):
 
 
 def load_bench() -> Bench:
-    """Give the bench that is installed.
+    """The installed bench.
 
     Raises:
-        DriverUnavailable: none is, or it cannot be imported.
+        DriverUnavailable: there is none, or it cannot be imported.
     """
-    found = sorted(entry_points(group=GROUP), key=lambda e: e.name)
-    if not found:
+    benches = sorted(entry_points(group=GROUP), key=lambda e: e.name)
+    if not benches:
         raise DriverUnavailable("no bench is installed: rtec's own comes with its drivers (pip install rtec)")
     try:
-        bench: Bench = found[0].load()()
+        bench: Bench = benches[0].load()()
     except ImportError as e:
-        raise DriverUnavailable(f"the bench {found[0].value!r} cannot be imported: {e}") from e
+        raise DriverUnavailable(f"the bench {benches[0].value!r} cannot be imported: {e}") from e
     return bench
 
 
@@ -358,7 +359,7 @@ def parse_fault(text: str, known: Mapping[str, str]) -> FaultOrder:
     """Read `name@30s` or `name@30s+10s`.
 
     Raises:
-        ConfigError: it is neither, or there is no such fault.
+        ConfigError: the text is neither, or the fault does not exist.
     """
     match = FAULT.fullmatch(text.strip())
     if match is None:

@@ -1,4 +1,4 @@
-"""Compile the kernels where numba is there; run the same source as plain Python where it is not.
+"""Compiles the kernels where numba is installed; elsewhere the same source runs as plain Python.
 
 Importing this module imports numba, so nothing that `import rtec` reaches may import it at the top.
 """
@@ -23,7 +23,7 @@ def njit(function: F) -> F: ...
 @overload
 def njit(**options: Any) -> Callable[[F], F]: ...
 def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
-    """Compile a function without the interpreter, kept on disk; without numba, give it back as it is.
+    """Compile a function without the interpreter, and keep it on disk; without numba, return it unchanged.
 
     Use it bare (`@njit`) or with numba's own options (`@njit(fastmath=True)`). The function as written stays
     reachable through `as_written`.
@@ -36,7 +36,7 @@ def njit(function: F | None = None, **options: Any) -> F | Callable[[F], F]:
 
 
 def as_written(function: F) -> F:
-    """Give the plain Python function behind a kernel: what runs where numba is absent."""
+    """The plain Python function behind a kernel: what runs without numba."""
     plain: F = getattr(function, "py_func", function)
     return plain
 
@@ -44,9 +44,9 @@ def as_written(function: F) -> F:
 def _compiled(function: F, options: dict[str, Any]) -> F:
     if numba is None:
         return function
-    wanted: dict[str, Any] = {"cache": True, "nogil": True, **options}
+    settings: dict[str, Any] = {"cache": True, "nogil": True, **options}
     try:
-        kernel: F = numba.njit(**wanted)(function)
-    except RuntimeError:  # nowhere to keep the machine code (a read-only installation): compile each time
-        kernel = numba.njit(**{**wanted, "cache": False})(function)
+        kernel: F = numba.njit(**settings)(function)
+    except RuntimeError:  # no folder for the machine code (a read-only installation): compile each time
+        kernel = numba.njit(**{**settings, "cache": False})(function)
     return kernel

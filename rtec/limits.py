@@ -1,4 +1,4 @@
-"""How large a file may be: what this computer's memory holds, found out before anything of the file is unpacked."""
+"""Largest size of a file: limited by this computer's memory, and checked before anything is unpacked."""
 
 import os
 from pathlib import Path
@@ -7,19 +7,19 @@ from typing import Final
 from rtec.errors import RtecError
 
 SHARE: Final = 0.5
-"""Of the memory, for one file."""
+"""Share of the memory for one file."""
 
 
 def most_bytes(expansion: int) -> int:
-    """Most bytes of a file of which each takes `expansion` bytes of memory while it is read."""
+    """Largest size, bytes, of a file that takes `expansion` bytes of memory for each of its bytes while it is read."""
     return int(SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")) // expansion
 
 
 def check_size(path: Path, size: int, expansion: int, error: type[RtecError]) -> None:
-    """Refuse a file, or what it unpacks to, that memory does not hold.
+    """Refuse a file that, as read or unpacked, does not fit into memory.
 
     Raises:
-        error: it is larger than `most_bytes`; the message says both sizes.
+        error: it is larger than `most_bytes`; the message has both sizes.
     """
     most = most_bytes(expansion)
     if size > most:

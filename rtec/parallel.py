@@ -1,9 +1,9 @@
 """One thread for the linear algebra of a fit.
 
-The fit has a thread of its own for its sums. More in the library below would wait for each other by spinning, which
-on a shared computer costs ten times what it saves; and one thread gives the same bits whatever the number of cores.
+The fit has a thread of its own for its sums. More threads in the library below would wait for each other by spinning,
+which on a shared computer costs ten times what it saves; and one thread gives the same bits on any number of cores.
 
-Several looks at once, where there are many readings.
+With many readings, work on several items runs in parallel.
 """
 
 import functools
@@ -28,14 +28,14 @@ def one_blas_thread() -> AbstractContextManager[object]:
 
 
 MANY = 16_000
-"""From so many readings on a first look takes about so many of them, and threads pay."""
+"""Readings from which threads pay."""
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 
 def each(work: Callable[[T], R], items: Iterable[T], readings: int) -> list[R]:
-    """Work on each, in order; at once where there are many readings, as numpy lets go of the interpreter then."""
+    """Apply `work` to each, in order; in parallel with many readings, as numpy then releases the interpreter's lock."""
     workers = min(os.cpu_count() or 1, 4)
     if readings <= MANY or workers == 1:
         return [work(i) for i in items]

@@ -1,8 +1,8 @@
 """Physical ranges of the numbers that files may hold: one type a quantity, with its unit.
 
-A number outside its range is a slip: another unit, a point that was lost, a counter that overflowed. The bounds lie far
-beyond any machine tool, and near enough that nothing that is computed from two of them leaves a float or 64 bits of
-nanoseconds or counts. A model whose own bounds are narrower (`Field(ge=1, le=4000)`) writes them itself.
+A number outside its range is a mistake: another unit, a lost decimal point, a counter that overflowed. The bounds are
+far beyond any machine tool, but small enough that a result of two of them fits into a float, or into 64 bits of
+nanoseconds or counts. A model with narrower bounds (`Field(ge=1, le=4000)`) has them in its own code.
 """
 
 from typing import Annotated, Final
@@ -10,7 +10,7 @@ from typing import Annotated, Final
 from pydantic import AfterValidator, Field
 
 SMALLEST: Final = 1e-9
-"""Least size of a number that may be zero: what is smaller divides like a zero without being one."""
+"""Least absolute value of a number that may be zero: a smaller one divides like zero without being zero."""
 
 
 def _zero_or_more(value: float) -> float:
@@ -61,11 +61,11 @@ WattsPerKelvin = Annotated[float, Field(ge=0, le=1e6), ZeroOrMore]
 Kilograms = Annotated[float, Field(ge=0, le=1e6)]
 Newtons = Annotated[float, Field(ge=-1e9, le=1e9)]
 Coefficient = Annotated[float, Field(ge=-1e12, le=1e12)]
-"""A number whose unit its place decides: a coefficient of a model, an offset of a column."""
+"""A number whose unit depends on its place: a coefficient of a model, an offset of a column."""
 CoefficientNotNegative = Annotated[float, Field(ge=0, le=1e12)]
 Factor = Annotated[float, Field(ge=-1e12, le=1e12), AfterValidator(_not_zero)]
-"""What readings are multiplied by."""
+"""A factor of readings."""
 Code = Annotated[float, Field(ge=-(2.0**64), le=2.0**64)]
-"""A reading that a device sends where it has no value: it may be any integer of 64 bits."""
+"""A reading that a device sends in place of a value: it may be any integer of 64 bits."""
 Whole = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]

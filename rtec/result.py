@@ -1,4 +1,4 @@
-"""What every result can do: plain data, a table, figures, a page; and how it looks in a notebook."""
+"""The methods of every result: plain data, a table, figures, a page, and its view in a notebook."""
 
 import math
 from abc import ABC, abstractmethod
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 DRAWN = "_drawn"
-"""Where a result keeps its page once it is drawn."""
+"""Attribute in which a result keeps its page once it is drawn."""
 
 
 def plain(value: Any) -> Any:
-    """A result as JSON holds it: arrays become lists; what is not finite becomes null."""
+    """A result in JSON types: arrays become lists; numbers that are not finite become null."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, Mapping):
@@ -38,7 +38,7 @@ def plain(value: Any) -> Any:
 
 
 class Shown(ABC):
-    """What can be shown as plain data, as a table, as figures, as a page."""
+    """An object that can be shown as plain data, as a table, as figures, as a page."""
 
     page_maker: ClassVar[str]
     """`module:function` of the report that makes its page; the report is above the results and imports them."""
@@ -52,7 +52,7 @@ class Shown(ABC):
         return [self.facts()]
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as `--json` prints it: arrays are lists, what is not finite is None."""
+        """The result as `--json` prints it: arrays are lists, numbers that are not finite are None."""
         return dict(plain(self.facts()))
 
     def to_frame(self, kind: Kind | None = None) -> Any:
@@ -62,7 +62,7 @@ class Shown(ABC):
             kind: "pandas", "polars" or "arrow"; by default the first of them that is installed.
 
         Raises:
-            RtecError: what `kind` names is not installed.
+            RtecError: the package that `kind` names is not installed.
         """
         rows = [{k: v for k, v in row.items() if _is_cell(v)} for row in plain(self.rows())]
         names = dict.fromkeys(name for row in rows for name in row)
@@ -79,13 +79,13 @@ class Shown(ABC):
         return page
 
     def plot(self, name: str | None = None) -> "Figure":
-        """One figure of the report, as matplotlib has it: change it, `savefig` it, or let a notebook show it.
+        """One figure of the report, as a matplotlib figure: change it, `savefig` it, or let a notebook show it.
 
         Args:
-            name: of the figure, as in the report's folder without `.png`; by default the one that shows most.
+            name: name of the figure, as in the report's folder without `.png`; None: the most informative one.
 
         Raises:
-            RtecError: there is no such figure.
+            RtecError: no figure has that name.
         """
         figures = {s.figure.name.removesuffix(".png"): s.figure for s in self.page().sections if s.figure}
         if not figures or (name is not None and name not in figures):
@@ -103,13 +103,13 @@ class Shown(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Result(Shown):
-    """Base of what `rtec.fit`, `rtec.compare`, `rtec.diagnose` and the others give.
+    """Base of the results of `rtec.fit`, `rtec.compare`, `rtec.diagnose` and the others.
 
     Attributes:
         files: its model file (the new one where one was written) and the measurements, for commands that can be typed
             as they are; empty where one of them was in memory only.
         machine_file: the machine's file, where it is known.
-        written: what was written, by its key in `to_dict`; None where nothing was.
+        written: written files, by their keys in `to_dict`; None for one that was not written.
     """
 
     files: tuple[Path, ...] = field(default=(), repr=False, compare=False)
@@ -121,11 +121,11 @@ class Result(Shown):
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in Result.__dataclass_fields__}
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as `--json` prints it: arrays are lists, what is not finite is None, paths are texts."""
+        """The result as `--json` prints it: arrays are lists, numbers that are not finite are None, paths are texts."""
         return super().to_dict() | {name: str(path) if path else None for name, path in self.written.items()}
 
     def save_report(self, folder: str | Path) -> Self:
-        """Write `report.html`, `result.json` and the figures into a folder; gives the result that knows of it.
+        """Write `report.html`, `result.json` and the figures into a folder; return the result with their paths.
 
         Raises:
             RtecError: the folder cannot be written.

@@ -1,8 +1,8 @@
-"""Text from outside (devices, files, clients, libraries) is data: here it becomes text that may be shown anywhere.
+"""Text from outside (devices, files, clients, libraries) is data: this module makes it safe to show anywhere.
 
-Control characters move a terminal's cursor, line breaks forge lines of a journal, direction marks turn a name round,
-half a surrogate cannot be written at all. What is not printable is shown as its escape, as JSON writes it: a text of
-JSON that is cleaned means the same.
+Control characters move a terminal's cursor, line breaks forge lines of a journal, direction marks reverse a name,
+half a surrogate cannot be written at all. An unprintable character is shown as its escape, in JSON's notation, so
+JSON text keeps its meaning.
 """
 
 import json
@@ -10,12 +10,12 @@ import unicodedata
 
 
 def clean(text: str) -> str:
-    """Give a text as one line of printable characters; the same text where it is that already."""
+    """A text as one line of printable characters; unchanged if it is one already."""
     return text if text.isprintable() else "".join(map(_shown, text))
 
 
 def clean_lines(text: str) -> str:
-    """Give a text of several lines, each of them cleaned."""
+    """A text of several lines, each of them cleaned."""
     return "\n".join(map(clean, text.split("\n")))
 
 

@@ -1,4 +1,4 @@
-"""Reading TOML into strict pydantic models, with messages that say which key, where, and what is allowed."""
+"""Reading TOML into strict pydantic models, with messages that name the key, its place, and what is allowed."""
 
 import difflib
 import hashlib
@@ -20,21 +20,21 @@ from rtec.text import clean
 M = TypeVar("M", bound=BaseModel)
 MAX_BYTES = 64 * 1024 * 1024
 DEEPEST = 32
-"""Tables within tables, at most; no file of rtec has more than seven."""
+"""Largest depth of tables within tables; no file of rtec has more than seven."""
 ENDLESS_KEY = re.compile(r"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){%d}" % (DEEPEST + 1))  # noqa: UP031 (braces)
 MOST_NEAR, NEARLY = 6, 0.05
-"""Words that are proposed for a mistyped one, at most; and by how much less like it the others may be."""
+"""Largest number of words proposed for a mistyped one; and how much less similar than the best they may be."""
 OUT_OF_RANGE = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 
 
 class Strict(BaseModel):
-    """Base of everything read from a file: unknown keys are errors, values are not changed afterwards."""
+    """Base of all data read from files: unknown keys are errors, values do not change afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
 def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any]:
-    """Give the tables of a TOML file.
+    """The tables of a TOML file.
 
     Raises:
         error: the file is missing, too large, not UTF-8 or not TOML; the message names file and line.
@@ -44,7 +44,7 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
             raise error(f"{path}: larger than {MAX_BYTES // 2**20} MiB, which no configuration is")
         text = path.read_text(encoding="utf-8")
         if ENDLESS_KEY.search(text):
-            raise RecursionError  # tomllib takes the square of its length to read such a key
+            raise RecursionError  # tomllib needs quadratic time to read such a key
         data = tomllib.loads(text)
         beyond = [_section(loc[:-1]) + loc[-1] for loc in _beyond_64_bits(data, ())]
     except FileNotFoundError as e:
@@ -59,7 +59,7 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
         raise error(f"{path}: nested too deeply") from e
     except OSError as e:
         raise error(f"{path}: cannot be read: {e.strerror}") from e
-    except ValueError as e:  # TOMLDecodeError is one; a number of thousands of digits is another
+    except ValueError as e:  # TOMLDecodeError is one; a number of thousands of digits raises another
         raise error(f"{path}: not valid TOML: {e}") from e
     if beyond:
         raise error("\n".join(f"{path}: {place}: TOML's integers have 64 bits; this one has more" for place in beyond))
@@ -69,7 +69,7 @@ def read_toml(path: Path, error: type[RtecError] = ConfigError) -> dict[str, Any
 
 
 def _beyond_64_bits(value: object, loc: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
-    """Places of the integers that no 64 bits hold; TOML 1.0 has a reader refuse them. Nests as deep as `DEEPEST`."""
+    """Places of integers beyond 64 bits, which TOML 1.0 requires a reader to refuse. Recurses down to `DEEPEST`."""
     if len(loc) > DEEPEST:
         raise RecursionError
     if isinstance(value, int):
@@ -81,7 +81,7 @@ def _beyond_64_bits(value: object, loc: tuple[Any, ...]) -> Iterator[tuple[Any, 
 
 
 def _unprintable(value: Any, key: str = "") -> Iterator[str]:
-    """What is no text for people, in keys and values: it would do things to terminals, journals and other files."""
+    """Unprintable text in keys and values: it would affect terminals, journals and other files."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
             if name != clean(name):
@@ -118,7 +118,7 @@ def digest(value: object) -> str:
 def nearest(word: str, allowed: typing.Iterable[str]) -> str:
     """' (did you mean …?)' for the closest allowed words, or the list of all when none is close.
 
-    Several where they are nearly as close as the closest: T_nut may be T_x_nut or T_z_nut.
+    Gives several if they are nearly as close as the closest: T_nut may be T_x_nut or T_z_nut.
     """
     names = sorted(allowed)
     close = difflib.get_close_matches(word, names, n=MOST_NEAR, cutoff=0.6)
@@ -140,17 +140,17 @@ def _fault(kind: type[BaseModel], item: Mapping[str, Any], source: str) -> str:
         return f"{source}: {_section(loc[:-1])}key {str(loc[-1])!r} is missing"
     if item["type"] == "model_type":
         return f"{source}: {_section(loc)}must be a table, found {item.get('input')!r}"
-    found = item.get("input")
+    value = item.get("input")
     if item["type"] in OUT_OF_RANGE:
         item = {**item, "msg": _range_at(kind, item["loc"]) or item["msg"]}
-    shown = f", found {found!r}" if isinstance(found, str | int | float | bool) else ""
+    shown = f", found {value!r}" if isinstance(value, str | int | float | bool) else ""
     message = str(item["msg"]).removeprefix("Value error, ")
     where = f"{_section(loc[:-1])}{loc[-1]}: " if loc else ""
     return f"{source}: {where}{message}{shown}"
 
 
 def _joined(loc: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Put the numbers of list items that end a place behind their key: `travel_mm`, 0 to `travel_mm[0]`."""
+    """Move the indices at the end of a place behind their key: `travel_mm`, 0 becomes `travel_mm[0]`."""
     key = len(loc)
     while key > 1 and isinstance(loc[key - 1], int):
         key -= 1
@@ -173,13 +173,13 @@ def _keys_at(kind: Any, loc: tuple[Any, ...]) -> set[str]:
 
 
 def _range_at(kind: Any, loc: tuple[Any, ...]) -> str:
-    """'must be from … to …' for the number at a place of a model class; "" where its type says no two bounds."""
+    """'must be from … to …' for the number at a place of a model class; "" if its type does not have two bounds."""
     words = {"ge": "from", "gt": "above", "le": "to", "lt": "below"}
     for _, limits in _kinds_at(kind, loc):
         flat = [item for limit in limits for item in (limit.metadata if isinstance(limit, FieldInfo) else (limit,))]
-        said = [f"{words[w]} {getattr(x, w):g}" for w in words for x in flat if getattr(x, w, None) is not None]
-        if len(said) == 2:
-            return f"must be {' '.join(said)}"
+        limits_text = [f"{words[w]} {getattr(x, w):g}" for w in words for x in flat if getattr(x, w, None) is not None]
+        if len(limits_text) == 2:
+            return f"must be {' '.join(limits_text)}"
     return ""
 
 
@@ -193,7 +193,7 @@ def _kinds_at(kind: Any, loc: tuple[Any, ...], limits: tuple[Any, ...] = ()) -> 
         yield from _kinds_at(arguments[0], loc, (*limits, *arguments[1:]))
     elif loc and isinstance(kind, type) and issubclass(kind, BaseModel):
         field = {f.alias or name: f for name, f in kind.model_fields.items()}.get(str(loc[0]))
-        # A tagged union puts its tag into the place; it is no key, so it is stepped over.
+        # A tagged union puts its tag into the place; it is no key, so it is skipped.
         yield from _kinds_at(field.annotation, loc[1:], tuple(field.metadata)) if field else _kinds_at(kind, loc[1:])
     elif loc and origin is tuple and isinstance(loc[0], int) and arguments[-1] is not Ellipsis:
         yield from _kinds_at(arguments[min(loc[0], len(arguments) - 1)], loc[1:])

@@ -1,4 +1,4 @@
-"""A file appears under its name whole or not at all, whoever writes it, and whatever happens on the way."""
+"""A file appears under its name whole or not at all, whatever happens while it is written."""
 
 import os
 import threading
@@ -12,17 +12,17 @@ from rtec.errors import RtecError
 
 @contextmanager
 def whole(path: Path, error: type[RtecError], replace: bool = True) -> Iterator[BinaryIO]:
-    """Open a file that takes its name, flushed to the disk, only when the block ends well.
+    """Open a file that takes its name, flushed to the disk, only when the block ends without an error.
 
-    Several may write the same name at a time: each writes a file of its own, and the last one stays.
+    Several processes may write the same name at a time: each writes a file of its own, and the last one stays.
 
     Args:
-        path: its name; its folder must be there.
+        path: path of the file; its folder must exist.
         error: raised where it cannot be written, with the path and the reason.
-        replace: take the place of an older file of that name.
+        replace: replace an existing file.
 
     Raises:
-        FileExistsError: there is one, and it is not to be replaced.
+        FileExistsError: the file exists, and `replace` is False.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.part")
     try:
@@ -44,6 +44,6 @@ def whole(path: Path, error: type[RtecError], replace: bool = True) -> Iterator[
 
 
 def write_text(text: str, path: Path, error: type[RtecError]) -> None:
-    """Write a text; the file appears whole or not at all, an older one of that name is replaced."""
+    """Write a text; the file appears whole or not at all, and replaces an existing one."""
     with whole(path, error) as out:
         out.write(text.encode())

@@ -7,16 +7,16 @@ import math
 
 NONE = "–"
 LEAST_SHARE = 0.0005
-"""A share nearer to none or all than this is neither."""
+"""A share nearer to none or all than this is shown as neither."""
 
 
 def number(value: float, digits: int = 2, *, sign: bool = False) -> str:
-    """A number with so many decimals, for a column or for errors in µm and µrad; a dash for none.
+    """A number with `digits` decimals, for a column or for errors in µm and µrad; a dash for none.
 
     Args:
-        value: what is shown.
+        value: number to show.
         digits: decimals.
-        sign: whether a plus is shown.
+        sign: show a plus?
     """
     if not math.isfinite(value):
         return NONE
@@ -25,7 +25,7 @@ def number(value: float, digits: int = 2, *, sign: bool = False) -> str:
 
 
 def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
-    """A number with so many significant digits and no exponent: 20, 0.0124; a dash for none."""
+    """A number with `digits` significant digits and no exponent: 20, 0.0124; a dash for none."""
     if not math.isfinite(value):
         return NONE
     if value == 0.0:
@@ -37,7 +37,7 @@ def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
 def with_error(value: float, error: float | None) -> tuple[str, str]:
     """A fitted value and its standard error: the error with two significant digits, the value with the same decimals.
 
-    Where the error is not known, or none, the value has four significant digits and the error is a dash.
+    Where the error is unknown or zero, the value has four significant digits and the error is a dash.
     """
     if error is None or not math.isfinite(error) or error <= 0.0:
         return significant(value, 4), NONE
@@ -46,7 +46,7 @@ def with_error(value: float, error: float | None) -> tuple[str, str]:
 
 
 def two_numbers(one: float, two: float) -> tuple[str, str]:
-    """Two errors beside each other as `sizes` has them, or with so many decimals that they differ; at most eight."""
+    """Two errors beside each other as in `sizes`, or with as many decimals (at most eight) as show a difference."""
     pairs = ((number(one, digits), number(two, digits)) for digits in range(decimals(one, two), 9))
     return next((pair for pair in pairs if pair[0] != pair[1]), (number(one), number(two)))
 
@@ -63,7 +63,7 @@ def sizes(*values: float) -> tuple[str, ...]:
 
 
 def percent(share: float) -> str:
-    """A share as a percentage: "97 %", "5.2 %"; neither 0 nor 100 where it is neither."""
+    """A share as a percentage: "97 %", "5.2 %"; never 0 % or 100 % for a share between them."""
     if not math.isfinite(share):
         return NONE
     if 0.0 < share < LEAST_SHARE:
@@ -76,7 +76,7 @@ def percent(share: float) -> str:
 
 
 def probability(p: float) -> str:
-    """A probability as a percentage; never none, never certain."""
+    """A probability as a percentage; never 0 % or 100 %."""
     return percent(min(max(p, 1e-9), 1.0 - 1e-9))
 
 
@@ -90,11 +90,11 @@ def odds(p: float) -> str:
 
 
 def counted(n: int, what: str, several: str = "") -> str:
-    """So many things: "1 log", "3 logs", "2 entries".
+    """A number of things: "1 log", "3 logs", "2 entries".
 
     Args:
-        n: how many.
-        what: one of them.
-        several: its plural, where that is not with an s.
+        n: number.
+        what: singular.
+        several: plural, where that is not with an s.
     """
     return f"{n} {what if n == 1 else several or what + 's'}"

@@ -1,4 +1,4 @@
-"""Bytes to a device and back, over a serial port or a TCP connection. The kernel waits, up to a deadline."""
+"""Bytes to a device and back, over a serial port or a TCP connection. Reading waits in the kernel, up to a deadline."""
 
 import os
 import select
@@ -24,8 +24,8 @@ class TcpPlace(Strict):
 
     Attributes:
         host, port: where the device, or the gateway to a serial line, listens.
-        at_start: "required": the run does not begin without the connection; "later": it may come any time.
-        first_retry_s, longest_retry_s: between two attempts; doubled from the first up to the longest.
+        at_start: "required": the run does not begin without the connection; "later": it may come at any time.
+        first_retry_s, longest_retry_s: wait between two attempts; doubled from the first up to the longest.
     """
 
     host: str
@@ -39,15 +39,15 @@ class ByteLine(Protocol):
     """Bytes to a device and back."""
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line; raises DriverUnavailable when it is gone."""
+        """Put bytes on the line; raises DriverUnavailable where it is gone."""
         ...
 
     def receive(self, until_ns: int) -> bytes:
-        """Some bytes, or none at the deadline; raises DriverUnavailable when the line is gone."""
+        """Some bytes, or none at the deadline; raises DriverUnavailable where the line is gone."""
         ...
 
     def close(self) -> None:
-        """Let go of it; never raises."""
+        """Close it; never raises."""
         ...
 
 
@@ -55,12 +55,12 @@ class PortLine:
     """A serial port, for this process alone.
 
     Args:
-        options: which and how.
-        finder: knows under which name the port is there now.
-        clock: deadlines are in its time.
+        options: port and its settings.
+        finder: finds the port's present name.
+        clock: clock of the deadlines.
 
     Raises:
-        DriverUnavailable: no such port, busy, or not ours to open.
+        DriverUnavailable: the port does not exist, is busy, or may not be opened.
     """
 
     def __init__(self, options: PortOptions, finder: PortFinder, clock: Clock) -> None:
@@ -72,7 +72,7 @@ class PortLine:
         """Put bytes on the line."""
         try:
             self._line.write(data)
-        except DriverTimeout as e:  # a port that takes nothing more has hung
+        except DriverTimeout as e:  # a port that accepts nothing more has hung
             raise DriverUnavailable(str(e)) from e
 
     def receive(self, until_ns: int) -> bytes:
@@ -89,7 +89,7 @@ class TcpLine:
     """A TCP connection.
 
     Raises:
-        DriverUnavailable: nobody listens there, or no way to it.
+        DriverUnavailable: nothing listens there, or it cannot be reached.
     """
 
     def __init__(self, options: TcpPlace, clock: Clock) -> None:
@@ -131,7 +131,7 @@ class TcpLine:
 def way_of(
     serial: PortOptions | None, tcp: TcpPlace | None, clock: Clock
 ) -> tuple[Callable[[], ByteLine], PortOptions | TcpPlace]:
-    """How a line is opened, and the options that say when to try again.
+    """The function that opens a line, and the options that say when to try again.
 
     Raises:
         ConfigError: neither is given, or both.

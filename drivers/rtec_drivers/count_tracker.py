@@ -1,4 +1,4 @@
-"""From a counter that wraps to a position that does not, refusing what the machine cannot have done."""
+"""From a counter that wraps to a position that does not; refuses readings that the machine cannot have reached."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ from rtec.errors import DriverFault
 
 NS = 1e-9
 SLACK_COUNTS = 2
-"""Two counts of the encoder's own flicker, which no speed limit excludes."""
+"""Counts of the encoder's own flicker, which no speed limit excludes."""
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """Counters as read.
+class CounterReading:
+    """One reading of the counters.
 
     Attributes:
         values: unwrapped counts.
@@ -27,12 +27,12 @@ class Seen:
 class CountTracker:
     """Unwraps the counters of all axes together.
 
-    A reading further from the last accepted one than the machine's highest speed allows is refused. If the next one
-    stands by it, the counters have really jumped: from then on nothing is accepted until `restart`, because nobody
-    can say where the machine is. If it goes back, the refused one was a slip, and all goes on.
+    A reading further from the last accepted one than the machine's highest speed allows is refused. If the next reading
+    confirms it, the counters have really jumped: from then on nothing is accepted until `restart`, because the position
+    is unknown. If the next reading goes back, the refused one was a slip, and reading goes on.
 
     Args:
-        axes: their names.
+        axes: names of the axes.
         bits: width of the counters; 64: they do not wrap.
         max_counts_per_s: highest speed of each axis.
     """
@@ -40,44 +40,44 @@ class CountTracker:
     def __init__(self, axes: Sequence[str], bits: int, max_counts_per_s: Sequence[float]) -> None:
         self.lost, self.bits = "", bits
         self._axes, self._fastest = tuple(axes), tuple(max_counts_per_s)
-        self._good: Seen | None = None
-        self._refused: Seen | None = None
+        self._good: CounterReading | None = None
+        self._refused: CounterReading | None = None
 
     def restart(self) -> None:
-        """Forget everything: the next reading is taken as it stands, as a signed number of that many bits."""
+        """Forget everything: the next reading is accepted as it is, as a signed number of that many bits."""
         self.lost, self._good, self._refused = "", None, None
 
     def update(self, raw: Sequence[int], earliest_ns: int, latest_ns: int) -> tuple[int, ...]:
-        """Give the unwrapped counts of one reading.
+        """The unwrapped counts of one reading.
 
         Args:
             raw: counters, as wide as `bits`.
             earliest_ns, latest_ns: they were latched between these two instants.
 
         Raises:
-            DriverFault: they cannot be; `lost` says why if that stays so.
+            DriverFault: the reading is not possible; `lost` has the reason once the position is unknown.
         """
         if self.lost:
             raise DriverFault(self.lost)
         if self._good is None:
-            self._good = Seen(tuple(_signed(n, self.bits) for n in raw), earliest_ns, latest_ns)
+            self._good = CounterReading(tuple(_signed(n, self.bits) for n in raw), earliest_ns, latest_ns)
             return self._good.values
         self._check_gap(self._good, latest_ns)
-        seen = Seen(self._near(raw, self._good.values), earliest_ns, latest_ns)
-        fault = self._too_fast(self._good, seen)
-        if not fault and not self._stands_by_refused(seen):
-            self._good, self._refused = seen, None
-            return seen.values
-        if self._refused is not None and self._stands_by_refused(seen):
+        reading = CounterReading(self._near(raw, self._good.values), earliest_ns, latest_ns)
+        fault = self._too_fast(self._good, reading)
+        if not fault and not self._confirms_refused(reading):
+            self._good, self._refused = reading, None
+            return reading.values
+        if self._refused is not None and self._confirms_refused(reading):
             self.lost = f"{fault or 'counts jumped'}, and stayed there: the position is not known"
             raise DriverFault(self.lost)
-        self._refused = seen
+        self._refused = reading
         raise DriverFault(f"{fault}: refused")
 
     def _near(self, raw: Sequence[int], last: Sequence[int]) -> tuple[int, ...]:
         return tuple(known + _signed(n - known, self.bits) for n, known in zip(raw, last, strict=True))
 
-    def _check_gap(self, good: Seen, latest_ns: int) -> None:
+    def _check_gap(self, good: CounterReading, latest_ns: int) -> None:
         gap_s = (latest_ns - good.earliest_ns) * NS
         for axis, fastest in zip(self._axes, self._fastest, strict=True):
             if fastest * gap_s >= 2 ** (self.bits - 1):
@@ -87,7 +87,7 @@ class CountTracker:
                 )
                 raise DriverFault(self.lost)
 
-    def _too_fast(self, before: Seen, after: Seen) -> str:
+    def _too_fast(self, before: CounterReading, after: CounterReading) -> str:
         span_s = max(0, after.latest_ns - before.earliest_ns) * NS
         for axis, fastest, old, new in zip(self._axes, self._fastest, before.values, after.values, strict=True):
             if abs(new - old) > fastest * span_s + SLACK_COUNTS:
@@ -97,11 +97,11 @@ class CountTracker:
                 )
         return ""
 
-    def _stands_by_refused(self, seen: Seen) -> bool:
-        """Is it nearer to the refused reading than to the accepted one, and could it have come from there?"""
-        if self._refused is None or self._good is None or self._too_fast(self._refused, seen):
+    def _confirms_refused(self, reading: CounterReading) -> bool:
+        """Is it nearer to the refused reading than to the accepted one, and reachable from there?"""
+        if self._refused is None or self._good is None or self._too_fast(self._refused, reading):
             return False
-        return _distance(seen, self._refused) < _distance(seen, self._good)
+        return _distance(reading, self._refused) < _distance(reading, self._good)
 
 
 def _signed(number: int, bits: int) -> int:
@@ -109,5 +109,5 @@ def _signed(number: int, bits: int) -> int:
     return ((number + half) & ((1 << bits) - 1)) - half
 
 
-def _distance(a: Seen, b: Seen) -> int:
+def _distance(a: CounterReading, b: CounterReading) -> int:
     return max(abs(x - y) for x, y in zip(a.values, b.values, strict=True))

@@ -1,6 +1,6 @@
-"""A thread that keeps one link alive: open, serve until it breaks, close, wait a little longer each time, open again.
+"""A thread that keeps one link alive: open, serve until it breaks, close, wait a little longer each time, reopen.
 
-Used by the Modbus and the CAN drivers. Nothing here spins: between attempts, and while serving, the thread waits in
+The Modbus and the CAN drivers use it. Nothing here polls: between attempts, and while serving, the thread waits in
 the kernel, and `stop` wakes it.
 """
 
@@ -22,28 +22,28 @@ LongestRetry = Annotated[float, Field(ge=1e-6, le=600)]
 
 
 class Backoff:
-    """Waiting times that double from the first to the longest, and start again after a success."""
+    """Waiting times that double from the first to the longest, and restart with the first after a success."""
 
     def __init__(self, first_s: float, longest_s: float) -> None:
         self._first_ns, self._longest_ns = round(first_s * NS), round(longest_s * NS)
         self._next_ns = self._first_ns
 
     def next_ns(self) -> int:
-        """How long to wait now, ns."""
+        """The next wait, ns."""
         now_ns = self._next_ns
         self._next_ns = min(2 * now_ns, self._longest_ns)
         return now_ns
 
     def reset(self) -> None:
-        """Begin again with the shortest."""
+        """Restart with the shortest."""
         self._next_ns = self._first_ns
 
 
 class OpenLink(Protocol):
-    """What a worker opens."""
+    """The link that a worker opens."""
 
     def close(self) -> None:
-        """Let go of the port; never raises."""
+        """Close the port; never raises."""
         ...
 
 
@@ -54,16 +54,16 @@ class Worker(Generic[L]):
     """Keeps a link alive in a thread of its own.
 
     Args:
-        name: of the thread.
-        clock: deadlines are in its time.
+        name: name of the thread.
+        clock: clock of the deadlines.
         connect: opens the link or raises DriverError.
-        serve: uses the link until `stopping`, or raises DriverError when the link is broken. Whatever else it raises is
-            told too, and the link opened again.
-        tell: is given the reason whenever the link is not open, and "" when it is.
-        backoff: waits between attempts; `serve` resets it when the device really answers.
+        serve: uses the link until `stopping`, or raises DriverError when the link is broken. Any other exception is
+            reported, too, and the link is reopened.
+        tell: called with the reason whenever the link is not open, and with "" when it is.
+        backoff: waits between attempts; `serve` resets it when the device answers.
 
     Attributes:
-        attempts: how often the link was opened or tried.
+        attempts: number of attempts to open the link.
     """
 
     def __init__(
@@ -83,17 +83,17 @@ class Worker(Generic[L]):
 
     @property
     def stopping(self) -> bool:
-        """Has somebody asked to stop?"""
+        """Was `stop` called?"""
         return self._stop.is_set()
 
     def start(self, link: L | None = None) -> None:
-        """Start the thread, with a link that is open already or without."""
+        """Start the thread, with or without a link that is open already."""
         self._stop.clear()
         self._thread = threading.Thread(target=self._run, args=(link,), name=self._name, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Ask the thread to close the link and end; return when it has. Nothing happens the second time.
+        """End the thread, which closes the link; return when it has ended. A second call does nothing.
 
         Raises:
             DriverUnavailable: it does not end.
@@ -107,7 +107,7 @@ class Worker(Generic[L]):
             raise DriverUnavailable(f"{self._name}: does not end; the port's own driver hangs")
 
     def wait_until_ns(self, instant_ns: int) -> None:
-        """Wait in the kernel until an instant, or until somebody asks to stop."""
+        """Wait in the kernel until an instant, or until `stop`."""
         left_ns = instant_ns - self._clock.now_ns()
         if left_ns > 0:
             self._stop.wait(left_ns / NS)
@@ -128,7 +128,7 @@ class Worker(Generic[L]):
             self._use(link or self._connect())
         except DriverError as e:
             return str(e)
-        except Exception as e:  # noqa: BLE001 - whatever a library raises: the thread lives, and tells
+        except Exception as e:  # noqa: BLE001 - any exception of a library is reported, and the thread lives
             return unforeseen(e)
         return "closed"
 

@@ -1,6 +1,6 @@
 """A simulated device behind a real serial port of the system, for tests and hardware in the loop.
 
-A pseudo terminal, a thread, a cable to pull, and a wire that loses, doubles and damages bytes.
+A pseudo terminal, a thread, a cable that can be pulled, and a wire that loses, doubles and damages bytes.
 """
 
 import os
@@ -17,48 +17,48 @@ from rtec.loop.clock import Clock
 
 
 class WireFaults:
-    """Bytes go in as they are sent and come out as they arrive. Every fault may be switched on and off at any time.
+    """A wire with faults. Every fault may be switched on and off at any time.
 
     Attributes:
         silent: nothing arrives.
-        flip_rate: share of messages in which one bit arrives wrong.
-        cut_next: the next message ends after so many bytes; -1: it does not.
-        cut_every: one message in so many ends in its middle; 0: none does.
-        late_ns: everything arrives so much later.
+        flip_rate: share of messages that arrive with one wrong bit.
+        cut_next: the next message ends after this number of bytes; -1: it is whole.
+        cut_every: one message of this number is cut in half; 0: none.
+        late_ns: delay of all bytes.
         babble: these bytes come before every message, and by themselves.
-        garbled, passed: messages that arrived wrong, and all that arrived.
+        garbled, passed: number of messages that arrived damaged, and of all that arrived.
 
     Args:
-        seed: of the chance in `flip_rate`.
+        seed: seed of the random choices in `flip_rate`.
     """
 
     def __init__(self, seed: int = 0) -> None:
         self.silent, self.flip_rate, self.cut_next, self.late_ns, self.babble = False, 0.0, -1, 0, b""
         self.cut_every = 0
         self.garbled = self.passed = 0
-        self._chance = random.Random(seed)  # noqa: S311 - a test's dice
+        self._chance = random.Random(seed)  # noqa: S311 - random numbers of a test
         self._on_the_way: deque[tuple[int, bytes]] = deque()
 
     def put(self, message: bytes, now_ns: int) -> None:
         """Send a message."""
         if self.silent:
             return
-        data = self.babble + self._spoilt(message)
+        data = self.babble + self._damaged(message)
         if data:
             self._on_the_way.append((now_ns + self.late_ns, data))
 
     def take(self, now_ns: int) -> bytes:
-        """Give what has arrived by now."""
+        """The bytes that have arrived by now."""
         out = b""
         while self._on_the_way and self._on_the_way[0][0] <= now_ns:
             out += self._on_the_way.popleft()[1]
         return out
 
     def next_ns(self) -> int | None:
-        """When the next bytes arrive; None where none are on the way."""
+        """When the next bytes arrive; None without any on the way."""
         return self._on_the_way[0][0] if self._on_the_way else None
 
-    def _spoilt(self, message: bytes) -> bytes:
+    def _damaged(self, message: bytes) -> bytes:
         if not message:
             return message
         self.passed += 1
@@ -69,9 +69,9 @@ class WireFaults:
             self.garbled += 1
         elif self._chance.random() < self.flip_rate:
             bit = self._chance.randrange(8 * len(message))
-            spoilt = bytearray(message)
-            spoilt[bit // 8] ^= 1 << bit % 8
-            message = bytes(spoilt)
+            damaged = bytearray(message)
+            damaged[bit // 8] ^= 1 << bit % 8
+            message = bytes(damaged)
             self.garbled += 1
         return message
 
@@ -80,11 +80,11 @@ class SimulatedPeer(Protocol):
     """A device as its line sees it."""
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take in bytes; give the answer."""
+        """Process bytes; give the answer."""
         ...
 
     def idle(self, now_ns: int) -> bytes:
-        """Give what it says unasked."""
+        """The bytes that it sends unasked."""
         ...
 
 
@@ -92,14 +92,14 @@ class PtyPeer:
     """Serves a device on a pseudo terminal until closed.
 
     Args:
-        peer: the device.
-        clock: its time.
-        link: a name for the port that stays when the cable is pulled and put back; the real name changes.
-        period_s: the device may speak unasked this often.
+        peer: the simulated device.
+        clock: clock of the device.
+        link: a name for the port that stays when the cable is pulled and plugged again; the real name changes.
+        period_s: period in which the device may send unasked.
 
     Attributes:
-        faults: what happens to the device's bytes on their way.
-        lock: held while the device works; take it to look at the device or to change it.
+        faults: faults of the wire from the device.
+        lock: held while the device works; hold it to read or change the device.
     """
 
     def __init__(self, peer: SimulatedPeer, clock: Clock, link: Path, period_s: float = 0.01) -> None:
@@ -110,21 +110,21 @@ class PtyPeer:
         self._wake: tuple[int, int] = (-1, -1)
 
     def __enter__(self) -> Self:
-        """Plug it in."""
+        """Plug the cable in."""
         self.plug()
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Pull it out."""
+        """Pull the cable."""
         self.pull()
 
     @property
     def device(self) -> str:
-        """Name of the port as long as it is plugged in."""
+        """Real name of the port while it is plugged in."""
         return os.ttyname(self._slave)
 
     def plug(self) -> None:
-        """Make the port appear, mostly under another real name than before."""
+        """Make the port appear, usually under another real name than before."""
         if self._thread is not None:
             return
         self._master, self._slave = os.openpty()
@@ -138,7 +138,7 @@ class PtyPeer:
         self._thread.start()
 
     def pull(self) -> None:
-        """Make the port vanish, whatever is on the line; again does nothing."""
+        """Remove the port, whatever is on the line; a second call does nothing."""
         if self._thread is None:
             return
         os.write(self._wake[1], b".")
@@ -162,7 +162,7 @@ class PtyPeer:
                 answer = self.peer.receive(data, now_ns) if data else self.peer.idle(now_ns)
                 self.faults.put(answer, now_ns)
                 arrived = self.faults.take(now_ns)
-            with suppress(BlockingIOError):  # nobody reads: the bytes are lost, as on a wire
+            with suppress(BlockingIOError):  # no reader: the bytes are lost, as on a wire
                 os.write(self._master, arrived)
 
     def _timeout_s(self) -> float:

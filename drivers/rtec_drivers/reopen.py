@@ -1,4 +1,4 @@
-"""Opens what was lost again, without the loop ever waiting for it."""
+"""Reopens a lost device; the loop never waits for it."""
 
 import threading
 from collections.abc import Callable
@@ -13,17 +13,17 @@ T = TypeVar("T")
 
 
 class Reopener(Generic[T]):
-    """Attempts in a thread of its own; when the next one is due, the caller's clock decides.
+    """Attempts in a thread of its own, at times of the caller's clock.
 
-    `poll` is called every cycle and returns at once. Attempts come at growing distances, from `first_s` up to
-    `longest_s`. The thread is made by `start`, at the latest with the first attempt, and lives until `close`; between
-    attempts it sleeps.
+    `poll` is called every cycle and returns at once. The waits between attempts grow from `first_s` up to `longest_s`.
+    `start`, or else the first attempt, creates the thread, which lives until `close`; between attempts it sleeps.
 
     Args:
-        attempt: opens once; bounded in time; raises DriverError where it fails; anything else is told the same way.
-        discard: closes what was opened but is not wanted any more.
-        clock: the caller's.
-        first_s, longest_s: distance of attempts.
+        attempt: opens once, in bounded time; raises DriverError where it fails; any other exception is reported as
+            well.
+        discard: closes a device that was opened but is no longer needed.
+        clock: the caller's clock.
+        first_s, longest_s: shortest and longest wait between attempts.
     """
 
     def __init__(
@@ -39,12 +39,12 @@ class Reopener(Generic[T]):
         self._thread: threading.Thread | None = None
 
     def lost(self, error: str) -> None:
-        """Note that it was lost now and why; the first attempt follows after `first_s`."""
+        """Record that it was lost now, and why; the first attempt follows after `first_s`."""
         self.error, self._wait_s = error, self._first_s
         self._due_ns = self._clock.now_ns() + round(self._first_s * 1e9)
 
     def poll(self) -> T | None:
-        """Give what was opened, once; None while there is nothing."""
+        """The opened device, once; None while there is none."""
         if self._busy:
             if self._results.empty():
                 return None
@@ -60,13 +60,13 @@ class Reopener(Generic[T]):
         return None
 
     def start(self) -> None:
-        """Make the thread now, so that no cycle has to: where memory is locked, a new thread's stack takes 10 ms."""
+        """Create the thread now, so that no cycle has to: where memory is locked, a new thread's stack takes 10 ms."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="rtec-reopen", daemon=True)
             self._thread.start()
 
     def close(self) -> None:
-        """End the thread; close what it has opened in the meantime."""
+        """End the thread; close a device that it has opened meanwhile."""
         if self._thread is None:
             return
         self._orders.put(False)
@@ -90,5 +90,5 @@ class Reopener(Generic[T]):
                 self._results.put(self._attempt())
             except DriverError as e:
                 self._results.put(str(e))
-            except Exception as e:  # noqa: BLE001 - whatever a library raises: the next attempt comes, and it is told
+            except Exception as e:  # noqa: BLE001 - any exception of a library is reported; the next attempt follows
                 self._results.put(unforeseen(e))

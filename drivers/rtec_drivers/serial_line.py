@@ -1,4 +1,4 @@
-"""A serial port that never blocks: options, finding it again by its USB serial number, reading and writing bytes."""
+"""A serial port that never blocks: options, search by USB serial number, reading and writing bytes."""
 
 import errno
 import os
@@ -23,15 +23,15 @@ LOST = (errno.EIO, errno.ENXIO, errno.ENODEV, errno.EBADF, errno.EPIPE, errno.EN
 
 
 class PortOptions(Strict):
-    """What every serial device may say of its port.
+    """Options of the port of a serial device.
 
     Attributes:
-        port: device file; a link under /dev/serial/by-id is as good.
-        usb_serial: serial number of the USB adapter; the port is then found by it, whatever its name today. Without
-            it the number of the adapter behind `port` is remembered, and found again after it was pulled.
-        baud, bytesize, parity, stopbits: as the device wants them.
+        port: device file, or a link under /dev/serial/by-id.
+        usb_serial: serial number of the USB adapter, by which the port is found whatever its present name. Without
+            it, the number of the adapter behind `port` is remembered, and found again after it was pulled.
+        baud, bytesize, parity, stopbits: as set on the device.
         at_start: "required": the run does not begin without the port; "later": it may appear any time.
-        first_retry_s, longest_retry_s: between two attempts to open; doubled from the first up to the longest.
+        first_retry_s, longest_retry_s: wait between two attempts to open; doubled from the first up to the longest.
     """
 
     port: str | None = None
@@ -52,16 +52,16 @@ class PortOptions(Strict):
 
     @property
     def place(self) -> str:
-        """The port as people call it."""
+        """Name of the port, for people."""
         return self.port or f"USB adapter {self.usb_serial}"
 
 
 class PortFinder:
-    """Knows which device file to open now, also after the adapter came back under another name.
+    """Finds the device file to open, even after the adapter came back under another name.
 
     Args:
         options: port or serial number.
-        ports: lists the ports that there are; pyserial's list where not given.
+        ports: lists the existing ports; None: pyserial's list.
     """
 
     def __init__(self, options: PortOptions, ports: Ports | None = None) -> None:
@@ -69,10 +69,10 @@ class PortFinder:
         self._serial, self._interface = options.usb_serial, ""
 
     def find(self) -> str:
-        """Give the device file.
+        """The device file.
 
         Raises:
-            DriverUnavailable: no port, or several, with that serial number.
+            DriverUnavailable: no port, or several, have that serial number.
         """
         if self._serial is None:
             return str(self._options.port)
@@ -83,26 +83,27 @@ class PortFinder:
                 return str(ours[0].device)
         if same:
             raise DriverUnavailable(f"several ports have the USB serial number {self._serial!r}; name one with port")
-        seen = ", ".join(f"{p.device} ({p.serial_number})" for p in there if p.serial_number) or "none"
-        raise DriverUnavailable(f"no port with the USB serial number {self._serial!r}; USB ports here: {seen}")
+        listed = ", ".join(f"{p.device} ({p.serial_number})" for p in there if p.serial_number) or "none"
+        raise DriverUnavailable(f"no port with the USB serial number {self._serial!r}; USB ports here: {listed}")
 
     def remember(self, device: str) -> None:
-        """Note which adapter is behind a port that was opened, so that it is found again by its number.
+        """Remember the adapter behind an open port, so that it is found again by its number.
 
-        A number that several adapters have here (some makers give all of them one) finds none: the port's name stays.
+        A number that several adapters here share (some makers give all of them one) is ignored: the port's name is
+        used.
         """
         real = os.path.realpath(device)
         try:
             there = [p for p in self._ports() if p.serial_number]
-        except DriverUnavailable:  # the port is open, which is more than a list could tell
+        except DriverUnavailable:  # the port is open all the same, so the number is not needed
             return
-        for found in (p for p in there if os.path.realpath(p.device) == real):
-            number, interface = found.serial_number, _interface(found)
+        for port in (p for p in there if os.path.realpath(p.device) == real):
+            number, interface = port.serial_number, _interface(port)
             if [(p.serial_number, _interface(p)) for p in there].count((number, interface)) == 1:
                 self._serial, self._interface = number, interface
 
     def _same_interface(self, port: Any) -> bool:
-        """Of an adapter with several ports: is it the one that was opened before?"""
+        """Of an adapter with several ports: is it the port that was opened before?"""
         return bool(self._interface) and _interface(port) == self._interface
 
     def _is_named(self, port: Any) -> bool:
@@ -112,14 +113,14 @@ class PortFinder:
 
 
 class SerialLine:
-    """An open port. Every call returns at once, but for `wait`.
+    """An open port. Every call but `wait` returns at once.
 
     Args:
-        options: how.
-        device: which.
+        options: settings.
+        device: device file.
 
     Raises:
-        DriverUnavailable: it is not there, in use, or may not be opened.
+        DriverUnavailable: it does not exist, is in use, or may not be opened.
     """
 
     def __init__(self, options: PortOptions, device: str) -> None:
@@ -132,18 +133,18 @@ class SerialLine:
             raise DriverUnavailable(f"{device}: more than {SELECT_LIMIT} files are open in this process")
 
     def close(self) -> None:
-        """Give the port back; again does nothing."""
+        """Close the port; a second call does nothing."""
         self._fd = -1
         with suppress(OSError, termios.error):
-            self._serial.reset_output_buffer()  # else the system may wait up to 30 s for it to drain
+            self._serial.reset_output_buffer()  # else the system may wait up to 30 s until it is empty
         with suppress(OSError, termios.error):
             self._serial.close()
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the system, all or none of this call's; what a full buffer cut off goes out with the next call.
+        """Pass bytes on to the system, all or none of them; the next call sends those that its full buffer refused.
 
         Raises:
-            DriverTimeout: the port takes no bytes now; nothing of `data` was sent.
+            DriverTimeout: the port accepts no bytes now; nothing of `data` was sent.
             DriverUnavailable: the port is gone.
         """
         if self._unsent:
@@ -154,7 +155,7 @@ class SerialLine:
         self._unsent += data[sent:]
 
     def read(self) -> bytes:
-        """Give the bytes that are there, none where there are none.
+        """The bytes that have arrived; may be empty.
 
         Raises:
             DriverUnavailable: the port is gone.
@@ -172,7 +173,7 @@ class SerialLine:
         return received
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until bytes are there, or the port is gone, for at most so long; say whether to read.
+        """Wait at most so long for bytes, or for the port to vanish; return whether to read.
 
         Raises:
             DriverUnavailable: the port was closed.
@@ -200,12 +201,12 @@ def _comports() -> Sequence[Any]:
 
     try:
         return list_ports.comports()
-    except (OSError, TypeError, ValueError) as e:  # an adapter vanished while it was being looked at
+    except (OSError, TypeError, ValueError) as e:  # an adapter vanished during the listing
         raise DriverUnavailable("the USB ports are just changing") from e
 
 
 def _interface(port: Any) -> str:
-    """Which of the ports of one adapter: the part of its USB place behind the colon."""
+    """Interface of an adapter with several ports: the part of its USB location after the colon."""
     return str(port.location or "").partition(":")[2]
 
 
@@ -228,7 +229,7 @@ def _open(options: PortOptions, device: str) -> Any:
     except (OSError, ValueError, termios.error) as e:
         raise DriverUnavailable(f"{device}: {_why_not(e, device)}") from e
     with suppress(OSError, ValueError, NotImplementedError, termios.error):
-        port.set_low_latency_mode(True)  # else many USB adapters keep bytes for 16 ms
+        port.set_low_latency_mode(True)  # else many USB adapters hold bytes for 16 ms
     with suppress(OSError, termios.error):
         port.reset_input_buffer()
     return port

@@ -1,7 +1,7 @@
 """The simulated machine as a device: counts, temperatures, spindle and actuator in one.
 
-The machine's time zero is the instant of entering; from then on it follows the clock that it was given, so it
-runs in real time or on a virtual clock alike.
+The machine's time zero is the instant of entering; from then on it follows the given clock, so it runs in real time
+or on a virtual clock alike.
 """
 
 from pathlib import Path
@@ -26,18 +26,18 @@ OFFSETS = {"following_error": "following_error", "phase": "following_error", "or
 
 
 class SimOptions(Strict):
-    """What a run file may say of the simulated machine.
+    """Options of the simulated machine.
 
     Attributes:
-        truth: file of the truth; a relative path starts at the folder of the run file.
+        truth: file of the truth; a relative path starts at the run file's folder.
         seed: same seed, same day.
-        program: text of a part program; without one, and without `program_file`, the axes stand still.
-        program_file: a file with a part program instead.
+        program: text of a part program; without this and `program_file`, the axes stand still.
+        program_file: a file with a part program, instead.
         repeat: start the program again when it ends.
-        warm_up_s: work that is over before the run begins, so that there is something to correct.
-        warm_up_rpm: spindle speed during it.
-        actuator: which way corrections go in; the name of the sink.
-        unit_um: one unit of output, µm, for those that do not count pulses.
+        warm_up_s: duration of work before the run begins, so that there is something to correct.
+        warm_up_rpm: spindle speed during the warm-up.
+        actuator: kind of the sink.
+        unit_um: one unit of output, µm, for kinds that do not count pulses.
     """
 
     truth: Path
@@ -61,17 +61,17 @@ class SimDriver:
     """Simulated machine; needs no hardware.
 
     Args:
-        options: what the run file says.
-        machine: whose axes and sensors the arrays follow.
-        clock: whose time the machine lives in.
-        base: folder that relative paths start at.
+        options: options of the run file.
+        machine: machine with the axes and sensors of the arrays.
+        clock: clock of the machine.
+        base: folder at which relative paths start.
 
     Raises:
-        ConfigError: truth, machine or program is wrong; constructing opens nothing else.
+        ConfigError: truth, machine or program is at fault. The constructor opens nothing else.
     """
 
     options_model = SimOptions
-    IN_LOOP = True  # the machine is one object, in the time of one clock, wherever its sensors are asked for
+    IN_LOOP = True  # the machine is one object, in the time of one clock, so no worker can read its sensors
     EXAMPLE = """\
 [device.machine]
 driver = "sim"
@@ -110,24 +110,24 @@ G1 X40
             self._start_ns = -1
 
     def read_counts(self, counts: IntArray) -> int:
-        """Fill in the raw counts; the instant, ns of the clock, is that of the servo tick that latched them."""
+        """Fill in the raw counts; give the instant, ns of the clock, of the servo tick that latched them."""
         self._follow()
         counts[:] = self.machine.raw_counts
         return self._at(self.machine.time_ns)
 
     def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
-        """Fill in temperatures, °C, and their instant, once a second a new one."""
+        """Fill in temperatures, °C, and their instant; a new one once a second."""
         self._follow()
         degc[:], latched_ns = self.machine.temperatures()
         time_ns[:] = self._at(latched_ns)
 
     def read_spindle(self) -> float:
-        """Give the spindle speed, 1/min."""
+        """The spindle speed, 1/min."""
         self._follow()
         return self.machine.spindle_rpm
 
     def refuses(self, sink: Sink) -> str:
-        """Take the one kind that the options name, in their unit."""
+        """Refuse all kinds but that of the options, and any other unit."""
         return differs(sink, self.options.actuator, self.options.unit_um)
 
     def apply(self, output: IntArray) -> None:
@@ -140,11 +140,11 @@ G1 X40
             self.machine.set_offset_um(self._output * self.options.unit_um, OFFSETS[self.options.actuator])
 
     def read_output(self, output: IntArray) -> None:
-        """Fill in what the machine has."""
+        """Fill in the machine's output."""
         output[:] = self._output
 
     def hold(self) -> None:
-        """Nothing to do: the machine keeps what it was last told."""
+        """Do nothing: the machine keeps the last output."""
 
     def _at(self, machine_ns: int) -> int:
         return self._start_ns + machine_ns - self._lead_ns

@@ -1,11 +1,11 @@
-"""Notices readings that do not change any more."""
+"""Detects readings that no longer change."""
 
 
 class StuckWatch:
-    """Watches readings for one that has stood still, to the last digit, for too long.
+    """Detects a reading that is constant, to the last digit, for too long.
 
     Args:
-        after_s: so long is too long; None: never.
+        after_s: longest time without a change; None: no limit.
     """
 
     def __init__(self, after_s: float | None) -> None:
@@ -13,7 +13,7 @@ class StuckWatch:
         self._since: dict[str, tuple[float, int]] = {}
 
     def look(self, name: str, value: float, now_ns: int) -> str:
-        """Note a reading; say what is wrong with it, "" where nothing is."""
+        """Record a reading; give its fault, or ""."""
         if self._after_s is None:
             return ""
         known, since_ns = self._since.get(name, (None, now_ns))

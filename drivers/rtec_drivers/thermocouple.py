@@ -1,12 +1,12 @@
-"""From raw numbers off a bus to believed temperatures: scale, open circuit, range, cold junction, stuck sensor.
+"""From raw numbers off a bus to valid temperatures: scale, open circuit, range, cold junction, stuck sensor.
 
 One thread writes (`take`, `silent`), any thread reads (`fill`, `faults`); a reader never waits for a writer, because
-what it reads is replaced whole.
+each snapshot is replaced as a whole.
 
-Thermocouple voltages to temperatures, by the reference functions of ITS-90 (NIST Monograph 175, IEC 60584-1).
+Converts thermocouple voltages by the reference functions of ITS-90 (NIST Monograph 175, IEC 60584-1).
 
-A thermocouple's voltage tells the difference between its tip and its terminals (the cold junction). So the voltage
-that a tip at the terminals' temperature would give, against 0 °C, is added before the function is turned round:
+A thermocouple's voltage depends on the difference between its tip and its terminals (the cold junction). So the voltage
+of a tip at the terminals' temperature, against 0 °C, is added before the function is inverted:
 `tip = E⁻¹(measured + E(cold junction))`.
 """
 
@@ -37,7 +37,7 @@ def to_degc(kind: Kind, measured_mv: float, cold_junction_degc: float) -> float:
         cold_junction_degc: temperature of the terminals, °C.
 
     Raises:
-        DriverFault: outside what the letter's function is defined for; type B starts at about 250 °C.
+        DriverFault: outside the range of the letter's function; type B starts at about 250 °C.
         DriverUnavailable: the package with the functions is not installed.
     """
     table = _table(kind)
@@ -58,10 +58,10 @@ def to_mv(kind: Kind, tip_degc: float, cold_junction_degc: float) -> float:
 
 
 def check_installed() -> None:
-    """Say now, not at the first reading, that the package is missing.
+    """Raise now, not at the first reading, if the package is missing.
 
     Raises:
-        DriverUnavailable: it is.
+        DriverUnavailable: it is missing.
     """
     _table("K")
 
@@ -79,22 +79,22 @@ def _table(kind: Kind) -> Any:
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 SAME = 1e-7
-"""9999.9 is 9999.900390625 on a bus that sends numbers of 32 bits."""
+"""Relative tolerance: 9999.9 is 9999.900390625 on a bus that sends numbers of 32 bits."""
 COLD_JUNCTION_AGE_NS = 60_000_000_000
-"""Terminals drift slowly; after a minute without their temperature a voltage is no temperature any more."""
+"""ns; terminals drift slowly, but after a minute without their temperature a voltage gives no temperature."""
 
 
 class Conversion(Strict):
-    """How a raw number becomes a temperature.
+    """Conversion of a raw number to a temperature.
 
     Attributes:
         scale, offset: value = raw · scale + offset, in °C; in mV where `thermocouple` is given.
-        open_codes: raw numbers that say "no sensor, or its wire is broken".
-        range_degc: what the sensor can be at; outside it the reading is a fault.
-        stuck_s: a raw number that stays the same for so long is a fault; a sensor of coarse steps in a quiet room
+        open_codes: raw numbers that mean "no sensor, or its wire is broken".
+        range_degc: possible temperatures of the sensor; a reading outside is a fault.
+        stuck_s: a raw number that is constant for this time is a fault; a sensor of coarse steps in a quiet room
             needs a longer time.
-        thermocouple: letter, where the value is a voltage.
-        cold_junction: of the voltage: temperature of the terminals, °C, or the name of the reading that gives it.
+        thermocouple: letter of the thermocouple, where the value is a voltage.
+        cold_junction: for a voltage: temperature of the terminals, °C, or the name of the reading that gives it.
     """
 
     scale: Factor = 1.0
@@ -115,9 +115,9 @@ class Conversion(Strict):
 
 
 def open_code_faults(codes: Sequence[float], bits: int, signed: bool, kind: str) -> str:
-    """Why one of the codes can never come from a whole number of that many bits; "" where all can.
+    """Why one of the codes can never be a whole number of that many bits; "" where all can.
 
-    Manuals like to give 65535 or 8000h for what a signed number has as -1 or -32768.
+    Manuals often give 65535 or 8000h where a signed number is -1 or -32768.
     """
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
     for code in codes:
@@ -146,15 +146,15 @@ class _Snapshot:
 
 
 class TemperatureReadings:
-    """Newest believed temperature of each sensor of one device, and what is wrong with the others.
+    """Newest valid temperature of each sensor of one device, and the faults of the others.
 
     Args:
-        sensors: the machine's sensors, in its order.
+        sensors: the machine's sensors, in the machine's order.
         conversions: by the name of the reading: a sensor, or a cold junction that another reading names.
 
     Raises:
         ConfigError: a name is neither, or names a cold junction that is not read.
-        DriverUnavailable: a voltage is to be converted and the package for it is not installed.
+        DriverUnavailable: a voltage needs a package that is not installed.
     """
 
     def __init__(self, sensors: Sequence[str], conversions: Mapping[str, Conversion]) -> None:
@@ -178,7 +178,7 @@ class TemperatureReadings:
         self._snapshot = _Snapshot(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))
 
     def take(self, name: str, raw: float, time_ns: int) -> None:
-        """Judge a raw number acquired at an instant, ns; publish it where it can be believed."""
+        """Judge a raw number acquired at an instant, ns; publish it where it is valid."""
         state, conversion = self._states[name], self._conversions[name]
         if raw != state.raw or state.since_ns == 0:
             state.raw, state.since_ns = raw, time_ns
@@ -193,25 +193,25 @@ class TemperatureReadings:
         self._publish()
 
     def silent(self, names: Iterable[str], why: str) -> None:
-        """Note that no reading came; values and times stay as they are."""
+        """Record that no reading came; values and times stay."""
         for name in names:
             self._faults[name] = why
 
     def fill(self, degc: FloatArray, time_ns: IntArray) -> None:
-        """Write the newest believed values, °C, and their instants, ns, into the machine's arrays; touch no others."""
+        """Write the newest valid values, °C, and their instants, ns, into the machine's arrays; change no others."""
         newest = self._snapshot
         degc[newest.index] = newest.degc
         time_ns[newest.index] = newest.time_ns
 
     def faults(self) -> list[str]:
-        """What is wrong now, one line a reading; empty when all is well."""
+        """Present faults, one line a reading; empty where there is none."""
         return [f"{name}: {why}" for name, why in self._faults.items() if why]
 
     def tell(self) -> None:
-        """Say what is wrong.
+        """Raise the present faults.
 
         Raises:
-            DriverFault: something is.
+            DriverFault: there are faults.
         """
         if any(self._faults.values()):
             raise DriverFault("; ".join(self.faults()))

@@ -1,1 +1,1 @@
-"""A machine's first files: the shipped example, and those that `rtec init` writes from answers."""
+"""A machine's first files: the shipped example, and the files that `rtec init` writes from answers."""

@@ -1,6 +1,6 @@
-"""What `rtec init` needs to know, as a file that a script gives or that the questions fill in.
+"""The answers that `rtec init` needs, from a script's file or from its questions.
 
-A template knows the kind of machine; the answers say what is otherwise. `[role]` and `[device]` are a run file's own.
+A template describes the kind of machine; the answers have what differs. `[role]` and `[device]` are as in a run file.
 """
 
 from collections.abc import Mapping
@@ -36,14 +36,14 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 class AxisAnswer(Strict):
-    """`[axis.X]`: an axis of the template, and what is otherwise.
+    """`[axis.X]`: an axis of the template, and its differences.
 
     Attributes:
-        direction: machine coordinate that it moves along.
+        direction: machine coordinate along which it moves.
         travel_mm: lowest and highest position.
-        resolution_um: what one count of its scale or encoder is worth, after x4; or
-        counts_per_mm: counts for a millimetre.
-        pitch_mm: of the screw or scale; leave it out where there is none.
+        resolution_um: µm per count of its scale or encoder, after x4; either this or `counts_per_mm`.
+        counts_per_mm: counts per millimetre; either this or `resolution_um`.
+        pitch_mm: pitch of the screw or scale; omit it where there is none.
         compensate: may rtec correct it?
     """
 
@@ -62,15 +62,15 @@ class AxisAnswer(Strict):
 
     @property
     def per_mm(self) -> float:
-        """Counts for a millimetre."""
+        """Counts per millimetre."""
         return self.counts_per_mm or 1e3 / (self.resolution_um or 1.0)
 
 
 class LimitAnswer(Strict):
-    """`[limits]`: of the correction of every axis.
+    """`[limits]`: limits of the correction of every axis.
 
     Attributes:
-        stop_um: a larger request is not followed. Less than what could damage anything.
+        stop_um: a larger request is not followed. Set it below anything that could cause damage.
         warning_um: a larger request is flagged; not given: 80 % of `stop_um`.
         slew_um_s: fastest change of the correction.
         acceleration_um_s2: fastest change of that speed.
@@ -83,7 +83,7 @@ class LimitAnswer(Strict):
 
     @property
     def of_axis(self) -> Limits:
-        """As the run file has them.
+        """The limits in the form of the run file.
 
         Raises:
             ValueError: the warning is beyond the stop.
@@ -102,21 +102,21 @@ class Answers(Strict):
 
     Attributes:
         template: kind of machine: lathe, mill, bridge or axis.
-        name: of the machine.
+        name: name of the machine.
         tool_chain: links from the base to the tool tip.
         work_chain: links from the base to the cutting point.
         axis: axes by name.
-        link: offset of a fixed link from the one before it, mm; those that are not named sit on it.
+        link: offset of a fixed link from the one before it, mm; a link without an entry is at the one before it.
         sensors: names of the temperature sensors.
         role: which device reads and corrects, by its name in `device`.
         device: devices, as in a run file.
-        limits: of the correction.
-        output: `[output]` of every corrected axis, where the actuator takes no counts; not given: as the device says.
-        rate_hz: cycles per second; not given: as fast as the device of the counts allows.
-        mode: what the correction does after a start; "hold" until it was measured.
-        counts_max_age_s: counts older than this hold the correction; not given: by the device.
+        limits: limits of the correction.
+        output: `[output]` of every corrected axis, where the actuator takes no counts; not given: from the device.
+        rate_hz: cycles per second; not given: as fast as the counts' device allows.
+        mode: mode after a start; "hold" until the machine is measured.
+        counts_max_age_s: counts older than this hold the correction; not given: from the device.
         temperature_max_age_s: temperatures older than this hold it, too.
-        log_folder: where the log goes, from the run file's folder.
+        log_folder: folder of the log, relative to the run file's folder.
     """
 
     template: Literal["lathe", "mill", "bridge", "axis"]
@@ -138,10 +138,10 @@ class Answers(Strict):
 
 
 def template_tables(name: str) -> dict[str, Any]:
-    """What a template says.
+    """The tables of a template.
 
     Raises:
-        ConfigError: none of that name.
+        ConfigError: no template has that name.
     """
     if name not in TEMPLATES:
         raise ConfigError(f"rtec init: no template {name!r}{nearest(name, TEMPLATES)}")
@@ -149,7 +149,7 @@ def template_tables(name: str) -> dict[str, Any]:
 
 
 def with_answers(template: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """A template with what is otherwise; tables are put together key by key, axes stay the template's own."""
+    """A template with the differences; tables are merged key by key, axes stay those of the template."""
     return {
         key: with_answers(template[key], given[key])
         if isinstance(template.get(key), Mapping) and isinstance(given.get(key), Mapping) and key != "link"
@@ -159,10 +159,10 @@ def with_answers(template: Mapping[str, Any], given: Mapping[str, Any]) -> dict[
 
 
 def answers_from(data: Mapping[str, Any], source: str) -> Answers:
-    """Check the tables of an answers file, those of its template below them.
+    """Check the tables of an answers file, merged into those of its template.
 
     Raises:
-        ConfigError: everything that is wrong.
+        ConfigError: all faults.
     """
     template = data.get("template")
     if not isinstance(template, str):

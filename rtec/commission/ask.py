@@ -24,12 +24,12 @@ class Interview:
     """Asks what `Answers` needs, with the template's own values as defaults.
 
     Args:
-        talk: whom it asks.
-        clock: for listening to ports.
-        watched: shows live values for a while.
+        talk: asks the user.
+        clock: clock of the scans.
+        watched: shows live values for a while; returns the change of each.
 
     Attributes:
-        sure: axes and sensors that were recognised by what changed.
+        sure: axes and sensors that were recognised by their changes.
     """
 
     def __init__(self, talk: Talk, clock: Clock, watched: Watched) -> None:
@@ -82,7 +82,7 @@ class Interview:
         return out | ({"pitch_mm": pitch_mm} if pitch_mm else {})
 
     def _ports(self) -> None:
-        """List the serial ports, and what they print."""
+        """List the serial ports, and the text that they print."""
         there = serial_ports()
         self._talk.say("\nSerial ports here: " + ("; ".join(p.words() for p in there) or "none"))
         if not there or self._talk.ask("listen to them? Nothing is sent (y/n)", "y") != "y":
@@ -91,7 +91,7 @@ class Interview:
             self._search("ascii_lines", {"port": port.device})
 
     def _search(self, driver: str, table: Tables, names: Sequence[str] = (), kind: str = "") -> Tables:
-        """What a driver finds on a port or bus: keys of its table, where each of these names got a place."""
+        """Keys of a device's table that a driver's scan gives, if each of these names has a place."""
         way = {**table, **table.get("serial", {}), **table.get("tcp", {})}
         place = way.get("host") or way.get("port") or way.get("channel")
         try:
@@ -125,7 +125,7 @@ class Interview:
         return scanner.table({name: places[name] for name in names}, unit)
 
     def _scanned(self, driver: str, table: Tables, names: Sequence[str], kind: str) -> Tables:
-        """As `_search`, if it may."""
+        """As `_search`, if the user agrees."""
         try:
             scanner = scanner_of(driver, table, self._clock, "rtec init")
         except RtecError as e:
@@ -139,7 +139,7 @@ class Interview:
         return self._search(driver, table, names, kind) if self._talk.ask(question, "y") == "y" else {}
 
     def _device(self, out: Tables, role: str, name: str, question: str, default: str, names: tuple[str, ...]) -> str:
-        """Ask for a device that plays a role; its name. One that is there already may play it, too."""
+        """Ask for a device that serves a role; give its name. A device that exists already may serve it, too."""
         self._talk.say(f"\n{question}")
         drivers = {d.name: d for d in all_drivers() if role in d.roles and not d.trouble}
         there = [n for n, table in out["device"].items() if table["driver"] in drivers]
@@ -166,19 +166,19 @@ class Interview:
             return special[driver.name](out, names)
         self._talk.say(f"An example of its table, to be changed in the file:\n{driver.example}")
         options = [o for o in driver.options if o.required and "." not in o.name]
-        return {o.name: self._typed(f"{o.name}: {o.meaning}", o.kind) for o in options}
+        return {o.name: self._value_of_kind(f"{o.name}: {o.meaning}", o.kind) for o in options}
 
     def _box(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
         table = {"port": self._port()}
-        found = self._scanned("serial_box", table, names, "axis")
-        return {**table, **found, "max_speed_mm_s": self._speeds(names)}
+        scanned = self._scanned("serial_box", table, names, "axis")
+        return {**table, **scanned, "max_speed_mm_s": self._speeds(names)}
 
     def _lines(self, out: Tables, names: tuple[str, ...]) -> Tables:
         table: Tables = {"port": self._port()}
         of_axes = set(names) <= set(out["axis"])
-        found = self._scanned("ascii_lines", table, names, "axis" if of_axes else "sensor")
-        table |= found or self._rate(9600)
+        scanned = self._scanned("ascii_lines", table, names, "axis" if of_axes else "sensor")
+        table |= scanned or self._rate(9600)
         proposed = table.get("patterns", [r"\s+".join(rf"{n}\s*=\s*(?P<{n}>{ANY_NUMBER})" for n in names)])[0]
         self._talk.say("A regular expression of a whole line; each named group is an axis or a sensor.")
         table["patterns"] = [self._talk.ask("pattern", proposed)]
@@ -190,9 +190,9 @@ class Interview:
     def _modbus(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
         way = self._way(19200, "even")
-        found = self._scanned("modbus", way, names, "sensor")
-        if found:
-            return way | found
+        scanned = self._scanned("modbus", way, names, "sensor")
+        if scanned:
+            return way | scanned
         slave = int(self._number("number of the module on the line", 1))
         first = int(self._number(f"address of {names[0]} on the line, from 0; the others follow", 0))
         scale = self._number("one unit of a register, °C", 0.1)
@@ -203,9 +203,9 @@ class Interview:
     def _can(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
         way = self._can_way()
-        found = self._scanned("can", way, names, "sensor")
-        if found:
-            return way | found
+        scanned = self._scanned("can", way, names, "sensor")
+        if scanned:
+            return way | scanned
         node = int(self._number("CANopen number of the device", 1))
         scale = self._number("one unit of its numbers, °C", 0.1)
         self._talk.say("Four numbers of 16 bits in each of its process data, in order; change it in the file.")
@@ -214,14 +214,14 @@ class Interview:
     def _can_encoders(self, out: Tables, names: tuple[str, ...]) -> Tables:
         del out
         way = self._can_way()
-        found = self._scanned("can_encoders", way, names, "axis")
+        scanned = self._scanned("can_encoders", way, names, "axis")
         bits = int(self._number("bits of the encoders' counters; they wrap there", 32))
-        if not found:
+        if not scanned:
             nodes = {n: int(self._number(f"CANopen number of {n}'s encoder", k + 1)) for k, n in enumerate(names)}
-            found = {"axis": {name: {"node": node, "map": ["u32"]} for name, node in nodes.items()}}
+            scanned = {"axis": {name: {"node": node, "map": ["u32"]} for name, node in nodes.items()}}
         speeds = self._speeds(names)
-        axes = {name: {**table, "max_speed_mm_s": speeds[name]} for name, table in found["axis"].items()}
-        return {**way, **found, "bits": bits, "axis": axes}
+        axes = {name: {**table, "max_speed_mm_s": speeds[name]} for name, table in scanned["axis"].items()}
+        return {**way, **scanned, "bits": bits, "axis": axes}
 
     def _can_way(self) -> Tables:
         there = can_interfaces()
@@ -243,7 +243,7 @@ class Interview:
         return table | ({} if acknowledge == "-" else {"acknowledge": acknowledge})
 
     def _way(self, baud: int, parity: str = "none") -> Tables:
-        """`serial` or `tcp`."""
+        """Ask for `serial` or `tcp`."""
         port = self._port("port, or HOST:PORT over TCP")
         if place := TCP.fullmatch(port):
             return {"tcp": {"host": place["host"], "port": int(place["port"])}}
@@ -261,7 +261,7 @@ class Interview:
         speed = self._number("fastest speed of the axes, mm/s; faster readings are errors", 400.0)
         return dict.fromkeys(names, speed)
 
-    def _typed(self, question: str, kind: str) -> Any:
+    def _value_of_kind(self, question: str, kind: str) -> Any:
         if kind.startswith(("number", "whole")):
             number = self._number(question, 0.0)
             return int(number) if kind.startswith("whole") else number
@@ -290,7 +290,7 @@ def _pdo_item(node: int, k: int) -> Tables:
 
 
 def swapped(value: Any, a: str, b: str) -> Any:
-    """A device's table with two names exchanged, where they are keys and named groups of patterns."""
+    """A device's table with two names exchanged, as keys and as named groups of patterns."""
     names = {a: b, b: a}
     if isinstance(value, Mapping):
         return {names.get(k, k): swapped(v, a, b) for k, v in value.items()}
@@ -302,15 +302,15 @@ def swapped(value: Any, a: str, b: str) -> Any:
 
 
 def check_names(
-    talk: Talk, tables: Tables, watched: Callable[[], Mapping[str, float]], sure: Collection[str] = ()
+    talk: Talk, tables: Tables, watched: Callable[[], Mapping[str, float]], recognised: Collection[str] = ()
 ) -> Tables:
-    """Have each axis moved and each sensor warmed; exchange the names of those that answer in the place of others.
+    """Ask to move each axis and to warm each sensor; exchange the names of those that react in another's place.
 
     Args:
-        talk: whom it asks.
-        tables: of the answers so far.
-        watched: shows live values for a while; gives the change of each.
-        sure: those that were recognised before.
+        talk: asks the user.
+        tables: tables of the answers so far.
+        watched: shows live values for a while; returns the change of each.
+        recognised: names that need no check.
 
     Returns:
         the tables with the names exchanged.
@@ -319,7 +319,7 @@ def check_names(
         ("counts", "axis", list(tables["axis"]), "mm"),
         ("temperatures", "sensor", list(tables["sensors"]), "°C"),
     ):
-        for name in (n for n in names if n not in sure):
+        for name in (n for n in names if n not in recognised):
             if talk.ask(f"{ACTION[kind].format(name)} while the values are shown; ready (y), skip (n)", "y") != "y":
                 continue
             change = {n: x for n, x in watched().items() if n in names}

@@ -6,16 +6,16 @@ from typing import Final
 from rtec.commission.files import write_together
 
 SHIPPED: Final = Path(__file__).parents[1] / "configs"
-"""Where they are, in a clone and in an installed package alike."""
+"""Their folder, in a clone and in an installed package alike."""
 FOLDER: Final = "configs"
-"""What the folder is called that they are copied to: the commands in the documentation name it."""
+"""Name of the folder for the copies, as in the commands of the documentation."""
 
 
 def write_example(folder: Path, *, overwrite: bool = False) -> list[Path]:
-    """Copy what is shipped into `configs` of a folder; all files or none.
+    """Copy the shipped files into `configs` of a folder; all files or none.
 
     Raises:
-        ConfigError: a file is there with another content and may not be replaced, or cannot be written.
+        ConfigError: a file exists with another content and may not be replaced, or cannot be written.
     """
     files = sorted(file for file in SHIPPED.rglob("*.toml"))
     texts = {Path(FOLDER) / file.relative_to(SHIPPED): file.read_text(encoding="utf-8") for file in files}

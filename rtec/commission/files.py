@@ -1,4 +1,4 @@
-"""Writes several files together: all of them or none, and none over another that is there already."""
+"""Writes several files together: all of them or none, and none over an existing one."""
 
 import os
 import tempfile
@@ -10,20 +10,20 @@ from rtec.errors import ConfigError
 
 
 def write_together(folder: Path, texts: Mapping[Path, str], *, overwrite: bool = False) -> list[Path]:
-    """Write files below a folder; however it ends, either all of them are there or the folder is as before.
+    """Write files below a folder; afterwards either all of them exist, or the folder is as before.
 
-    A file that is there with the same content stays as it is.
+    A file that exists with the same content is not written.
 
     Args:
-        folder: made where it is missing.
+        folder: created where it is missing.
         texts: content by path, relative to the folder.
-        overwrite: replace files of another content.
+        overwrite: replace files with another content.
 
     Returns:
         the files, in the order of `texts`.
 
     Raises:
-        ConfigError: a file is there with another content and may not be replaced, or cannot be written; all of them.
+        ConfigError: files that exist with another content and may not be replaced, or cannot be written; all of them.
     """
     files = {folder / name: text for name, text in texts.items()}
     there = [file for file, text in files.items() if file.exists() and _content(file) != text]
@@ -62,7 +62,7 @@ def _make_folder(folder: Path, made: list[Path]) -> None:
 
 
 def _exchange(stage: Path, texts: Mapping[Path, str]) -> None:
-    """Put new files in the place of old ones; an error or Ctrl-C on the way puts the old ones back."""
+    """Replace old files by new ones; an error or Ctrl-C on the way restores the old ones."""
     for k, text in enumerate(texts.values()):
         with (stage / f"new-{k}").open("w", encoding="utf-8") as out:
             out.write(text)

@@ -1,4 +1,4 @@
-"""Live values before there are files: which axis moves, which sensor warms up."""
+"""Live values before there are files: to see which axis moves, and which sensor warms up."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -16,11 +16,11 @@ from rtec.machine import Machine
 
 LOOK_NS: Final = 100_000_000
 Shown = Callable[[Mapping[str, float], Mapping[str, float]], None]
-"""Is given the newest values and their changes since the start, by name."""
+"""Called with the newest values and their changes since the start, by name."""
 
 
 class LiveSource(Protocol):
-    """What has live values."""
+    """A source of live values."""
 
     def read(self) -> dict[str, float]:
         """Newest values by name."""
@@ -28,10 +28,10 @@ class LiveSource(Protocol):
 
 
 class LiveValues:
-    """Positions and temperatures of devices that are open.
+    """Positions and temperatures of open devices.
 
     Attributes:
-        troubles: what is wrong now, by device.
+        troubles: present faults by device.
     """
 
     def __init__(self, machine: Machine, devices: Mapping[str, Any], role: Roles) -> None:
@@ -43,7 +43,7 @@ class LiveValues:
         self._degc_ns = np.zeros(len(machine.sensors), np.int64)
 
     def read(self) -> dict[str, float]:
-        """Newest values by axis (mm) and sensor (°C), those that there are."""
+        """Newest values by axis (mm) and sensor (°C), as far as there are any."""
         self.troubles.clear()
         for name in dict.fromkeys([self._role.counts, *self._role.temperatures]):
             try:
@@ -68,10 +68,10 @@ class LiveValues:
 def live(
     machine: Machine, tables: Mapping[str, Mapping[str, Any]], role: Roles, clock: Clock, base: Path
 ) -> Iterator[LiveValues]:
-    """Open the devices that read, and no other: nothing is commanded.
+    """Open only the devices that read: nothing is commanded.
 
     Raises:
-        RtecError: a device's table is wrong, or it cannot be opened.
+        RtecError: a device's table is at fault, or the device cannot be opened.
     """
     devices: dict[str, Any] = {}
     try:
@@ -86,7 +86,7 @@ def live(
 
 
 def watch(values: LiveSource, clock: Clock, seconds: float, shown: Shown) -> dict[str, float]:
-    """Show values for a while; give the change of each from its first to its last value."""
+    """Show values for a while; return the change of each from its first to its last value."""
     first: dict[str, float] = {}
     end_ns = clock.now_ns() + round(seconds * 1e9)
     while True:

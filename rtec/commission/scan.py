@@ -1,4 +1,4 @@
-"""Which number on a port or bus is which axis or sensor: what a driver finds, and what changes when it is asked for."""
+"""Which number on a port or bus belongs to which axis or sensor: by a driver's scan, and by changes on request."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -14,13 +14,13 @@ from rtec.wording import counted, significant
 
 Tables = dict[str, Any]
 Watched = Callable[[LiveSource], Mapping[str, float]]
-"""Shows live values for a while; gives the change of each."""
+"""Shows live values for a while; returns the change of each."""
 UNITS_DEGC: Final = (1.0, 0.1, 0.01)
 ROOM_DEGC: Final = (10.0, 45.0)
 CLEARLY: Final = 3.0
-"""What moves changes so many times more than at rest."""
+"""A number counts as changed if it changes by this many times more than at rest."""
 SMALL_SHARE: Final = {"axis": 0.01, "sensor": 0.005}
-"""What counts as no change: a share of the largest change of any number, or of a temperature's own number."""
+"""Changes that are ignored: below this share of the largest change of any number, or of a temperature's own value."""
 ACTION: Final = {
     "axis": "Move axis {} by hand in its positive direction",
     "sensor": "Warm {} with your hand",
@@ -28,26 +28,26 @@ ACTION: Final = {
 
 
 class Talk(Protocol):
-    """Whom it asks."""
+    """Dialogue with the user."""
 
     def ask(self, question: str, default: str) -> str:
-        """Give the answer; the default where that is empty."""
+        """Ask, and return the answer; the default where that is empty."""
         ...
 
     def say(self, text: str) -> None:
-        """Tell something."""
+        """Show a line."""
         ...
 
     def progress(self, title: str) -> AbstractContextManager[Callable[[int, int], None]]:
-        """Show a bar; gives a function that takes how much is done, of how much."""
+        """Show a bar; gives a function of the amount done and the total."""
         ...
 
 
 def scanner_of(driver: str, table: Mapping[str, Any], clock: Clock, where: str) -> Scanner | None:
-    """What looks on a device's port or bus; None where its driver cannot.
+    """The scanner of a device's port or bus; None where its driver has none.
 
     Raises:
-        RtecError: no such driver, or a table that it refuses.
+        RtecError: the driver does not exist, or refuses the table.
     """
     kind = driver_class(driver, where)
     scanner: Scanner | None = kind.scanner(table, clock) if hasattr(kind, "scanner") else None
@@ -55,32 +55,32 @@ def scanner_of(driver: str, table: Mapping[str, Any], clock: Clock, where: str) 
 
 
 def search(scanner: Scanner, talk: Talk, title: str) -> list[str]:
-    """Look with a progress bar; what was found, in words. Ctrl-C ends the search, and keeps what it found.
+    """Scan with a progress bar; return the matches, in words. Ctrl-C ends the scan, and keeps its matches.
 
     Raises:
         DriverUnavailable: the port or bus is gone.
     """
-    found: list[str] = []
+    matches: list[str] = []
     try:
         with talk.progress(title) as show:
             for share, words in scanner.search():
                 show(round(1000 * share), 1000)
-                found += [words] if words else []
+                matches += [words] if words else []
     except KeyboardInterrupt:
         talk.say("The search was ended early; what it found is kept, and so are your answers.")
-    for words in found:
+    for words in matches:
         talk.say(f"  {words}")
-    return found
+    return matches
 
 
 def by_changes(scanner: Scanner, names: Sequence[str], kind: str, talk: Talk, watched: Watched) -> dict[str, str]:
-    """Have each axis moved, or each sensor warmed; the place of each that answered.
+    """Ask to move each axis, or to warm each sensor; return the place of each one that reacted.
 
     Args:
-        scanner: which has searched.
+        scanner: scanner that has searched.
         names: axes or sensors.
         kind: "axis" or "sensor".
-        talk: whom it asks.
+        talk: asks the user.
         watched: shows live values.
     """
     talk.say("Leave everything at rest for a moment: what changes all the same is no " + kind + ".")
@@ -102,12 +102,12 @@ def by_changes(scanner: Scanner, names: Sequence[str], kind: str, talk: Talk, wa
 
 
 def counts_down(axis: str) -> str:
-    """What to do about an axis that counts the wrong way."""
+    """Advice for an axis that counts in the wrong direction."""
     return f"{axis} counts down where the axis goes up: exchange A and B of its encoder, or its sign there"
 
 
 def loudest(change: Mapping[str, float], rest: Mapping[str, float], now: Mapping[str, float], kind: str) -> str | None:
-    """The place that changed most, measured by what it does at rest; None where none did so clearly."""
+    """The place that changed most, relative to its changes at rest; None where none changed clearly."""
     largest = max((abs(x) for x in change.values()), default=0.0)
     small = {p: SMALL_SHARE[kind] * (largest if kind == "axis" else abs(now.get(p, 0.0)) or 1.0) for p in change}
     score = {p: abs(x) / (abs(rest.get(p, 0.0)) + small[p]) for p, x in change.items() if small[p] > 0.0}
@@ -116,34 +116,34 @@ def loudest(change: Mapping[str, float], rest: Mapping[str, float], now: Mapping
 
 
 def unit_of(numbers: Sequence[float]) -> float:
-    """°C that a bare number's 1 is worth: the unit in which all of them are a room's temperature; 1 where none is."""
+    """°C per unit of bare numbers: the unit in which all of them are room temperatures; 1 without such a unit."""
     low, high = ROOM_DEGC
     return next((u for u in UNITS_DEGC if numbers and all(low <= n * u <= high for n in numbers)), 1.0)
 
 
 def fill_in(tables: Tables, talk: Talk, clock: Clock, source: str) -> Tables:
-    """Of devices that say `scan = true`: look, and put what is found in the place of that key.
+    """Scan for the devices with `scan = true`, and replace that key by the result.
 
     Args:
-        tables: of an answers file.
-        talk: called with each line that says what the search found.
-        clock: for deadlines.
-        source: the file, for messages.
+        tables: tables of an answers file.
+        talk: called with each line on the scan's matches.
+        clock: clock of the deadlines.
+        source: path of the file, for messages.
 
     Raises:
-        ConfigError: what is found does not say which number is which; the message lists it.
-        DriverUnavailable: a port that cannot be opened.
+        ConfigError: the matches do not show which number is which; the message lists them.
+        DriverUnavailable: a port cannot be opened.
     """
     out = dict(tables)
     for device, table in (tables.get("device") or {}).items():
         if isinstance(table, Mapping) and table.get("scan") is not None:
             given = {key: value for key, value in table.items() if key != "scan"}
-            found = _found(tables, device, given, talk, clock, source) if table["scan"] else {}
-            out["device"] = {**out["device"], device: with_answers(found, given)}
+            scanned = _scan_result(tables, device, given, talk, clock, source) if table["scan"] else {}
+            out["device"] = {**out["device"], device: with_answers(scanned, given)}
     return out
 
 
-def _found(tables: Tables, device: str, given: Tables, talk: Talk, clock: Clock, source: str) -> Tables:
+def _scan_result(tables: Tables, device: str, given: Tables, talk: Talk, clock: Clock, source: str) -> Tables:
     where = f"{source}: [device.{device}]"
     scanner = scanner_of(str(given.get("driver")), given, clock, where)
     if scanner is None:
@@ -151,10 +151,10 @@ def _found(tables: Tables, device: str, given: Tables, talk: Talk, clock: Clock,
     axes, sensors = _names(tables, device)
     with scanner:
         talk.say(f"{device}: looking; this only reads, and takes {scanner.duration}")
-        found = search(scanner, talk, f"looking for {device}")
+        matches = search(scanner, talk, f"looking for {device}")
         now, places = scanner.read(), scanner.proposed([*axes, *sensors])
         if not places:
-            there = "\n  ".join([*found, *(f"{place}: {number:g}" for place, number in now.items())])
+            there = "\n  ".join([*matches, *(f"{place}: {number:g}" for place, number in now.items())])
             raise ConfigError(
                 f"{where} scan: what is there does not say which number is {', '.join([*axes, *sensors])}; "
                 f"write it down yourself, or run rtec init without --answers, which asks:\n  {there}"

@@ -1,4 +1,4 @@
-"""Machine, run and model file from answers, with comments that say what to look at next."""
+"""Machine, run and model file from answers, with comments on what to check next."""
 
 import json
 import tomllib
@@ -16,7 +16,7 @@ from rtec.model import Model
 
 MACHINE, RUN, MODEL = "machine.toml", "run.toml", "model.toml"
 SLOW: Final = {"ascii_lines": (50.0, 0.25)}
-"""Cycles per second, and the oldest counts that are used, for devices that print their counts."""
+"""Cycles per second, and the largest age of the counts, s, for devices that print their counts."""
 FAST: Final = (1000.0, 0.005)
 OUTPUT_PERIOD_S: Final = 0.2
 ANSWERS: Final = """\
@@ -81,7 +81,7 @@ def checked_setup(answers: Answers, folder: Path) -> Setup:
     """The run that `run.toml` will describe, checked with all its devices; nothing is written or opened.
 
     Raises:
-        ConfigError: a role without a device, options that a driver refuses, an output that it does not take.
+        ConfigError: a role without a device, options that a driver refuses, an output that the actuator refuses.
     """
     machine, data = machine_of(answers), tomllib.loads(run_text(answers))
     setup = setup_of(data, folder / RUN, machine, Model(machine))
@@ -93,7 +93,7 @@ def answers_text(template: str) -> str:
     """An answers file to fill in: the template's own values, and a device for each role.
 
     Raises:
-        ConfigError: no such template.
+        ConfigError: no template has that name.
     """
     tables = template_tables(template)
     axes, sensors = list(tables["axis"]), tables["sensors"]

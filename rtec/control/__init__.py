@@ -1,1 +1,1 @@
-"""Looking at a running daemon and giving it orders: the socket, requests, status, figures (`docs/control.md`)."""
+"""Watching and controlling a running daemon: the socket, requests, status, figures (`docs/control.md`)."""

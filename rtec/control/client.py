@@ -1,4 +1,4 @@
-"""The other end of control: asks a running daemon, gives it an order, and waits for what comes of it."""
+"""The client of control: reads a running daemon's status, gives it an order, and waits for the result."""
 
 import os
 import re
@@ -20,18 +20,18 @@ from rtec.loop.records import MODES_BY_NAME
 
 WAIT_S: Final = 5.0
 SSH_WAIT_S: Final = 20.0
-"""Logging in takes its time."""
+"""Longest wait, s, for a login by ssh."""
 LARGEST_ANSWER: Final = 4 * 1024 * 1024
 HOST: Final = re.compile(
     r"(?P<host>([A-Za-z0-9_][\w.-]*@)?([A-Za-z0-9][\w.-]*|\[[0-9a-fA-F:.]+\]))(:(?P<port>\d{1,5}))?"
 )
 LONGEST_NS: Final = 15_000_000_000
 PERIOD_NS: Final = 50_000_000
-SEEN_NS: Final = 100_000_000
-"""Rows that are so much newer than an order were made under it."""
+UNDER_ORDER_NS: Final = 100_000_000
+"""A row that is newer than an order by this, ns, was made under it."""
 _MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
 KEPT: Final = (Order.HOLD, Order.FADE)
-"""Orders that a daemon that is restarted must not forget: they are done when they are on disk."""
+"""Orders that must survive a restart of the daemon: they are done when they are on disk."""
 _MODE_WORDS: Final = {
     Order.ENABLE: "the correction follows the model",
     Order.HOLD: "the correction stays where it is",
@@ -42,11 +42,11 @@ _NOTED: Final = {Order.MARK: ("mark",), Order.RELOAD: ("reloaded", "not reloaded
 
 @dataclass(frozen=True)
 class DaemonPlace:
-    """Where a daemon answers.
+    """Address of a daemon.
 
     Attributes:
-        path: of its local socket; None: it is on another computer.
-        command: whose input and output lead to the daemon there.
+        path: path of its local socket; None: it is on another computer.
+        command: command whose input and output lead to the daemon there.
     """
 
     path: Path | None = None
@@ -57,15 +57,15 @@ class DaemonPlace:
 
 
 def find(config: Path | None, at: str | None, key: Path | None) -> DaemonPlace:
-    """Find the daemon that is meant.
+    """Find a daemon.
 
     Args:
-        config: its run file; None: the only one that runs on this computer.
-        at: "user@host:port" of another computer, which is reached by ssh; user and port may be left to ssh.
-        key: file of the key that ssh shows there; None: as ssh is configured.
+        config: its run file; None: the only daemon on this computer.
+        at: "user@host:port" of another computer, which is reached by ssh; user and port may be omitted.
+        key: file of the ssh key; None: as ssh is configured.
 
     Raises:
-        RtecError: none runs, several run, or it may not be used; the message says what to do.
+        RtecError: no daemon runs, several run, or access is denied; the message says what to do.
     """
     if at is not None:
         return DaemonPlace(command=_by_ssh(config, at, key))
@@ -107,14 +107,14 @@ def _several(alive: list[Path]) -> str:
 
 
 class Client:
-    """A connection to a daemon; close it by leaving it.
+    """A connection to a daemon; leaving closes it.
 
     Args:
-        place: where it answers.
+        place: address of the daemon.
         wait_s: longest wait for an answer.
 
     Raises:
-        RtecError: nobody is there.
+        RtecError: nothing answers there.
     """
 
     def __init__(self, place: DaemonPlace, wait_s: float | None = None) -> None:
@@ -133,7 +133,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
         if self._process is not None:
             self._process.terminate()
@@ -148,7 +148,7 @@ class Client:
         return self._ask("status")
 
     def lower(self, name: str, role: Role) -> None:
-        """Take a name for the events, and no more rights than those of a role, for as long as the connection lasts.
+        """Take a name for the events, and at most the rights of a role, for the rest of the connection.
 
         Raises:
             OrderRefused: the daemon grants less.
@@ -157,10 +157,10 @@ class Client:
         self._ask("as", name=name, role=role)
 
     def order(self, order: Order, text: str = "") -> str:
-        """Give an order; give the daemon's answer.
+        """Give an order; return the daemon's answer.
 
         Raises:
-            OrderRefused: the daemon does not take it; the message says why.
+            OrderRefused: the daemon refuses it; the message says why.
             RtecError: it does not answer; the order may or may not have reached it.
         """
         if not may_be_text(text):
@@ -171,7 +171,7 @@ class Client:
 
     def _connected(self) -> socket.socket:
         made = socket.socket(socket.AF_UNIX)
-        # A full queue is waited for by a blocking socket only.
+        # Only a blocking socket waits while the queue is full.
         made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", max(1, round(self._wait_s)), 0))
         try:
             made.connect(str(self._place.path))
@@ -181,7 +181,7 @@ class Client:
         return made
 
     def _begun(self) -> socket.socket:
-        """Begin the command; a socket is its input and its output, and what it complains of the user reads."""
+        """Start the command; a socket is its input and its output, and its error messages go to the user."""
         here, there = socket.socketpair()
         try:
             with there:
@@ -199,13 +199,13 @@ class Client:
         except OSError as e:
             raise RtecError(self._silence()) from e
         while True:
-            found = self._read()
-            if "error" in found:
-                raise RtecError(f"the daemon cannot read the request: {found['error']}; another version of rtec?")
-            if "refused" in found:
-                raise OrderRefused(f"refused: {found['refused']}")
-            if found.get("id") == self._id:
-                return found
+            reply = self._read()
+            if "error" in reply:
+                raise RtecError(f"the daemon cannot read the request: {reply['error']}; another version of rtec?")
+            if "refused" in reply:
+                raise OrderRefused(f"refused: {reply['refused']}")
+            if reply.get("id") == self._id:
+                return reply
 
     def _read(self) -> dict[str, Any]:
         while b"\n" not in self._received:
@@ -230,12 +230,12 @@ class Client:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of an order.
+    """Result of an order.
 
     Attributes:
-        done: it was carried out; False: the daemon could not (the text says why), or it took longer than was waited.
-        text: in a sentence.
-        status: of the daemon afterwards.
+        done: was it carried out? False: the daemon could not (the text says why), or it took longer than the wait.
+        text: the result in a sentence.
+        status: status of the daemon afterwards.
     """
 
     done: bool
@@ -244,10 +244,10 @@ class Outcome:
 
 
 def carry_out(client: Client, order: Order, text: str, clock: Clock) -> Outcome:
-    """Give an order, wait until it is carried out.
+    """Give an order and wait for its result.
 
     Raises:
-        OrderRefused: it is not taken.
+        OrderRefused: the daemon refuses it.
         RtecError: the daemon does not answer.
     """
     before = client.status()
@@ -266,7 +266,7 @@ def carry_out(client: Client, order: Order, text: str, clock: Clock) -> Outcome:
 
 
 def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Outcome | None:
-    """What came of it; None: nothing yet."""
+    """Result of an order; None: not known yet."""
     if after["pid"] != before["pid"]:
         raise RtecError("the daemon was restarted meanwhile; look at `rtec status`")
     status = after["status"]
@@ -285,24 +285,24 @@ def _outcome(order: Order, before: dict[str, Any], after: dict[str, Any]) -> Out
 
 
 def _ordered(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
-    """What came of an order that is a mode; None: no row that was made under it has been seen."""
+    """Result of an order of a mode; None: there is no row yet that was made under it."""
     why = held(status)
     if not why:
         return _kept(order, status, new, after)
-    if not new or status["time_ns"] - new[-1]["time_ns"] < SEEN_NS:
+    if not new or status["time_ns"] - new[-1]["time_ns"] < UNDER_ORDER_NS:
         return None
     return Outcome(False, f"enabled, but the correction stays where it is: {why}", after)
 
 
 def _kept(order: Order, status: dict[str, Any], new: list[dict[str, Any]], after: dict[str, Any]) -> Outcome | None:
-    """What came of an order that was carried out: is it on disk, where a power cut leaves it? None: not yet."""
+    """Result of an order that was carried out and must survive a power cut: is it on disk? None: not yet."""
     text = _mode_text(order, status)
     if order not in KEPT or status["kept_mode"] == status["mode"]:
         return Outcome(True, text, after)
     if status["kept_mode"] is None:
         return Outcome(True, f"{text}; not kept over a power cut: the run file names no state_folder", after)
     trouble = status["parts"].get("disk") or status["log"]
-    if status["kept_mode"] or not trouble or not new or status["time_ns"] - new[-1]["time_ns"] < SEEN_NS:
+    if status["kept_mode"] or not trouble or not new or status["time_ns"] - new[-1]["time_ns"] < UNDER_ORDER_NS:
         return None
     return Outcome(False, f"{text}; but not kept: {trouble}", after)
 

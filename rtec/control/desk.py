@@ -1,4 +1,4 @@
-"""Answers requests: who may what, and that an order which was given before is not carried out again."""
+"""Answers requests: checks rights, and that no order is carried out twice."""
 
 import secrets
 from collections.abc import Mapping, Sequence
@@ -16,45 +16,45 @@ from rtec.loop.orders import Order, OrderRefused
 from rtec.loop.run_file import Setup
 
 SESSION_NS: Final = 10_000_000_000
-"""An order that was held up for longer is old: whoever gave it has long looked away."""
+"""Longest age, ns, of an order: one that was delayed for longer no longer fits the situation."""
 EVENTS: Final = 20
 REPORT_NS: Final = 60_000_000_000
 
 
 class Daemon(Protocol):
-    """What is asked of the supervisor; all of it from a thread of the control's own."""
+    """The supervisor, as control uses it; all calls come from a thread of control's own."""
 
     @property
     def status(self) -> Status:
-        """Of the newest row."""
+        """Status of the newest row."""
         ...
 
     @property
     def setup(self) -> Setup:
-        """What is in force now."""
+        """The setup in force."""
         ...
 
     @property
     def parts(self) -> DaemonParts:
-        """Keeps the control's thread alive."""
+        """Supervises the control's thread."""
         ...
 
     def order(self, order: Order, text: str = "", who: str = "local") -> str:
-        """Order something."""
+        """Give an order."""
         ...
 
     def note(self, what: str, text: str) -> None:
-        """Put something into the events."""
+        """Write an event."""
         ...
 
     def recent_events(self, most: int) -> tuple[int, Sequence[Event]]:
-        """How many there were, and the newest of them."""
+        """The number of events so far, and the newest of them."""
         ...
 
 
 @dataclass
 class Session:
-    """What makes the orders of a connection new: `nonce` is asked for first, `seq` of the last order only grows."""
+    """Makes an order valid once: a client first requests a `nonce`; `seq` of its orders only grows."""
 
     nonce: str
     since_ns: int
@@ -63,14 +63,14 @@ class Session:
 
 @dataclass
 class Peer:
-    """Who asks, over one connection.
+    """The client of one connection.
 
     Attributes:
-        name: as the events show it.
-        role: what it may.
-        lowered: it took a name and a role of its own, once and for good.
-        watches: it is sent the status again and again.
-        session: the one that it asked for last.
+        name: name in the events.
+        role: its rights.
+        lowered: did it take a name and a role of its own, which it can do once?
+        watches: does it get the status repeatedly?
+        session: its newest session.
     """
 
     name: str
@@ -80,10 +80,10 @@ class Peer:
     session: Session | None = None
 
     def lower(self, name: str, role: Role) -> None:
-        """Take another name beside its own, and a role.
+        """Add another name to its own, and take a role.
 
         Raises:
-            OrderRefused: it did so before, or it has not the rights that it wants.
+            OrderRefused: it did so before, or the role has more rights than it has.
         """
         if self.lowered or (role == "operate" and self.role != "operate"):
             raise OrderRefused(f"{self.name} cannot take another name or more rights")
@@ -92,7 +92,7 @@ class Peer:
 
 @dataclass
 class Tally:
-    """How often requests were answered, refused, could not be read; and connections that were cut for others."""
+    """Numbers of requests that were answered, refused or malformed, and of connections closed to make room."""
 
     answered: int = 0
     refused: int = 0
@@ -102,7 +102,7 @@ class Tally:
 
 @dataclass
 class _Refusals:
-    """Refusals go to the events, but not more often than once a minute: nobody fills the disk with them."""
+    """Limits the events of refusals to one a minute, so that no client can fill the disk with them."""
 
     next_ns: int = 0
     kept_back: int = 0
@@ -113,13 +113,13 @@ class Desk:
     """Answers requests.
 
     Args:
-        daemon: takes the orders.
+        daemon: carries out the orders.
         clock: monotonic.
-        origin: what does not change while the daemon runs; is in every status.
-        residual: knows what the last measurement says.
+        origin: part of every status that is constant while the daemon runs.
+        residual: residual of the last measurement.
 
     Attributes:
-        tally: of everything so far.
+        tally: numbers of requests so far.
     """
 
     daemon: Daemon
@@ -130,7 +130,7 @@ class Desk:
     _refusals: _Refusals = field(default_factory=_Refusals)
 
     def answer(self, message: bytes, peer: Peer) -> bytes:
-        """Give the answer to any message; raises nothing for any of them."""
+        """Answer any message; never raises."""
         try:
             request = read_request(message)
         except RequestError as e:
@@ -143,7 +143,7 @@ class Desk:
             self.tally.refused += 1
             self.refusal(f"{peer.name}: {request.ask}: {e}")
             return answer(request.id, {"refused": str(e)})
-        except Exception as e:  # noqa: BLE001 (a status that cannot be had keeps no order out)
+        except Exception as e:  # noqa: BLE001 (a status that fails must not block an order)
             self.tally.refused += 1
             self.refusal(f"{peer.name}: {request.ask}: {unforeseen(e)}")
             return answer(request.id, {"refused": unforeseen(e)})
@@ -175,7 +175,7 @@ class Desk:
         return {key: numbers(value) for key, value in content.items()}
 
     def refusal(self, text: str) -> None:
-        """Put a refusal into the events, if none was there in the last minute."""
+        """Write a refusal to the events, unless there was one in the last minute."""
         now_ns, before = self.clock.now_ns(), self._refusals
         if now_ns < before.next_ns:
             before.kept_back += 1
@@ -200,7 +200,7 @@ class Desk:
         return {"done": self.daemon.order(request.order, request.text, peer.name)}
 
     def _check(self, request: Request, peer: Peer) -> None:
-        """Refuse what was sent before: over another line, to an earlier daemon, long ago, or twice."""
+        """Refuse an order of another connection, of an earlier daemon, of long ago, or sent twice."""
         session = peer.session
         if session is None or not secrets.compare_digest(session.nonce, request.session):
             raise OrderRefused("this session is not of this connection; ask for one")

@@ -1,10 +1,10 @@
-"""What a daemon's status means, for people: the rows of its tables, and its lines of text."""
+"""A daemon's status for people: the rows of its tables, and its lines of text."""
 
 from collections.abc import Mapping
 from typing import Any, Final
 
-STANDS_S: Final = 1.0
-"""A row that is older: the loop stands."""
+STALLED_S: Final = 1.0
+"""Largest age, s, of the newest row of a loop that runs."""
 _UNITS: Final = {"um": "µm", "urad": "µrad"}
 _MODES: Final = {
     "on": "on: the correction follows the model",
@@ -14,14 +14,14 @@ _MODES: Final = {
 }
 
 
-def well(found: Mapping[str, Any]) -> bool:
-    """Is nothing wrong that somebody has to look at?"""
-    return not troubles(found)
+def well(report: Mapping[str, Any]) -> bool:
+    """Is there nothing that a person has to look at?"""
+    return not troubles(report)
 
 
-def axis_rows(found: Mapping[str, Any]) -> list[list[str]]:
-    """Of each axis: name, requested and applied correction, residual of the last measurement, output, counts."""
-    status, residual = found["status"], found["left"]["axes"]
+def axis_rows(report: Mapping[str, Any]) -> list[list[str]]:
+    """For each axis: name, requested and applied correction, residual of the last measurement, output, counts."""
+    status, residual = report["status"], report["left"]["axes"]
     return [
         [
             axis,
@@ -35,9 +35,9 @@ def axis_rows(found: Mapping[str, Any]) -> list[list[str]]:
     ]
 
 
-def input_rows(found: Mapping[str, Any]) -> list[list[str]]:
-    """Of each input: name, value, age."""
-    status = found["status"]
+def input_rows(report: Mapping[str, Any]) -> list[list[str]]:
+    """For each input: name, value, age."""
+    status = report["status"]
     rows = [["counts", "", f"{1e3 * status['counts_age_s']:.2f} ms"]]
     for sensor, degc in status["degc"].items():
         value = "not read" if degc is None else f"{degc:.2f} °C"
@@ -46,17 +46,17 @@ def input_rows(found: Mapping[str, Any]) -> list[list[str]]:
     return [*rows, ["spindle", "not known" if rpm is None else f"{rpm:.0f} rpm", ""]]
 
 
-def headline(found: Mapping[str, Any]) -> list[str]:
+def headline(report: Mapping[str, Any]) -> list[str]:
     """Sentences above the tables."""
-    status = found["status"]
+    status = report["status"]
     return [
-        f"{found['machine']}, model {found['model']}, {found['config']}",
+        f"{report['machine']}, model {report['model']}, {report['config']}",
         _mode_line(status),
     ]
 
 
 def held(status: Mapping[str, Any]) -> str:
-    """Why the correction does not follow the model though it is ordered to, in words; "" where it does."""
+    """Why the correction does not follow the model although that is ordered, in words; "" where it does."""
     if status["mode"] != "on" or "HELD" not in status["flags"]:
         return ""
     devices = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
@@ -69,18 +69,18 @@ def _mode_line(status: Mapping[str, Any]) -> str:
     return f"mode {_MODES.get(status['mode'], status['mode'])}"
 
 
-def footer(found: Mapping[str, Any]) -> list[str]:
+def footer(report: Mapping[str, Any]) -> list[str]:
     """Sentences below the tables."""
-    status = found["status"]
+    status = report["status"]
     hours = status["time_s"] / 3600
     lasted = f"{hours:.1f} h" if hours >= 1 else f"{status['time_s']:.0f} s"
     lines = [f"{status['cycles']} cycles in {lasted}, {status['misses']} deadlines missed"]
     if status["overruns"]:
         lines.append(f"{status['overruns']} rows of this run are in no log; the events say when and why")
-    lines += _residual(found["left"])
+    lines += _residual(report["left"])
     if status["reload"]:
         lines.append(status["reload"])
-    control = found["control"]
+    control = report["control"]
     bad = control["refused"] + control["malformed"] + control["not_let_in"]
     if bad:
         lines.append(
@@ -91,7 +91,7 @@ def footer(found: Mapping[str, Any]) -> list[str]:
 
 
 def _residual(residual: Mapping[str, Any]) -> list[str]:
-    """Where the residuals come from; without a comparison, what the model's history says."""
+    """Source of the residuals; without a comparison, the residual in the model's history."""
     lines = [
         f"residual of {axis}: root mean square of {', '.join(of['from'])}; noise {of['noise_um']:.2f} µm"
         for axis, of in residual["axes"].items()
@@ -106,20 +106,20 @@ def _residual(residual: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def troubles(found: Mapping[str, Any]) -> list[str]:
-    """What is wrong, a line each."""
-    status = found["status"]
+def troubles(report: Mapping[str, Any]) -> list[str]:
+    """Present faults, a line each."""
+    status = report["status"]
     lines = [f"device {name}: {'; '.join(texts)}" for name, texts in status["devices"].items()]
     lines += [f"{name}: {text}" for name, text in status["parts"].items()]
     if status["log"]:
         lines.append(f"log: {status['log']}")
-    if found["status_age_s"] is not None and found["status_age_s"] > STANDS_S:
-        lines.append(f"the loop stands: its newest row is {found['status_age_s']:.1f} s old")
+    if report["status_age_s"] is not None and report["status_age_s"] > STALLED_S:
+        lines.append(f"the loop stands: its newest row is {report['status_age_s']:.1f} s old")
     return lines
 
 
 def um_text(value: float | None) -> str:
-    """A correction for people; null, which stands for NaN, in words."""
+    """A correction in words; null, which stands for NaN, as "not known"."""
     return "not known" if value is None else f"{value:+.2f}"
 
 

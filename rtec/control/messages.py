@@ -1,4 +1,4 @@
-"""Messages between the daemon and those who ask it, schema 1 (`docs/control.md`): JSON texts, checked key by key."""
+"""Messages between a daemon and its clients, schema 1 (`docs/control.md`): JSON texts, checked key by key."""
 
 import json
 import math
@@ -11,7 +11,7 @@ from rtec.loop.orders import LONGEST_TEXT, Order, OrderRefused, order_named
 
 SCHEMA: Final = 1
 LARGEST_REQUEST: Final = 4096
-"""Bytes; a longer one is not read."""
+"""Bytes; a longer request is not read."""
 _KEYS: Final = {
     "status": {"schema", "ask", "id"},
     "watch": {"schema", "ask", "id"},
@@ -26,18 +26,18 @@ Role = Literal["read", "operate"]
 
 
 class RequestError(ValueError):
-    """A request that is not as the document says."""
+    """A request that does not follow the schema."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a client asks.
+    """A client's request.
 
     Attributes:
-        ask: what for.
-        id: comes back with the answer; None: none was given.
+        ask: kind of request.
+        id: number that the answer repeats; None: none was given.
         session, seq, order, text: of an order.
-        name, role: of whoever asks from now on.
+        name, role: the client's, from now on.
     """
 
     ask: Literal["status", "watch", "as", "session", "order"]
@@ -54,7 +54,7 @@ def read_request(message: bytes) -> Request:
     """Read a request.
 
     Raises:
-        RequestError: what is wrong with it.
+        RequestError: it is malformed; the message says how.
     """
     data = _object(message)
     ask = data.get("ask")
@@ -72,12 +72,12 @@ def read_request(message: bytes) -> Request:
 
 
 def request(ask: str, number: int, **more: object) -> bytes:
-    """Give the text of a request."""
+    """The text of a request."""
     return json.dumps({"schema": SCHEMA, "ask": ask, "id": number, **more}).encode()
 
 
 def answer(request_id: int | None, content: Mapping[str, Any]) -> bytes:
-    """Give the text of an answer."""
+    """The text of an answer."""
     head = {"schema": SCHEMA} if request_id is None else {"schema": SCHEMA, "id": request_id}
     return json.dumps({**head, **content}, allow_nan=False).encode()
 
@@ -86,21 +86,21 @@ def read_answer(message: bytes) -> dict[str, Any]:
     """Read an answer.
 
     Raises:
-        RequestError: it is of another schema, or no answer at all.
+        RequestError: it has another schema, or is no answer.
     """
     return _object(message, longest=None)
 
 
 def may_be_text(value: str) -> bool:
-    """May it go with an order? In logs and terminals control characters do things; half a surrogate breaks a file."""
+    """May it be an order's text? Control characters act on terminals; half a surrogate makes a file malformed."""
     return len(value) <= LONGEST_TEXT and value.isprintable()
 
 
 def name_of(value: object) -> str:
-    """Give the name of a client, if it is one.
+    """Check the name of a client, and return it.
 
     Raises:
-        RequestError: it is none.
+        RequestError: it is not allowed.
     """
     if not isinstance(value, str) or not _NAME.fullmatch(value):
         raise RequestError("'name' must have letters, digits, '.', '-' and '_', at most 40")
@@ -108,7 +108,7 @@ def name_of(value: object) -> str:
 
 
 def numbers(value: Any) -> Any:
-    """The same with None where a number is not finite, which JSON has no word for."""
+    """The same value with None for every number that is not finite, which JSON cannot hold."""
     if isinstance(value, Mapping):
         return {str(k): numbers(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

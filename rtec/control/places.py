@@ -1,6 +1,6 @@
-"""The local socket of a running daemon: where it is, how it is made so that nobody else can use it.
+"""The local socket of a running daemon: its path, and its creation such that no other user can use it.
 
-It lies beside the state in memory (`rtec.loop.state_files`), under its name.
+It is beside the state in memory (`rtec.loop.state_files`), under the same name.
 """
 
 import os
@@ -17,14 +17,14 @@ from rtec.loop.state_files import state_places
 
 ORDERS: Final = ".control"
 STATUS: Final = ".status"
-"""Of the socket through which nobody can order anything."""
+"""Ending of the socket that takes no orders."""
 MODES: Final = {"user": 0o600, "group": 0o660}
 LONGEST_PATH: Final = 107
-"""Of a Unix socket's address on Linux."""
+"""Longest address of a Unix socket on Linux, bytes."""
 BACKLOG: Final = 128
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
 _SERVICES: Final = Path("/run/rtec")
-"""Folders that systemd gives to the services."""
+"""Folder in which systemd makes those of the services."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class LocalSocket:
 
     Attributes:
         path: its file.
-        socket: whoever takes it closes it.
-        inode: of the file, as long as it is this socket's.
+        socket: the socket; its user closes it.
+        inode: inode of the file while it is this socket's.
     """
 
     path: Path
@@ -42,14 +42,14 @@ class LocalSocket:
     inode: int
 
     def remove(self) -> None:
-        """Remove the file, unless it is another daemon's by now."""
+        """Remove the file, unless another daemon has it by now."""
         with suppress(OSError):
             if self.path.lstat().st_ino == self.inode:
                 self.path.unlink()
 
 
 def socket_path(config: Path) -> Path:
-    """Give the place of a daemon's local socket, for the user that calls this.
+    """Path of a daemon's local socket, for the calling user.
 
     Args:
         config: its run file.
@@ -58,21 +58,21 @@ def socket_path(config: Path) -> Path:
 
 
 def status_path(config: Path) -> Path:
-    """Give the place of the socket that only shows the status, as `socket_path`."""
+    """Path of the socket that only reads the status; see `socket_path`."""
     return socket_path(config).with_suffix(STATUS)
 
 
 def listen(path: Path, access: str) -> LocalSocket:
-    """Make a local socket that listens, with its permissions from its first instant.
+    """Make a listening local socket, with its permissions from its first instant.
 
-    A file that a dead daemon left behind is replaced, that of a living one never.
+    A dead daemon's file is replaced, a living daemon's never.
 
     Args:
-        path: where.
+        path: path of the socket.
         access: "user" or "group".
 
     Raises:
-        RtecError: a living daemon has it, or it cannot be made.
+        RtecError: a living daemon has it, or it cannot be created.
     """
     if len(os.fsencode(path)) > LONGEST_PATH:
         raise RtecError(
@@ -83,11 +83,11 @@ def listen(path: Path, access: str) -> LocalSocket:
         raise RtecError(f"another rtec runs with this run file ({path} answers): end that one first")
     made = socket.socket(socket.AF_UNIX)
     try:
-        # Before it has a name: no instant in which somebody else could connect.
+        # Before it has a name: at no instant can another user connect.
         os.fchmod(made.fileno(), MODES[access])
         path.unlink(missing_ok=True)
         made.bind(str(path))
-        path.chmod(MODES[access])  # what the umask took away
+        path.chmod(MODES[access])  # restores what the umask removed
         made.listen(BACKLOG)
         return LocalSocket(path, made, path.lstat().st_ino)
     except OSError as e:
@@ -96,16 +96,16 @@ def listen(path: Path, access: str) -> LocalSocket:
 
 
 def answers(path: Path) -> bool:
-    """Does somebody listen at a local socket?
+    """Does a process listen at a local socket?
 
     Raises:
-        RtecError: it may not be used by this user.
+        RtecError: this user may not use it.
     """
     with socket.socket(socket.AF_UNIX) as trial:
         trial.setblocking(False)
         try:
             trial.connect(str(path))
-        except BlockingIOError:  # alive, and busy
+        except BlockingIOError:  # alive, but busy
             return True
         except PermissionError as e:
             raise RtecError(f"{path}: not for this user; call rtec as the user that the daemon runs as") from e
@@ -115,34 +115,34 @@ def answers(path: Path) -> bool:
 
 
 def of_config(config: Path) -> list[Path]:
-    """Sockets for orders that a daemon with this run file would have, this user's first; they may be left behind."""
+    """Possible sockets for orders of a daemon with this run file, this user's first; the daemon may be dead."""
     return _like(socket_path(config))
 
 
 def status_of_config(config: Path) -> list[Path]:
-    """The same of the sockets that only show the status."""
+    """The same for the sockets that only read the status."""
     return _like(status_path(config))
 
 
 def _like(own: Path) -> list[Path]:
-    """Sockets that are named as one, but for the user."""
+    """Sockets with the same name for any user."""
     name = own.name.split(".", maxsplit=2)[2]
-    return sorted(_found(f"rtec.*.{name}"), key=lambda p: (p.name != own.name, str(p)))
+    return sorted(_owned(f"rtec.*.{name}"), key=lambda p: (p.name != own.name, str(p)))
 
 
 def all_of() -> list[Path]:
-    """Sockets for orders of every daemon of this user; for root, of every user. They may be left behind."""
+    """Sockets for orders of every daemon of this user; for root, of every user. The daemons may be dead."""
     user = os.geteuid()
-    return sorted(_found(f"rtec.{user}.*{ORDERS}" if user else f"rtec.*{ORDERS}"))
+    return sorted(_owned(f"rtec.{user}.*{ORDERS}" if user else f"rtec.*{ORDERS}"))
 
 
-def _found(pattern: str) -> Iterator[Path]:
-    """Files of that name whose owner is who the name says: in a folder for all, anybody can make any name."""
+def _owned(pattern: str) -> Iterator[Path]:
+    """Files of that name whose owner matches the name: in a folder for all, anyone can create any name."""
     for folder in {socket_path(Path()).parent, _SHM, *_service_folders()}:
         with suppress(OSError):
             for path in folder.glob(pattern):
-                found = path.lstat()
-                if stat.S_ISSOCK(found.st_mode) and path.name.split(".")[1] == str(found.st_uid):
+                status = path.lstat()
+                if stat.S_ISSOCK(status.st_mode) and path.name.split(".")[1] == str(status.st_uid):
                     yield path
 
 

@@ -1,6 +1,6 @@
-"""The status as Prometheus reads it (text format 0.0.4), by HTTP at `/metrics`; off unless the run file names a place.
+"""The status in Prometheus' text format 0.0.4, by HTTP at `/metrics`; off unless the run file names an address.
 
-It asks for no key, so it listens on this computer only (`rtec.control.server`), and changes nothing.
+It has no authentication, so it listens on this computer only (`rtec.control.server`); it is read-only.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +15,7 @@ _MODES: Final = ("on", "off", "hold")
 
 
 def http_answer(head: bytes, status: Callable[[], Mapping[str, Any]]) -> bytes:
-    """Give the answer to a request's head; the connection ends with it.
+    """Answer a request's head; the connection ends with the answer.
 
     Args:
         head: request line and header lines.
@@ -37,10 +37,10 @@ def http_answer(head: bytes, status: Callable[[], Mapping[str, Any]]) -> bytes:
     return "\r\n".join((*lines, "", "")).encode() + body
 
 
-def metrics(found: Mapping[str, Any]) -> str:
-    """Give the text for a status (`docs/control.md`); what is not known has no line."""
+def metrics(report: Mapping[str, Any]) -> str:
+    """The text of a status (`docs/control.md`); an unknown value has no line."""
     lines: list[str] = []
-    for name, kind, what, values in _families(found):
+    for name, kind, what, values in _families(report):
         known = [(labels, value) for labels, value in values if value is not None]
         if known:
             lines += [f"# HELP rtec_{name} {what}", f"# TYPE rtec_{name} {kind}"]
@@ -51,17 +51,17 @@ def metrics(found: Mapping[str, Any]) -> str:
 _Values = list[tuple[dict[str, str], Any]]
 
 
-def _families(found: Mapping[str, Any]) -> Iterator[tuple[str, str, str, _Values]]:
-    status = found["status"]
+def _families(report: Mapping[str, Any]) -> Iterator[tuple[str, str, str, _Values]]:
+    status = report["status"]
     yield "requested_um", "gauge", "Correction that the model asks for, um.", _by("axis", status["requested_um"])
     yield "applied_um", "gauge", "Correction that is applied, um.", _by("axis", status["applied_um"])
-    residual = {axis: of["rms_um"] for axis, of in found["left"]["axes"].items()}
+    residual = {axis: of["rms_um"] for axis, of in report["left"]["axes"].items()}
     yield "left_um", "gauge", "Residual of the last measurement, root mean square, um.", _by("axis", residual)
     yield "temperature_celsius", "gauge", "Temperatures.", _by("sensor", status["degc"])
     yield "temperature_age_seconds", "gauge", "Age of the temperatures.", _by("sensor", status["degc_age_s"])
     yield "counts_age_seconds", "gauge", "Age of the axis counts.", [({}, status["counts_age_s"])]
     yield "spindle_rpm", "gauge", "Spindle speed, 1/min.", [({}, status["spindle_rpm"])]
-    yield "status_age_seconds", "gauge", "Age of the loop's newest row.", [({}, found["status_age_s"])]
+    yield "status_age_seconds", "gauge", "Age of the loop's newest row.", [({}, report["status_age_s"])]
     yield "mode", "gauge", "1 for the mode that is ordered.", _by("mode", {m: m == status["mode"] for m in _MODES})
     flags = {str(f.name).lower(): f.name in status["flags"] for f in Flag}
     yield "flag", "gauge", "1 where it keeps the correction from being the requested one.", _by("flag", flags)
@@ -71,7 +71,7 @@ def _families(found: Mapping[str, Any]) -> Iterator[tuple[str, str, str, _Values
     yield "rows_lost_total", "counter", "Rows that did not reach the log.", [({}, status["overruns"])]
     yield "faults_total", "counter", "Faults of a part of the daemon.", _by("part", status["faults"])
     yield "reloads_total", "counter", "Reloads carried out.", [({}, status["reloads"])]
-    yield "control_requests_total", "counter", "Requests by what came of them.", _by("result", found["control"])
+    yield "control_requests_total", "counter", "Requests by what came of them.", _by("result", report["control"])
 
 
 def _by(label: str, values: Mapping[str, Any]) -> _Values:
@@ -84,7 +84,7 @@ def _labels(labels: Mapping[str, str]) -> str:
 
 
 def _number(value: float) -> str:
-    """The shortest text that means the same number."""
+    """The shortest text of the same number."""
     return repr(float(value)).removesuffix(".0")
 
 

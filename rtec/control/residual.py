@@ -1,7 +1,7 @@
-"""Residual of the last measurement, axis by axis: the third of the three numbers in every status.
+"""Residual of the last measurement by axis: the third of the three numbers in every status.
 
-The daemon cannot know it: it measures nothing. It shows what `rtec compare --json` reported last, in a file that
-the run file names; without one, what the model's own history says of held-out runs.
+The daemon does not measure. It shows the last result of `rtec compare --json`, in a file that the run file names;
+without one, the residual on held-out runs in the model's history.
 """
 
 import math
@@ -20,7 +20,7 @@ _Number = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
 class _Item(BaseModel):
-    """Of one reading column of one measurement; there are more keys in the file than are looked at here."""
+    """One reading column of one measurement; other keys of the file are ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -42,7 +42,7 @@ class _Compared(BaseModel):
 
 @dataclass(frozen=True)
 class _Read:
-    """Content of the file when it was looked at: its stamp, the comparison, or what is wrong with it."""
+    """Content of the file at one time: its stamp, the comparison, or its fault."""
 
     stamp: tuple[int, int, int] | None = None
     compared: _Compared | None = None
@@ -50,31 +50,31 @@ class _Read:
 
 
 class Residual:
-    """Reads the comparison again whenever its file has changed; asked from several threads.
+    """Reads the comparison again whenever its file has changed; several threads call it.
 
     Args:
-        path: the JSON of `rtec compare`; None: there is none.
+        path: the JSON of `rtec compare`; None: none.
     """
 
     def __init__(self, path: Path | None) -> None:
         self._path, self._read = path, _Read()
 
     def facts(self, model: Model) -> dict[str, Any]:
-        """Plain data: of each axis that was measured `rms_um`, `noise_um`, `from`; of the model; what is wrong."""
+        """Plain data: `rms_um`, `noise_um`, `from` of each measured axis; the model's residual; the file's fault."""
         read = self._look()
-        found, trouble = read.compared, read.trouble
-        if found is not None and found.model != model.name:
-            trouble = f"{self._path}: compares model {found.model!r}, and {model.name!r} runs: compare again"
-            found = None
-        axes = {} if found is None else _by_axis(found.measurements, model.machine)
+        compared, trouble = read.compared, read.trouble
+        if compared is not None and compared.model != model.name:
+            trouble = f"{self._path}: compares model {compared.model!r}, and {model.name!r} runs: compare again"
+            compared = None
+        axes = {} if compared is None else _by_axis(compared.measurements, model.machine)
         return {"axes": axes, "model": _of_history(model), "trouble": trouble}
 
     def _look(self) -> _Read:
         if self._path is None:
             return self._read
         try:
-            found = self._path.stat()
-            stamp = (found.st_mtime_ns, found.st_size, found.st_ino)
+            status = self._path.stat()
+            stamp = (status.st_mtime_ns, status.st_size, status.st_ino)
             if stamp != self._read.stamp:
                 self._read = _read(self._path, stamp)
         except FileNotFoundError:
@@ -96,7 +96,7 @@ def _read(path: Path, stamp: tuple[int, int, int]) -> _Read:
 
 
 def _by_axis(items: tuple[_Item, ...], machine: Machine) -> dict[str, dict[str, Any]]:
-    """Of each axis that corrects: all readings along its direction together, as root mean square."""
+    """For each corrected axis: root mean square of all readings along its direction."""
     out = {}
     for axis in machine.axes:
         along = [i for i in items if i.unit == "um" and axis.compensate and _direction(i) == axis.direction]
@@ -110,13 +110,13 @@ def _by_axis(items: tuple[_Item, ...], machine: Machine) -> dict[str, dict[str, 
 
 
 def _direction(item: _Item) -> str | None:
-    """X, Y or Z: the machine coordinate that was read; None where a reading mixes several, as a ball bar's does."""
+    """X, Y or Z: the machine coordinate of a reading; None where a reading mixes several, as a ball bar's does."""
     for letter in "XYZ":
         if item.column == f"reading_{letter.lower()}_um":
             return letter
-    # A laser off the axis sees its rotations, too; the direction is that of the one displacement among them.
-    seen = {component[1:2] for component in item.components if component.startswith("E")} & set("XYZ")
-    return seen.pop() if len(seen) == 1 else None
+    # A laser off the axis reads its rotations, too; the direction is that of the one displacement among them.
+    directions = {component[1:2] for component in item.components if component.startswith("E")} & set("XYZ")
+    return directions.pop() if len(directions) == 1 else None
 
 
 def _pooled(sizes: list[tuple[int, float]]) -> float:
@@ -124,7 +124,7 @@ def _pooled(sizes: list[tuple[int, float]]) -> float:
 
 
 def _of_history(model: Model) -> dict[str, Any]:
-    """What the newest entry that says it says: residual on held-out runs."""
+    """Residual on held-out runs, from the newest entry that has one."""
     for entry in reversed(model.history):
         rms = _number(entry, "rms_after", "rms_held_out")
         if rms is not None:
@@ -133,5 +133,5 @@ def _of_history(model: Model) -> dict[str, Any]:
 
 
 def _number(entry: Mapping[str, Any], *names: str) -> float | None:
-    found = [entry[n] for n in names if isinstance(entry.get(n), int | float) and not isinstance(entry[n], bool)]
-    return float(found[0]) if found and math.isfinite(found[0]) else None
+    numbers = [entry[n] for n in names if isinstance(entry.get(n), int | float) and not isinstance(entry[n], bool)]
+    return float(numbers[0]) if numbers and math.isfinite(numbers[0]) else None

@@ -1,9 +1,9 @@
 """Control of a running daemon: a thread of the supervisor's process that answers clients and publishes the status.
 
-The loop is another process; all that it ever sees of this are the orders that the supervisor hands on. Clients speak
-lines of JSON through a local socket, or through one that only shows the status; Prometheus asks by HTTP. A client can
-be slow, dead or hostile: connections, bytes and requests are limited, nobody waits for anybody, and a new client always
-finds room.
+The loop is another process; the only effect of control on it are the orders that the supervisor passes on. Clients send
+lines of JSON through a local socket, or through one that only reads the status; Prometheus reads by HTTP. A client can
+be slow, dead or hostile: connections, bytes and requests are limited, no client waits for another, and a new client is
+always admitted.
 """
 
 import asyncio
@@ -31,30 +31,30 @@ from rtec.loop.clock import Clock, wall_clock_iso
 from rtec.loop.run_file import Setup
 
 MOST_CONNECTIONS: Final = 256
-"""To the local socket. One more, and the one that has been idle for longest is closed, of whoever has most."""
+"""To the local socket. One more closes the longest idle one of the process and user with the most connections."""
 MOST_WATCHERS: Final = 64
-"""Connections to the socket that only shows the status; the same rule, and none of them takes the place of an order."""
+"""Connections to the socket that only reads the status; the same rule, and none of them displaces an order."""
 TELEMETRY_USER: Final = "rtec-telemetry"
-"""Of the unit that talks to the network: may read, whichever socket it reaches and whatever group it is in."""
+"""User of the unit that is on the network: it may only read, whatever socket it reaches and group it is in."""
 MOST_SCRAPES: Final = 16
 """Connections of Prometheus at a time; the same rule."""
 REQUEST_NS: Final = 5_000_000
-"""Requests of all clients together are answered no faster than this, one behind the other."""
+"""Shortest time, ns, between two answers, over all clients."""
 CONNECTION_NS: Final = 2_000_000
-"""So are new connections taken."""
+"""Shortest time, ns, between two new connections."""
 BURST_NS: Final = 50_000_000
-"""So far ahead of that pace may they be."""
-AT_ONCE: Final = 4
-"""The first requests of a connection do not wait behind those of others: enough for an order."""
+"""Lead, ns, that a burst may have on that pace."""
+UNPACED_REQUESTS: Final = 4
+"""First requests of a connection that do not wait behind those of others: enough for an order."""
 LARGEST_BUFFER: Final = 65536
-"""Bytes that wait for a client that does not read."""
+"""Bytes that may wait for a client that does not read."""
 SLOW_S: Final = 5.0
-"""A client that does not take its answer within this time is cut off; so is an HTTP request that is not whole."""
+"""A client that does not accept its answer within this time is cut off; so is an incomplete HTTP request."""
 END_S: Final = 2.0
 ENDING_NS: Final = 2_000_000_000
 LOOK_NS: Final = 10_000_000
 FULL_S: Final = 0.1
-"""Rest where the process has no file descriptors left."""
+"""Wait, s, where the process has no file descriptors left."""
 _CREDENTIALS: Final = struct.Struct("3i")
 
 
@@ -66,12 +66,12 @@ class Line:
     """One connection.
 
     Attributes:
-        socket: of it.
-        uid, pid: user and process at the other end; -1 where the kernel does not say.
-        used_ns: when it was last of use.
+        socket: its socket.
+        uid, pid: user and process at the other end; -1 where they are unknown.
+        used_ns: instant of its last use.
         writer: its stream; None before it is served.
-        peer: what the desk knows of it.
-        task: serves it.
+        peer: the client, as the desk knows it.
+        task: task that serves it.
     """
 
     socket: socket.socket
@@ -83,12 +83,12 @@ class Line:
     task: asyncio.Task[None] | None = None
 
     def end(self) -> None:
-        """Have it served no more."""
+        """Stop serving it."""
         if self.task is not None:
             self.task.cancel()
 
     def close(self) -> None:
-        """Close it; what waits for it is thrown away."""
+        """Close it; data that waits for it is dropped."""
         if self.writer is not None:
             self.writer.transport.abort()
         else:
@@ -96,35 +96,35 @@ class Line:
 
 
 class Pace:
-    """Lets one after the other through, at a steady pace, with some grace.
+    """Lets callers through one by one, at a steady pace, with some lead for bursts.
 
     Args:
         clock: monotonic.
-        period_ns: of one.
+        period_ns: time for one caller, ns.
     """
 
     def __init__(self, clock: Clock, period_ns: int) -> None:
         self._clock, self._period_ns, self._due_ns = clock, period_ns, 0
 
     async def turn(self) -> None:
-        """Wait for one's turn."""
+        """Wait for the caller's turn."""
         now_ns = self._clock.now_ns()
         self._due_ns = max(self._due_ns, now_ns) + self._period_ns
         await asyncio.sleep(max(0, self._due_ns - now_ns - BURST_NS) * 1e-9)
 
 
 class Guests:
-    """The connections of one listening socket, never more than a number.
+    """The connections of one listening socket, limited in number.
 
     Args:
-        most: that number.
+        most: largest number.
     """
 
     def __init__(self, most: int) -> None:
         self._most, self.lines = most, list[Line]()
 
     def admit(self, line: Line) -> Line | None:
-        """Take one in; give the one that has to go for it: idle for longest, of the process and user with most."""
+        """Admit one; give the one closed for it: the longest idle one, of the process and user with the most."""
         self.lines.append(line)
         if len(self.lines) <= self._most:
             return None
@@ -137,22 +137,22 @@ class Guests:
         return goes
 
     def leave(self, line: Line) -> None:
-        """Forget one, which may have had to go already, and close it."""
+        """Remove one, which may be removed already, and close it."""
         with suppress(ValueError):
             self.lines.remove(line)
         line.close()
 
 
 class Control:
-    """Entering opens the sockets and starts the thread, leaving ends both.
+    """Entering opens the sockets and starts the thread; leaving ends both.
 
     Args:
-        setup: what runs; its `[control]` says where.
+        setup: the running setup, with `[control]`.
         daemon: the supervisor.
         clock: monotonic.
 
     Raises:
-        RtecError: on entering: a socket cannot be had.
+        RtecError: on entering: a socket cannot be opened.
     """
 
     def __init__(self, setup: Setup, daemon: Daemon, clock: Clock) -> None:
@@ -168,7 +168,7 @@ class Control:
         self._pace = Pace(clock, REQUEST_NS)
 
     def listen(self) -> None:
-        """Open the sockets, as entering does. Whoever connects before that waits for an answer.
+        """Open the sockets, as entering does. A client that connects before then waits for its answer.
 
         Raises:
             RtecError: a socket cannot be opened; another daemon has it.
@@ -202,7 +202,7 @@ class Control:
         self.close()
 
     def _let_go(self) -> None:
-        """Close the sockets. A copy of this process does it, too: a loop without its supervisor must not answer."""
+        """Close the sockets; a copy of this process does so, too: a loop without its supervisor must not answer."""
         for local in (self._local, self._status):
             if local is not None:
                 local.socket.close()
@@ -210,13 +210,13 @@ class Control:
             self._http.close()
 
     def _until_free(self, path: Any) -> None:
-        """A daemon that is just ending gets two seconds for it, as for its state."""
+        """Wait up to two seconds for a daemon that is just ending."""
         last_ns = self._clock.now_ns() + ENDING_NS
         while answers(path) and self._clock.now_ns() < last_ns:
             self._clock.sleep_until_ns(self._clock.now_ns() + LOOK_NS)
 
     def close(self) -> None:
-        """Give the sockets back; leaving does it."""
+        """Close the sockets; leaving does it, too."""
         for local in (self._local, self._status):
             if local is not None:
                 local.remove()
@@ -252,7 +252,7 @@ class Control:
             await pace.turn()
             try:
                 accepted, _ = await asyncio.get_running_loop().sock_accept(listener)
-            except OSError as e:  # out of files, or whoever came has left
+            except OSError as e:  # no file descriptors left, or the client has gone
                 self.desk.refusal(f"a connection that cannot be taken: {e.strerror}")
                 await asyncio.sleep(FULL_S)
                 continue
@@ -262,17 +262,17 @@ class Control:
                 self.desk.refusal(f"more than {len(guests.lines)} connections, most of them of {_user(goes.uid)}")
                 goes.end()
             line.task = asyncio.create_task(self._serve_line(line, serve))
-            line.task.add_done_callback(partial(_left, guests, line))
+            line.task.add_done_callback(partial(_ended, guests, line))
 
     async def _serve_line(self, line: Line, serve: Serve) -> None:
-        """Serve a connection to its end; whatever goes wrong with it ends it and nothing else."""
+        """Serve a connection to its end; a fault ends this connection and nothing else."""
         try:
             reader, line.writer = await asyncio.open_connection(sock=line.socket, limit=LARGEST_REQUEST)
             line.writer.transport.set_write_buffer_limits(LARGEST_BUFFER)
             await serve(line, reader)
         except (OSError, TimeoutError, EOFError, asyncio.LimitOverrunError):
-            return  # it left, or is cut off
-        except Exception as e:  # noqa: BLE001 (one client's fault is no other's)
+            return  # the client has gone, or was cut off
+        except Exception as e:  # noqa: BLE001 (one client's fault must not affect others)
             self.desk.refusal(unforeseen(e))
 
     async def _talk(self, line: Line, reader: asyncio.StreamReader, role: Role) -> None:
@@ -283,7 +283,7 @@ class Control:
                 message = await reader.readuntil(b"\n")
             except asyncio.LimitOverrunError:
                 message = b" " * (LARGEST_REQUEST + 1)
-            if count >= AT_ONCE:
+            if count >= UNPACED_REQUESTS:
                 await self._pace.turn()
             line.used_ns = self._clock.now_ns()
             await self._send(line, self.desk.answer(message, line.peer) + b"\n")
@@ -298,7 +298,7 @@ class Control:
         if line.writer is not None:
             line.writer.write_eof()
             async with asyncio.timeout(SLOW_S):
-                await reader.read(1)  # until it has taken all of it and hangs up
+                await reader.read(1)  # until the client has read all of it and closes
 
     async def _send(self, line: Line, text: bytes) -> None:
         if line.writer is not None:
@@ -307,7 +307,7 @@ class Control:
                 await line.writer.drain()
 
     async def _publish(self) -> None:
-        """Send the status to those who watch; one that has not taken the last one is passed over."""
+        """Send the status to the clients that watch; skip a client that has not read the last one."""
         while True:
             await asyncio.sleep(1.0 / self._table.status_hz)
             lines = (*self.guests.lines, *self.watchers.lines)
@@ -325,7 +325,7 @@ class Control:
                     line.used_ns = self._clock.now_ns()
 
 
-def _left(guests: Guests, line: Line, task: asyncio.Task[None]) -> None:
+def _ended(guests: Guests, line: Line, task: asyncio.Task[None]) -> None:
     del task
     guests.leave(line)
 

@@ -1,1 +1,1 @@
-"""From a wanted correction to counts: guard, ledger, sinks, quadrature, pulse insertion."""
+"""From a requested correction to counts: guard, ledger, sinks, quadrature, pulse insertion."""

@@ -9,30 +9,30 @@ from rtec.quantities import MicrometresPerSecond, MicrometresPerSecond2, Microme
 from rtec.tomlfile import Strict
 
 MODE_OFF: Final = 0
-"""Ordered: the correction fades to nothing at the slew limit."""
+"""Ordered: the correction fades to zero at the slew limit."""
 MODE_ON: Final = 1
 """Ordered: the correction follows the model."""
 MODE_HOLD: Final = 2
-"""Ordered: the correction stays where it is."""
+"""Ordered: the correction keeps its value."""
 MODE_TAKEN_OVER: Final = 3
-"""One row: the ledger is what the device itself says that it has, which stands in `output`; held."""
+"""One row: the ledger is the output that the device itself reports, as in `output`; the correction holds."""
 ORDER_MASK: Final = 3
-"""Bits of `Samples.mode` that hold one of these four; the other two are the actuator's."""
+"""Bits of `Samples.mode` that hold one of these four modes; the other two bits are the actuator's."""
 OUTPUT_UNCONFIRMED: Final = 4
-"""Bit of `Samples.mode`: the actuator has not said yet that it has the command before; nothing moves in this cycle."""
+"""Bit of `Samples.mode`: the actuator has not confirmed the command before; nothing moves in this cycle."""
 OUTPUT_TROUBLE: Final = 8
-"""Bit of `Samples.mode`: the actuator takes no commands, or does not do as it is told."""
+"""Bit of `Samples.mode`: the actuator refuses commands, or does not follow them."""
 
 
 class Flag(IntFlag):
-    """What a command says about itself; bits of `Commands.flags`."""
+    """Reasons and states of a command; bits of `Commands.flags`."""
 
     STALE_COUNTS = 1
     """The counts are older than allowed."""
     STALE_TEMPERATURE = 2
-    """A temperature that the model reads is older than allowed; or it, or the spindle speed, is not known."""
+    """A temperature that the model reads is older than allowed; or it, or the spindle speed, is unknown."""
     SENSOR_FAULT = 4
-    """A temperature is outside what its sensor can give: a broken wire or sensor."""
+    """A temperature is outside its sensor's range: a broken wire or sensor."""
     OUT_OF_RANGE = 8
     """A channel is outside the range that the model was fitted in."""
     OVER_STOP_LIMIT = 16
@@ -44,15 +44,15 @@ class Flag(IntFlag):
     ORDERED_OFF = 128
     """The operator switched the correction off."""
     FADING = 256
-    """Held for longer than `fade_after_s`: the correction fades to nothing."""
+    """Held for longer than `fade_after_s`: the correction fades to zero."""
     LIMITED = 512
     """The applied correction is on its way to the requested one, at its slew or acceleration limit."""
     OUTPUT_SATURATED = 1024
-    """The sink can give no more."""
+    """The output is at the end of the sink's range."""
     HELD = 2048
-    """The correction stays where it is, for one of the reasons here."""
+    """The correction keeps its value, for one of the reasons here."""
     OUTPUT_TROUBLE = 4096
-    """The actuator takes no commands, or does not do as it is told: the correction stands where the actuator has it."""
+    """The actuator refuses commands, or does not follow them: the correction stays at the actuator's output."""
 
 
 HOLD_REASONS: Final = int(
@@ -81,7 +81,7 @@ REASONS = {
 
 
 class Limits(Strict):
-    """Limits of one axis' correction. All four must be set: without them nothing runs.
+    """Limits of one axis' correction. All four are required: without them nothing runs.
 
     Attributes:
         warning_um: a request beyond this is flagged.
@@ -103,12 +103,12 @@ class Limits(Strict):
 
 
 class GuardSettings(Strict):
-    """When inputs are too old, and what a long hold leads to.
+    """Ages at which inputs are too old, and the end of a long hold.
 
     Attributes:
         counts_max_age_s: counts older than this are stale.
         temperature_max_age_s: temperatures older than this are stale.
-        fade_after_s: after so long a hold the correction fades to nothing; not set: it stays for ever.
+        fade_after_s: after a hold of this length the correction fades to zero; not set: it holds for ever.
     """
 
     counts_max_age_s: SecondsPositive = 0.005

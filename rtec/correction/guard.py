@@ -1,23 +1,23 @@
-"""The guard: what stands between a model's wish and the machine. This file alone says what the machine will do.
+"""The guard: it limits what a model may do to the machine. This file alone defines what the machine will do.
 
 Every cycle, in this order:
 
-1. Judge what was read (`judge_counts`, `judge_range`, `judge_sensor`, `judge_spindle`, `judge_age`): fresh, possible,
-   and inside the range that the model was fitted in? Temperatures that are not known or not possible never reach the
-   model (`known`); it goes on with those before.
-2. Judge what the model asks for (`judge_request`): below the warning limit, below the stop limit?
-3. Judge the orders, and whether the actuator does what it is told (`judge_mode`).
-4. Decide for all axes together (`decide`): follow the model, fade to nothing, hold, or stand still.
+1. Judge the inputs (`judge_counts`, `judge_range`, `judge_sensor`, `judge_spindle`, `judge_age`): fresh, possible, and
+   inside the range that the model was fitted in? Unknown or impossible temperatures never reach the model (`known`);
+   it goes on with the temperatures before.
+2. Judge the model's request (`judge_request`): below the warning limit, below the stop limit?
+3. Judge the orders, and whether the actuator follows its commands (`judge_mode`).
+4. Decide for all axes together (`decide`): follow the model, fade to zero, hold, wait, or stand still.
 5. Move each axis (`move`, `guard_update`) within acceleration, slew and stop limit; then the ledger
-   (`rtec.correction.ledger`) within what the sink can hold (`within_sink`).
+   (`rtec.correction.ledger`) within the sink's range (`within_sink`).
 
 While anything is wrong the correction brakes within its acceleration limit and stays where it comes to rest: never a
-jump, never a silent zero. While the actuator is in trouble it stands at once where the actuator has it, since a command
-that nobody takes moves nothing; and it goes on from there, from rest. A gap between two cycles counts as one cycle at
-most (`cycle_s`), so that no pause is made up for by one large command.
+jump, never a silent zero. While the actuator is in trouble, the correction is held at the actuator's output, without
+braking, because a command that the actuator ignores moves nothing; it goes on from there, from rest. A gap between two
+cycles counts as one cycle at most (`cycle_s`), so one large command never makes up for a pause.
 
-The functions are compiled where numba is there, and are plain Python where it is not. `rtec.loop.step_source` writes
-the text that calls them for a machine's axes and sensors; it decides nothing.
+The functions are compiled where numba is installed, and are plain Python elsewhere. `rtec.loop.step_source` writes
+the source that calls them for a machine's axes and sensors; it decides nothing.
 """
 
 import math
@@ -42,20 +42,20 @@ _HELD: Final = int(Flag.HELD)
 _TROUBLE: Final = int(Flag.OUTPUT_TROUBLE)
 
 FOLLOW: Final = 0
-"""Decision: go towards what the model asks for."""
+"""Decision: move towards the model's request."""
 FADE: Final = 1
-"""Decision: go towards nothing."""
+"""Decision: move towards zero."""
 HOLD: Final = 2
-"""Decision: brake, and stay where that ends."""
+"""Decision: brake, and stay at the resulting value."""
 WAIT: Final = 3
-"""Decision: do not move in this cycle; the actuator has not said yet that it has the command before."""
+"""Decision: do not move in this cycle; the actuator has not confirmed the command before."""
 STAND: Final = 4
-"""Decision: do not move at all; the actuator would not."""
+"""Decision: do not move at all; the actuator would not follow."""
 
 
 @njit
 def cycle_s(time_ns: int, last_ns: int, longest_ns: int) -> float:
-    """Time, s, that a cycle may use: since the one before, at most `longest_ns`, never below zero."""
+    """Time, s, that a cycle may use: since the cycle before, at most `longest_ns`, never below zero."""
     return max(0, min(time_ns - last_ns, longest_ns)) * 1e-9
 
 
@@ -67,13 +67,13 @@ def judge_counts(time_ns: int, latched_ns: int, max_age_ns: int) -> int:
 
 @njit
 def judge_range(value: float, low: float, high: float) -> int:
-    """Flag a channel outside the range that the model was fitted in, both ends inside; never a NaN."""
+    """Flag a channel outside the range that the model was fitted in. Both ends are inside; a NaN is not flagged."""
     return _OUT_OF_RANGE if value < low or value > high else 0
 
 
 @njit
 def judge_sensor(degc: float, lowest: float, highest: float, fitted_low: float, fitted_high: float) -> int:
-    """Flag a temperature, °C, that is not known (NaN), that its sensor cannot give, or that the model does not know."""
+    """Flag a temperature, °C, that is unknown (NaN), outside its sensor's range, or outside the fitted range."""
     if math.isnan(degc):
         return _STALE_TEMPERATURE
     if degc < lowest or degc > highest:
@@ -83,7 +83,7 @@ def judge_sensor(degc: float, lowest: float, highest: float, fitted_low: float, 
 
 @njit
 def judge_spindle(rpm: float, fitted_low: float, fitted_high: float) -> int:
-    """Flag a spindle speed, 1/min, that is not known (NaN), or that the model does not know."""
+    """Flag a spindle speed, 1/min, that is unknown (NaN) or outside the fitted range."""
     if math.isnan(rpm):
         return _STALE_TEMPERATURE
     return judge_range(rpm, fitted_low, fitted_high)
@@ -91,7 +91,7 @@ def judge_spindle(rpm: float, fitted_low: float, fitted_high: float) -> int:
 
 @njit
 def known(reasons: int) -> bool:
-    """Whether temperatures and spindle speed with these flags are numbers that the model may take."""
+    """Whether temperatures and spindle speed with these flags are numbers that the model may use."""
     return (reasons & (_STALE_TEMPERATURE | _SENSOR_FAULT)) == 0
 
 
@@ -114,7 +114,7 @@ def judge_request(requested_um: float, warning_um: float, stop_um: float) -> int
 
 @njit
 def judge_mode(mode: int) -> int:
-    """Flag what was ordered, and an actuator in trouble; `mode` is that of the sample."""
+    """Flag the ordered mode, and an actuator in trouble; `mode` is that of the sample."""
     order = mode & ORDER_MASK
     reasons = 0
     if order >= MODE_HOLD:
@@ -130,19 +130,19 @@ def judge_mode(mode: int) -> int:
 def decide(reasons: int, mode: int, time_ns: int, held_since_ns: int, fade_after_ns: int) -> tuple[int, int, int]:
     """Decide what the correction does in this cycle.
 
-    An actuator in trouble comes first: whatever was ordered, nothing moves. Then an order to fade, which goes on with
-    old inputs too. Then every other reason to hold; where that lasts longer than `fade_after_ns` the correction fades.
-    Whatever was decided waits for the actuator to confirm the command before.
+    The order of precedence: an actuator in trouble (whatever was ordered, nothing moves); an order to fade, which is
+    followed with stale inputs, too; every other reason to hold. A hold of more than `fade_after_ns` becomes a fade.
+    Every decision waits for the actuator to confirm the command before.
 
     Args:
         reasons: flags of this cycle so far.
         mode: that of the sample.
         time_ns: instant of the cycle.
-        held_since_ns: since when the correction is held; 0 where it is not.
+        held_since_ns: instant from which the correction is held; 0 where it is not.
         fade_after_ns: longest hold; 0: no limit.
 
     Returns:
-        FOLLOW, FADE, HOLD, WAIT or STAND; the flags with what follows from that; `held_since_ns` for the next cycle.
+        FOLLOW, FADE, HOLD, WAIT or STAND; the flags, with those of the decision; `held_since_ns` for the next cycle.
     """
     if reasons & _TROUBLE:
         return STAND, reasons | _HELD, held_since_ns if held_since_ns else time_ns
@@ -179,9 +179,9 @@ def move(
     slew_um_s: float,
     acceleration_um_s2: float,
 ) -> tuple[float, float, int]:
-    """Move the applied correction of one axis as was decided; give it, its speed, and LIMITED while on the way.
+    """Move the applied correction of one axis as decided; give it, its speed, and LIMITED while it is on the way.
 
-    After standing it goes on from rest; after waiting, with the speed that braking would have left it.
+    After STAND it goes on from rest; after WAIT, with the speed that braking would have given.
     """
     if decision == STAND:
         return applied_um, 0.0, 0
@@ -196,7 +196,7 @@ def move(
 
 @njit
 def within_sink(units: float, lowest: float, highest: float) -> tuple[float, int]:
-    """Keep units of output inside what the sink can hold; flag where that cuts them."""
+    """Limit units of output to the sink's range; flag where that changes them."""
     if units < lowest or units > highest:
         return min(max(units, lowest), highest), _SATURATED
     return units, 0
@@ -211,15 +211,15 @@ def guard_update(
     Args:
         applied: correction now, µm.
         speed: its speed, µm/s.
-        target: where it should go, µm; not looked at while held.
-        hold: brake and stay. Beyond `stop`, where a lower limit that was loaded anew leaves it, it goes to `stop`.
+        target: where it should go, µm; not used while held.
+        hold: brake and stay. A correction beyond `stop`, as after a reload of a lower limit, goes to `stop`.
         dt: length of the cycle, s.
         stop, slew, acceleration: limits, µm, µm/s, µm/s².
 
     Returns:
-        applied and speed after the cycle. Speed never passes `slew`, changes by at most `acceleration · dt`, and is
-        always low enough to come to rest at a target that stands still; `applied` never passes `stop`, nor goes
-        further away where it is beyond.
+        applied and speed after the cycle. Speed never exceeds `slew`, changes by at most `acceleration · dt`, and is
+        always low enough to come to rest at a constant target; `applied` never exceeds `stop`; where it is
+        beyond already, it never moves further away.
     """
     if dt <= 0.0:
         return applied, speed
@@ -229,8 +229,8 @@ def guard_update(
     if not hold or bound > stop:
         goal = min(max(applied if hold else target, -stop), stop)
         per_cycle = abs(goal - applied) / dt
-        # Braking by `change` a cycle from k·change takes k(k+1)/2·change of way; k whole cycles fit, the rest of
-        # the way is shared out among the k+1 that it takes to get there.
+        # Braking by `change` a cycle from k·change takes a distance of k(k+1)/2·change. k whole cycles fit; the rest of
+        # the distance is divided among the k+1 cycles that it takes.
         wanted = per_cycle
         if per_cycle >= change:
             k = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * per_cycle / change) - 1.0))

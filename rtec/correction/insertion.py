@@ -2,13 +2,13 @@
 
     output phase(n) = raw phase(n) + inserted(n)   (mod 4)
 
-A positive inserted count is an edge with A leading B: the controller sees the axis further on than it is, so an axis
-that moves positive stops sooner. A negative one is an edge with B leading A, or a raw edge taken out: it goes further
-[NIST guidelines, section 4.2.1].
+A positive inserted count is an edge with A leading B: the controller believes the axis to be further on than it is, so
+an axis that moves in positive direction stops sooner. A negative inserted count is an edge with B leading A, or the
+removal of a raw edge: the axis goes further [NIST guidelines, section 4.2.1].
 
-Raw edges pass with one fixed latency, never moved against each other. The latency is the look-ahead that lets an
-inserted edge keep its distance from the raw edge that follows it. An inserted count against the motion may swallow a
-raw edge; the distances then only grow. Where the raw edges leave no room, the count waits.
+Raw edges pass with one fixed latency; their distances from each other never change. The latency is the look-ahead that
+keeps an inserted edge at its distance from the next raw edge. An inserted count against the motion may remove a raw
+edge, which only increases distances. Where the raw edges leave no room, the count waits.
 """
 
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ from rtec.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class InsertionSettings:
-    """What the controller's counter can follow.
+    """Limits of the controller's counter.
 
     Attributes:
-        min_edge_separation_samples: least distance of an inserted edge from every other edge, samples, at least 1.
+        min_edge_separation_samples: least distance of an inserted edge from any other edge, samples, at least 1.
         min_insertion_interval_samples: rate limit: least distance of two inserted counts, samples, at least 1.
         mode: "count" inserts single counts; "cycle" whole A/B cycles of four, as the original corrector did:
-            a cycle begins when the target is more than two counts away, and once begun is finished.
+            a cycle begins when the target is more than two counts away, and is always finished.
     """
 
     min_edge_separation_samples: int
@@ -51,7 +51,7 @@ class InsertionSettings:
 
     @property
     def latency_samples(self) -> int:
-        """How much later than the raw stream the corrected stream is, samples."""
+        """Delay of the corrected stream against the raw stream, samples."""
         return self.min_edge_separation_samples
 
 
@@ -62,8 +62,8 @@ class Corrected:
     Attributes:
         a: line A, 0 or 1, (n,).
         b: line B, (n,).
-        z: index line, as it came, (n,).
-        first_sample: raw sample that the first entry belongs to; negative while the latency fills.
+        z: index line, unchanged, (n,).
+        first_sample: raw sample of the first element; negative while the latency fills.
         insertion_at: raw sample of each inserted count, ascending, (k,).
         insertion_delta: +1 or -1 for each, (k,).
     """
@@ -77,10 +77,10 @@ class Corrected:
 
 
 class PulseInserter:
-    """Puts counts into a stream of A, B and index samples, block by block; the blocks' lengths change nothing.
+    """Inserts counts into a stream of A, B and index samples, block by block; the lengths of the blocks do not matter.
 
-    The ledger is `raw_counts + inserted_counts = corrected_counts`, all three at the last sample given out.
-    `corrected_counts` is decoded from the lines that went out, not added up from the other two.
+    The ledger is `raw_counts + inserted_counts = corrected_counts`, all three at the last output sample.
+    `corrected_counts` is decoded from the output lines, not computed from the other two.
     """
 
     def __init__(self, settings: InsertionSettings, raw_counts: int = 0, inserted_counts: int = 0) -> None:
@@ -92,7 +92,7 @@ class PulseInserter:
             inserted_counts: counts that the controller already has on top of the raw ones.
 
         Raises:
-            ConfigError: cycle mode cannot go on from a part of a cycle.
+            ConfigError: in cycle mode `inserted_counts` is no whole number of cycles.
         """
         if settings.mode == "cycle" and inserted_counts % 4:
             raise ConfigError(f"insertion: inserted_counts = {inserted_counts}; cycle mode needs a multiple of 4")
@@ -101,7 +101,7 @@ class PulseInserter:
         self._raw_counts = raw_counts
         self._corrected_counts = raw_counts + inserted_counts
         self._illegal = 0
-        self._seen = 0
+        self._samples_in = 0
         self._late_phase = np.zeros(0, np.uint8)
         self._late_z = np.zeros(0, np.uint8)
         self._raw_state: DecoderState | None = None
@@ -111,29 +111,29 @@ class PulseInserter:
 
     @property
     def raw_counts(self) -> int:
-        """Counts of the raw stream, at the last sample given out."""
+        """Counts of the raw stream, at the last output sample."""
         return self._raw_counts
 
     @property
     def inserted_counts(self) -> int:
-        """Counts put in so far."""
+        """Counts inserted so far."""
         return int(self._state[kernel.INSERTED])
 
     @property
     def corrected_counts(self) -> int:
-        """Counts of the stream given out: what the controller has."""
+        """Counts of the output stream: the controller's counts."""
         return self._corrected_counts
 
     @property
     def illegal_transitions(self) -> int:
-        """Raw transitions of both lines at once, up to the last sample given out; they passed as they were."""
+        """Raw transitions of both lines at once, up to the last output sample; they pass unchanged."""
         return self._illegal
 
     @property
     def waiting_counts(self) -> int:
-        """Counts still to be inserted, signed: held back by the rate limit or for want of room between edges.
+        """Counts still to be inserted, signed: delayed by the rate limit or by a lack of room between edges.
 
-        In cycle mode only whole cycles count; a target within two counts of a whole cycle is met.
+        In cycle mode only whole cycles count; a target within two counts of a whole cycle counts as reached.
         """
         goal, target = int(self._state[kernel.GOAL]), int(self._state[kernel.TARGET])
         if self.settings.mode == "cycle":
@@ -151,20 +151,20 @@ class PulseInserter:
         target_at: ArrayLike = (),
         target_counts: ArrayLike = (),
     ) -> Corrected:
-        """Take the next raw samples; give as many corrected ones, `latency_samples` late.
+        """Process the next raw samples; give the same number of corrected samples, `latency_samples` late.
 
-        Until the latency has filled, the level of the first sample is held.
+        Until the latency is filled, the output has the level of the first sample.
 
         Args:
             a: raw line A, 0 or 1, (n,).
             b: raw line B, (n,).
-            z: index line, (n,); None = no index, given out as zeros.
-            target_at: raw samples, counted from the start of the stream, from which a new target holds, ascending
-                over all calls. Entries for later blocks are kept; one for a sample already given out holds at once.
-            target_counts: the absolute inserted counts wanted from each on.
+            z: index line, (n,); None: no index; the output is zeros.
+            target_at: raw samples, counted from the start of the stream, at which a new target begins, ascending over
+                all calls. Targets of later blocks are kept; a target of a sample before the output begins at once.
+            target_counts: for each of them, the absolute inserted counts to reach.
 
         Raises:
-            ConfigError: lines of unequal length, not bytes or not 0 and 1; a timeline that is not one.
+            ConfigError: lines of unequal length, not bytes, or with values other than 0 and 1; targets not ascending.
         """
         z = np.zeros_like(a) if z is None else z
         _check_lines(a, b, z)
@@ -174,7 +174,7 @@ class PulseInserter:
         phase, z = self._delay(phase_of(a, b), z)
         self._add_edges(pack(a, b))
         first = self._first_sample()
-        self._seen += len(a)
+        self._samples_in += len(a)
         before = self.inserted_counts
         at, delta = self._schedule()
         out_a, out_b = lines_of(kernel.add_inserted(phase, before, at - first, delta))
@@ -182,8 +182,8 @@ class PulseInserter:
         return Corrected(out_a, out_b, z, first, at, delta)
 
     def _first_sample(self) -> int:
-        """Raw sample that the next sample given out belongs to."""
-        return self._seen - self.settings.latency_samples
+        """Raw sample of the next output sample."""
+        return self._samples_in - self.settings.latency_samples
 
     def _add_targets(self, at: ArrayLike, counts: ArrayLike) -> None:
         new_at, new_counts = np.asarray(at, np.int64), np.asarray(counts, np.int64)
@@ -195,7 +195,7 @@ class PulseInserter:
         self._targets = (all_at, np.concatenate((self._targets[1], new_counts)))
 
     def _delay(self, phase: Bytes, z: Bytes) -> tuple[Bytes, Bytes]:
-        if self._seen == 0:
+        if self._samples_in == 0:
             self._late_phase = np.full(self.settings.latency_samples, phase[0], np.uint8)
             self._late_z = np.full(self.settings.latency_samples, z[0], np.uint8)
         n = len(phase)
@@ -208,7 +208,7 @@ class PulseInserter:
         self._edges = (np.concatenate((self._edges[0], at)), np.concatenate((self._edges[1], delta)))
 
     def _schedule(self) -> tuple[Ints, Deltas]:
-        """Decide the samples that are now known far enough ahead; drop what is then past."""
+        """Decide all samples that the look-ahead covers; drop targets and edges before them."""
         separation, interval = self.settings.min_edge_separation_samples, self.settings.min_insertion_interval_samples
         limits = (separation, interval, int(self.settings.mode == "cycle"))
         self._state[kernel.END] = end = self._first_sample()
@@ -241,9 +241,9 @@ def correct_capture(
     target_at: ArrayLike = (),
     target_counts: ArrayLike = (),
 ) -> tuple[Corrected, PulseInserter]:
-    """Correct a whole record, with the latency taken off again: entry n of every line belongs to raw sample n.
+    """Correct a whole record, without the latency: element n of every line belongs to raw sample n.
 
-    Args and errors as for `PulseInserter.push`. The index line comes out as it went in, bit for bit.
+    Arguments and errors as for `PulseInserter.push`. The index line is unchanged, bit for bit.
 
     Returns:
         The corrected record, and the inserter with its ledger at the record's last sample.

@@ -14,19 +14,19 @@ FAR = 1 << 62
 """Later than any sample."""
 
 AT = 0
-"""First sample that is not decided yet."""
+"""First undecided sample."""
 END = 1
 """Decide up to here, exclusive; the caller knows all raw transitions before END + separation - 1."""
 INSERTED = 2
 """Counts inserted so far."""
 GOAL = 3
-"""Counts being worked towards: the target, or in cycle mode a whole cycle."""
+"""Counts to reach next: the target, or in cycle mode a whole cycle."""
 TARGET = 4
-"""Latest entry of the timeline."""
+"""Latest target that is due."""
 LAST_INSERTION = 5
-"""Sample of the last inserted count, edge or swallowed edge."""
+"""Sample of the last inserted count: an added or a removed edge."""
 LAST_INSERTED_EDGE = 6
-"""Sample of the last inserted count that made an edge."""
+"""Sample of the last inserted count that added an edge."""
 LAST_RAW = 7
 """Sample of the last raw transition before AT."""
 STATE_SIZE = 8
@@ -39,7 +39,7 @@ def _sign(x: int) -> int:
 
 @njit
 def _take_targets(targets: Any, next_target: int, state: Any) -> int:
-    """Make the latest entry that is due the target."""
+    """Make the latest due entry the target."""
     at, counts = targets
     while next_target < len(at) and at[next_target] <= state[AT]:
         state[TARGET] = counts[next_target]
@@ -49,7 +49,7 @@ def _take_targets(targets: Any, next_target: int, state: Any) -> int:
 
 @njit
 def _pass_edges(edges: Any, next_edge: int, state: Any) -> int:
-    """Leave behind the raw transitions before the undecided sample."""
+    """Skip the raw transitions before the undecided sample."""
     at, _ = edges
     while next_edge < len(at) and at[next_edge] < state[AT]:
         state[LAST_RAW] = at[next_edge]
@@ -59,7 +59,7 @@ def _pass_edges(edges: Any, next_edge: int, state: Any) -> int:
 
 @njit
 def _choose_goal(whole_cycles: int, state: Any) -> None:
-    """Set the goal; a cycle once begun is finished, and more than half a cycle must be wanting to begin one."""
+    """Set the goal. A cycle that has begun is finished; one begins where more than half a cycle is missing."""
     if whole_cycles == 0:
         state[GOAL] = state[TARGET]
     elif state[INSERTED] == state[GOAL]:
@@ -70,7 +70,7 @@ def _choose_goal(whole_cycles: int, state: Any) -> None:
 
 @njit
 def _place(edges: Any, next_edge: int, separation: int, delta: int, state: Any) -> tuple[int, bool]:
-    """First place at or before the next raw transition: sample and whether it swallows that edge; -1 = none."""
+    """First place at or before the next raw transition: its sample, and whether it removes that edge; -1: none."""
     at, deltas = edges
     next_raw = at[next_edge] if next_edge < len(at) else FAR
     gap = max(state[AT], state[LAST_RAW] + separation, state[LAST_INSERTED_EDGE] + separation)
@@ -83,7 +83,7 @@ def _place(edges: Any, next_edge: int, separation: int, delta: int, state: Any) 
 
 @njit
 def _try_to_insert(edges: Any, next_edge: int, limits: tuple[int, int], until: int, state: Any) -> int:
-    """Insert one count before `until` if it may be, and move on; gives the count inserted: 1, 0 or -1."""
+    """Insert one count before `until` where that is allowed, and advance; give the inserted count: 1, 0 or -1."""
     separation, interval = limits
     delta = _sign(state[GOAL] - state[INSERTED])
     if delta == 0:
@@ -113,14 +113,14 @@ def schedule(edges: Any, targets: Any, limits: tuple[int, int, int], state: Any,
     """Decide all samples up to `state[END]`.
 
     Args:
-        edges: (sample, delta) of every raw transition from `state[AT]` on that is known; delta 0 = illegal.
-        targets: (sample, absolute inserted counts wanted from that sample on), ascending.
+        edges: (sample, delta) of every known raw transition from `state[AT]` on; delta 0: illegal.
+        targets: (sample, absolute inserted counts from that sample on), ascending.
         limits: minimum edge separation, minimum insertion interval (samples), 1 for whole cycles or 0.
         state: integers as named at the top of this file; changed in place.
-        out: (sample, delta) arrays to fill, with room for one entry an interval.
+        out: (sample, delta) arrays to fill, with room for one element an interval.
 
     Returns:
-        How many entries of `out` were filled.
+        Number of filled elements of `out`.
     """
     next_edge, next_target, made = 0, 0, 0
     while state[AT] < state[END]:
@@ -139,7 +139,7 @@ def schedule(edges: Any, targets: Any, limits: tuple[int, int, int], state: Any,
 
 
 def new_state(inserted_counts: int) -> Ints:
-    """State before the first sample; that one has no predecessor, so nothing can be inserted at it."""
+    """State before the first sample, which has no predecessor, so no count can be inserted at it."""
     state = np.zeros(STATE_SIZE, np.int64)
     state[[AT, INSERTED, GOAL, TARGET]] = 1, inserted_counts, inserted_counts, inserted_counts
     state[[LAST_INSERTION, LAST_INSERTED_EDGE, LAST_RAW]] = -FAR
@@ -147,7 +147,7 @@ def new_state(inserted_counts: int) -> Ints:
 
 
 def add_inserted(phase: Bytes, inserted_before: int, place: Ints, delta: Deltas) -> Bytes:
-    """Add inserted counts to a track of phases, each from its place on; the result means something modulo four."""
+    """Add inserted counts to a track of phases, each from its place on; the result is valid modulo four."""
     start = np.uint8(inserted_before & 3)
     if len(place) == 0:
         return phase + start

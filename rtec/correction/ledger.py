@@ -1,12 +1,12 @@
-"""The ledger: how much of the correction stands in the machine, in integers.
+"""The ledger: the part of the correction that is in the machine, as integers.
 
-A correction of c µm becomes `units_per_um · c` units of the sink. The ledger holds the whole units that were put
-out; what is left over is never lost, because each cycle starts from the whole correction again (the remainder is
-carried). For pulse insertion the units are encoder counts and, at every instant,
+A correction of c µm is `units_per_um · c` units of the sink. The ledger holds the whole units that were output. No
+remainder is lost, because each cycle starts from the whole correction again. For pulse insertion the units are encoder
+counts and, at every instant,
 
     raw counts + inserted counts = corrected counts.
 
-Sign: inserted counts make the controller believe the axis is further on, so the axis stops sooner [G 4.2.1]:
+Sign: inserted counts make the controller believe that the axis is further on, so the axis stops sooner [G 4.2.1]:
 `inserted = -correction · counts per µm`. Offsets added to a command have the sign of the correction.
 """
 
@@ -23,15 +23,15 @@ def ledger_update(
     """Move the ledger towards the wanted units for one cycle.
 
     Args:
-        wanted: units that the applied correction amounts to, not rounded.
+        wanted: the applied correction in units, not rounded.
         output: units in the ledger.
-        allowance: units that may still be put out, saved up at `rate`.
+        allowance: units that may be output now, accumulated at `rate`.
         dt: length of the cycle, s.
         quantum: smallest step, units (4: whole encoder cycles).
         rate: units per second that the sink and the controller can follow.
 
     Returns:
-        output and allowance after the cycle. Output changes by whole quanta, by at most what the rate allows.
+        output and allowance after the cycle. Output changes by whole quanta, at most at the rate.
     """
     allowance = min(allowance + rate * dt, quantum + rate * dt)
     left = wanted - output

@@ -3,12 +3,12 @@
     phase = 2 B + (A xor B)      A B = 00, 10, 11, 01  ->  phase 0, 1, 2, 3
     count(n) = count(n-1) + 1, 0, -1    where phase(n) - phase(n-1) = 1, 0, 3 (mod 4)
 
-Every edge of A or B is one count; A leads B = positive [NIST guidelines, section 4.2.1]. A step of 2 means that
-both lines changed between two samples: the direction is lost. It is counted as illegal and moves the count by nothing.
+Every edge of A or B is one count; A leads B = positive [NIST guidelines, section 4.2.1]. In a step of 2 both lines
+changed between two samples, so the direction is lost: it counts as illegal and does not change the count.
 
-Samples are bytes; A and B are two of their bits. The kernels allocate nothing and decode eight samples at a time where
-it pays: one 64-bit word, whose lowest byte is the earliest sample (little-endian machines). `totals` is net counts,
-illegal transitions, legal edges; the kernels add to it.
+Samples are bytes; A and B are two of their bits. The kernels allocate nothing. Where that is faster they decode eight
+samples at a time: one 64-bit word, whose lowest byte is the earliest sample (little-endian machines). `totals` is net
+counts, illegal transitions, legal edges; the kernels add to it.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from rtec.errors import ConfigError
 from rtec.jit import njit
 
 GROUP_SAMPLES = 64
-"""Samples that `count_words` skips in one go where neither line moves; it takes whole groups only."""
+"""Samples that `count_words` skips at once where neither line moves; it takes whole groups only."""
 
 _ONES = np.uint64(0x0101010101010101)
 _EVEN_BYTES = np.uint64(0x00FF00FF00FF00FF)
@@ -41,7 +41,7 @@ def _sum_of_bytes(word: Any) -> Any:
 
 @njit
 def _step(old: int, new: int) -> int:
-    """Change of count between two phases; 2 = illegal."""
+    """Change of count between two phases; 2: illegal."""
     step = (new - old) & 3
     return -1 if step == 3 else step
 
@@ -56,7 +56,7 @@ def phase_of_sample(sample: int, a_bit: int, b_bit: int) -> int:
 
 @njit
 def count_bytes(samples: Any, a_bit: int, b_bit: int, phase: int, totals: Any) -> int:
-    """One sample at a time, for the ends that do not fill a word; gives the last phase."""
+    """Count one sample at a time, for the ends that do not fill a word; give the last phase."""
     for i in range(len(samples)):
         new = phase_of_sample(int(samples[i]), a_bit, b_bit)
         step = _step(phase, new)
@@ -71,7 +71,7 @@ def count_bytes(samples: Any, a_bit: int, b_bit: int, phase: int, totals: Any) -
 
 @njit
 def count_words(words: Any, a_bit: Any, b_bit: Any, before: Any, totals: Any) -> None:
-    """Whole words, eight at a time; `before` holds the sample before the first in its highest byte.
+    """Count whole words, eight at a time; `before` holds the sample before the first in its highest byte.
 
     One bit a sample: a line changed where it differs from the sample before it. With A(n) xor B(n-1) = 1 a legal
     edge counts up, otherwise down.
@@ -109,9 +109,9 @@ def count_words(words: Any, a_bit: Any, b_bit: Any, before: Any, totals: Any) ->
 
 @njit
 def fill_transitions(samples: Any, bits: tuple[int, int], start: tuple[int, int], index: Any, delta: Any) -> None:
-    """Write every transition, delta 0 for an illegal one; the arrays have the room that the counting found.
+    """Write every transition, delta 0 for an illegal one; the arrays have the lengths that the counting gave.
 
-    `bits` are those of A and B, `start` the phase before the block and the number of its first sample.
+    `bits` are those of A and B, `start` is the phase before the block and the number of its first sample.
     """
     mask = (1 << bits[0]) | (1 << bits[1])
     phase, offset = start
@@ -138,11 +138,11 @@ Deltas = NDArray[np.int8]
 
 @dataclass(frozen=True, slots=True)
 class DecoderState:
-    """Where one block ended, for the next to go on from.
+    """State at the end of a block, from which the next block goes on.
 
     Attributes:
         phase: of the last sample, 0 to 3.
-        samples: how many samples the stream has had so far.
+        samples: number of samples of the stream so far.
     """
 
     phase: int
@@ -151,13 +151,13 @@ class DecoderState:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """What one block did.
+    """Counts of one block.
 
     Attributes:
         counts: net x4 counts of the block, positive where A leads B.
         illegal: transitions in which both lines changed at once.
         edges: legal edges, of either sign.
-        state: hand this to the next call; None only if no sample has been seen yet.
+        state: argument of the next call; None only before the first sample.
     """
 
     counts: int
@@ -192,7 +192,7 @@ def _checked(samples: Bytes, a_bit: int, b_bit: int) -> Bytes:
 
 
 def _start(samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None) -> DecoderState:
-    """Give the state before the block; the first sample of a stream is its own predecessor."""
+    """The state before the block; the first sample of a stream is its own predecessor."""
     return state if state is not None else DecoderState(phase_of_sample(int(samples[0]), a_bit, b_bit), 0)
 
 
@@ -206,7 +206,7 @@ def decode(samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None = 
         state: `Decoded.state` of the block before; None at the start of the stream.
 
     Raises:
-        ConfigError: samples are not bytes, or the two bits are not two.
+        ConfigError: samples are not bytes, or the two bits are the same or not in a byte.
     """
     samples = _checked(samples, a_bit, b_bit)
     if len(samples) == 0:
@@ -228,7 +228,7 @@ def decode(samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None = 
 def transitions(
     samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None = None
 ) -> tuple[Ints, Deltas, DecoderState | None]:
-    """Find every transition in order; arguments and errors as for `decode`.
+    """Every transition in order; arguments and errors as for `decode`.
 
     Returns:
         First sample after each, counted from the start of the stream, (n,); +1, -1, or 0 for an illegal one, (n,);
@@ -245,7 +245,7 @@ def transitions(
 
 
 def decode_edges(samples: Bytes, a_bit: int, b_bit: int, state: DecoderState | None = None) -> Edges:
-    """Find the legal edges and the illegal transitions of one block; arguments and errors as for `decode`."""
+    """The legal edges and the illegal transitions of one block; arguments and errors as for `decode`."""
     index, delta, after = transitions(samples, a_bit, b_bit, state)
     legal = delta != 0
     return Edges(index[legal], delta[legal], index[~legal], after)
@@ -283,7 +283,7 @@ def encode(counts: Ints) -> tuple[Bytes, Bytes]:
     """Lines A and B of an encoder that follows a track of counts; count 0 has both lines low.
 
     Args:
-        counts: one entry a sample, (n,); a legal signal needs steps of at most one count.
+        counts: one element a sample, (n,); a legal signal needs steps of at most one count.
 
     Returns:
         A and B, 0 or 1, (n,) each.
@@ -292,10 +292,10 @@ def encode(counts: Ints) -> tuple[Bytes, Bytes]:
 
 
 def pack(a: Bytes, b: Bytes) -> Bytes:
-    """One byte a sample with A in bit 0 and B in bit 1, as `decode` takes it."""
+    """One byte a sample with A in bit 0 and B in bit 1, as `decode` reads it."""
     return (a | (b << 1)).astype(np.uint8)
 
 
 def _byte_of(phase: int, a_bit: int, b_bit: int) -> int:
-    """Give a sample with this phase."""
+    """A sample with this phase."""
     return (((phase + 1) >> 1 & 1) << a_bit) | ((phase >> 1) << b_bit)

@@ -7,7 +7,7 @@
 | phase | steps of an N-bit D/A over ± range | the reference of the phase comparator |
 | origin_offset | controller units | the controller's origin offset |
 
-What differs is the sign, the smallest step, how often and how far; the rest is one code.
+Kinds differ in sign, smallest step, update period and range; the code is the same.
 """
 
 import math
@@ -27,21 +27,21 @@ from rtec.quantities import (
 from rtec.tomlfile import Strict
 
 DEAD_BAND = 0.75
-"""In quanta: the ledger moves only when it is further off than this, so that noise does not make it chatter."""
+"""In quanta: the ledger moves only where it is off by more than this, so that noise does not make it chatter."""
 UNLIMITED = float(2**52)
 """Units that no correction reaches; still exact in a float."""
 
 
 @dataclass(frozen=True)
 class SinkScale:
-    """What the ledger needs to know of a sink.
+    """A sink as the ledger uses it.
 
     Attributes:
         units_per_um: units per µm of correction, with sign.
         quantum: smallest step, units.
-        rate_per_s: units per second at most.
-        low, high: units that it can hold.
-        period_s: it takes a new value this often; 0: every cycle.
+        rate_per_s: largest rate, units per second.
+        low, high: range of the output, units.
+        period_s: shortest time between two new values; 0: every cycle.
     """
 
     units_per_um: float
@@ -58,7 +58,7 @@ class PulseSink(Strict):
     Attributes:
         kind: counts inserted into the encoder signal.
         quantum_counts: 1 for single counts, 4 for whole cycles, as the original RTEC did.
-        max_counts_per_s: counts that box and controller follow.
+        max_counts_per_s: largest rate that box and controller follow.
     """
 
     kind: Literal["pulse"] = "pulse"
@@ -76,9 +76,9 @@ class _OffsetSink(Strict):
 
     Attributes:
         kind: what the controller does with the number.
-        resolution_um: one unit of output: the smallest step that the controller takes.
-        period_s: a new value so often at most.
-        max_um: the largest offset that the controller takes.
+        resolution_um: one unit of output: the smallest step of the controller.
+        period_s: shortest time between two new values.
+        max_um: the largest offset that the controller accepts.
     """
 
     resolution_um: MicrometresPositive
@@ -104,7 +104,7 @@ class FollowingErrorSink(_OffsetSink):
 
 
 class OriginOffsetSink(_OffsetSink):
-    """Shift of the controller's origin; slower controllers take it every second or so."""
+    """Shift of the controller's origin; slower controllers accept a new one about every second."""
 
     kind: Literal["origin_offset"] = "origin_offset"
     period_s: SecondsPositive = 1.0
@@ -115,9 +115,9 @@ class PhaseSink(Strict):
 
     Attributes:
         kind: steps of a D/A at the reference of the phase comparator.
-        bits: of the D/A.
-        range_mm: shift at its end.
-        period_s: a new value so often at most; 0: every cycle.
+        bits: resolution of the D/A.
+        range_mm: shift at full scale.
+        period_s: shortest time between two new values; 0: every cycle.
     """
 
     kind: Literal["phase"] = "phase"
@@ -141,9 +141,9 @@ Sink = Annotated[PulseSink | FollowingErrorSink | OriginOffsetSink | PhaseSink, 
 
 
 def differs(sink: Sink, actuator: str, unit_um: float) -> str:
-    """Why an actuator of this kind, with units of `unit_um`, cannot take what the sink gives; "" where it can.
+    """Why an actuator of this kind, with units of `unit_um`, cannot take the sink's output; "" where it can.
 
-    Counts have no unit; all other kinds must agree in it, or the correction has another size.
+    Counts have no unit; all other kinds must have the same unit, or the correction would have another size.
     """
     if sink.kind != actuator:
         return f"takes {actuator!r} (its option actuator), not {sink.kind!r}"

@@ -1,1 +1,1 @@
-"""The running daemon: supervisor, fast path, workers, and what they share."""
+"""The running daemon: supervisor, fast path, workers, and their shared memory."""

@@ -1,7 +1,7 @@
-"""Everything that the supervisor writes to disk, in a thread of its own: a disk that stalls keeps nobody waiting.
+"""Everything that the supervisor writes to disk, in a thread of its own: a disk that stalls delays nothing else.
 
-Rows wait in memory, up to a number; what comes then is dropped and counted. A fault that nobody foresaw costs the job
-that met it: the file of the log ends there, and the thread begins again behind it (`rtec.daemon.supervision`).
+Rows wait in memory, up to a number; further rows are dropped and counted. An unforeseen fault ends the job that met
+it: the log's file ends there, and the thread restarts after it (`rtec.daemon.supervision`).
 """
 
 import queue
@@ -35,20 +35,20 @@ class _Do:
 
 
 class DiskThread:
-    """Writes log and state; entering starts it, leaving writes what waits, for a few seconds at most.
+    """Writes log and state. Entering starts it; leaving writes the waiting jobs, for a few seconds at most.
 
     Args:
-        recording: the log; used by this thread alone from now on, but for reading what it says.
-        state: the copy of the state; None: none is kept.
+        recording: the log; from now on other threads may only read its attributes.
+        state: the copy of the state; None: no copy is kept.
         newest: gives the newest state.
-        most_rows: so many rows may wait.
+        most_rows: largest number of waiting rows.
         part: counts the thread's faults.
-        keeper: begins new files and tidies the old ones; None: the log is one file.
+        keeper: begins new files and removes the old ones; None: the log is one file.
 
     Attributes:
-        dropped: rows that found no room.
+        dropped: rows dropped because too many were waiting.
         state_trouble: why the state is not on disk; "" where it is.
-        kept_mode: the mode that the state on disk has; None where none has been brought there.
+        kept_mode: the mode of the state on disk; None before it is first written.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class DiskThread:
 
     @property
     def keeps(self) -> bool:
-        """Is a copy of the state to be on disk?"""
+        """Is a copy of the state kept on disk?"""
         return self._state is not None
 
     @property
@@ -89,14 +89,14 @@ class DiskThread:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with the disk now; "" where all is well."""
+        """Present fault of the disk; "" where there is none."""
         waiting = self._waiting - self._done
         slow = f"the disk is slow: {waiting} rows wait" if waiting > self._most_rows // 4 else ""
         kept = "" if self._keeper is None else self._keeper.trouble
         return "; ".join(text for text in (self.recording.trouble, slow, self.state_trouble, kept) if text)
 
     def write(self, samples: Samples, commands: Commands, first_row: int) -> None:
-        """Hand rows on; they are not changed afterwards by whoever gave them."""
+        """Queue rows; the caller does not change them afterwards."""
         if self._waiting - self._done + len(samples) > self._most_rows:
             self.dropped += len(samples)
             return
@@ -104,15 +104,15 @@ class DiskThread:
         self._jobs.put(_Rows(samples, commands, first_row))
 
     def flush(self) -> None:
-        """Bring everything that was handed on to the disk, the state too."""
+        """Write all queued jobs to the disk, with the state."""
         self._jobs.put(_Do(self._flush))
 
     def cut(self, begin: Begin) -> None:
-        """Let a new file of the log begin at that row."""
+        """Begin a new file of the log at that row."""
         self._jobs.put(_Do(lambda: self.recording.cut(begin)))
 
     def event(self, events: Events, event: Event) -> None:
-        """Write one down."""
+        """Queue an event."""
         self._jobs.put(_Do(lambda: self._event(events, event)))
 
     def _event(self, events: Events, event: Event) -> None:
@@ -129,7 +129,7 @@ class DiskThread:
         self.recording.flush()
         self._keep_state()
         if self._behind is not None:
-            with suppress(OSError):  # told already, and tried again with the next flush
+            with suppress(OSError):  # reported already, and tried again with the next flush
                 self._behind.catch_up()
                 self._behind = None
 
@@ -161,8 +161,8 @@ class DiskThread:
                 self.recording.cut(Begin.behind(saved))
             if self._keeper is not None:
                 self._keeper.look(self.recording, self._newest)
-        self._jobs.put(None)  # for the next try, if this end fails
-        with ExitStack() as last:  # each of them, whatever becomes of the others; the last comes first
+        self._jobs.put(None)  # for the next attempt, if this end fails
+        with ExitStack() as last:  # each callback runs, whatever becomes of the others; the last one runs first
             if self._state is not None:
                 last.callback(self._state.close)
             last.callback(self._keep_state)

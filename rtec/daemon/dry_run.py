@@ -1,7 +1,7 @@
-"""All checks of a run without commanding anything: files, devices, first readings, what the model asks for.
+"""All checks of a run without a command: files, devices, first readings, the model's request.
 
-Many devices are polled and give their first reading after a second or two: it is waited for. If this computer was busy
-between a reading and the look at it, the reading has become stale; a fresh one is waited for.
+Many devices are polled and give their first reading after a second or two, so the check waits for it. On a busy
+computer a reading may become stale before it is checked; the check then waits for a fresh one.
 """
 
 from contextlib import ExitStack
@@ -19,25 +19,25 @@ from rtec.loop.step import Step
 
 NS = 1e-9
 WAIT_S: Final = 3.0
-"""So long may readings take, as long as `rtec doctor` looks."""
+"""Longest wait for readings, s; the same as in `rtec doctor`."""
 LOOK_NS: Final = 20_000_000
 STALE: Final = Flag.STALE_COUNTS | Flag.STALE_TEMPERATURE
 
 
 def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) -> dict[str, Any]:
-    """Open every device, step until all readings are there and fresh; the actuator is opened, and commanded nothing.
+    """Open every device and step until all readings are present and fresh; the actuator is opened, but not commanded.
 
     Args:
-        setup: what would run.
-        clock: the computer's where not given.
+        setup: the setup to check.
+        clock: None: the computer's.
         wait_s: longest wait for readings.
 
     Returns:
-        `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` why the guard would hold;
+        `inputs`: (name, value, age) as text; `requested_um` by axis; `reasons` for which the guard would hold;
         `troubles` of devices.
 
     Raises:
-        RtecError: a file or device is not as it should be; or no counts came.
+        RtecError: a file or device is at fault, or there were no counts.
     """
     clock = clock or RealClock()
     step = Step(setup.step_settings())
@@ -48,7 +48,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
     sample.mode[0] = MODE_ON
     with ExitStack() as stack:
         ports = open_ports(setup, make_devices(setup, clock), stack)
-        _read(ports, sample)  # a device may make itself ready at the first look, which is not waiting
+        _read(ports, sample)  # a device may get ready at the first read; that is no wait
         end_ns, stale = clock.now_ns() + round(wait_s / NS), int(STALE)
         while True:
             wrong = _read(ports, sample)
@@ -61,8 +61,8 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
                 break
             clock.sleep_until_ns(clock.now_ns() + LOOK_NS)
         if not sample.counts_time_ns[0]:
-            ports.counts.read_counts(sample.counts[0])  # no counts, no position: the device's own error
-    flags = flags & ~int(STALE) | stale  # what was fresh at one look is alive
+            ports.counts.read_counts(sample.counts[0])  # no counts, no position: raises the device's own error
+    flags = flags & ~int(STALE) | stale  # an input that was fresh at one read is alive
     return {
         "inputs": input_rows(setup, sample),
         "requested_um": dict(zip(step.layout.axes, commands.requested_um[0].tolist(), strict=True)),
@@ -72,7 +72,7 @@ def dry_run(setup: Setup, clock: Clock | None = None, wait_s: float = WAIT_S) ->
 
 
 def _read(ports: Ports, sample: Samples) -> list[str]:
-    """Read everything once, the counts last, since they age first; give what is wrong, a line a device."""
+    """Read everything once, the counts last, since they age first; give the faults, a line a device."""
     wrong = {}
     for k, source in enumerate(ports.temperatures):
         try:

@@ -1,11 +1,12 @@
-"""The fast path: the loop in a process of its own, writing into the ring that the supervisor made.
+"""The fast path: the loop in a process of its own, which writes into the supervisor's ring.
 
-It owns the count source, the actuator and the kept state. It ends when its cycles are done, when the supervisor asks
-through the ring, or in the next cycle after the supervisor is gone; in each case the devices hold, then close.
+It owns the count source, the actuator and the kept state. It ends when its cycles are done, when the supervisor
+requests it through the ring, or in the next cycle after the supervisor has ended. In each case the devices hold, then
+close.
 
-Between two cycles (`Between`) it hands the row on, looks at the orders, and takes what was reloaded. A reload with the
-same structure (other limits, other coefficients) is some numbers, which are copied. Another structure is another
-compiled step: a thread of ordinary priority makes it while the loop goes on.
+Between two cycles (`AfterCycle`) it publishes the row, reads the orders, and takes over a reload. A reload with the
+same structure (other limits, other coefficients) only copies numbers. Another structure is another compiled step: a
+thread of lower priority compiles it while the loop goes on.
 """
 
 import os
@@ -25,7 +26,7 @@ from numpy.typing import NDArray
 from rtec.correction.flags import MODE_HOLD
 from rtec.daemon.process import prepare_process, starter
 from rtec.daemon.published import Published
-from rtec.daemon.recover import Found, Start, allowed, recover
+from rtec.daemon.recover import AtStart, Start, allowed, recover
 from rtec.daemon.ring import Ring
 from rtec.daemon.sign_check import load_stepped
 from rtec.daemon.supervision import fault
@@ -37,20 +38,20 @@ from rtec.loop.loop import Loop, Row, bind_rows
 from rtec.loop.ports import IntArray, OneWay
 from rtec.loop.records import MODES_BY_NAME, Commands, Samples
 from rtec.loop.run_file import Setup
-from rtec.loop.state import Saved, StateWriter, is_spoilt, newest, state_text, structure_of, units_of
-from rtec.loop.state_files import StatePlaces, disk_is_spoilt, read_disk, state_memory
+from rtec.loop.state import Saved, StateWriter, is_damaged, newest, state_text, structure_of, units_of
+from rtec.loop.state_files import StatePlaces, disk_is_damaged, read_disk, state_memory
 from rtec.loop.step import Step, StepSettings
 
 NOTES_PER_S: Final = 10
 
 
-class Between:
-    """Called with each row when its command is out; says whether to go on.
+class AfterCycle:
+    """Called with each row after its command; returns whether the loop goes on.
 
     Args:
-        loop: whose cycles these are; its keeper is set.
+        loop: the running loop; its keeper is set.
         ring: shared with the supervisor.
-        pipe: brings what is to be loaded, before the ring orders it.
+        pipe: brings the content of a reload, before the ring has its order.
         image: memory of the kept state.
         rate_hz: cycles per second.
     """
@@ -64,7 +65,7 @@ class Between:
         self._row: Row | None = None
 
     def __call__(self, row: Row) -> bool:
-        """Do it."""
+        """Publish the row and carry out orders; False: the loop ends."""
         loop, ring, orders, stats = self._loop, self._ring, self._ring.orders, self._loop.stats
         self._row = row
         if orders.reloads != self._reloads:
@@ -82,7 +83,7 @@ class Between:
         return os.getppid() == self._parent and not ring.stop_requested
 
     def finish(self, in_order: bool) -> None:
-        """The last word to the kept state; without order it stays as after a kill."""
+        """Keep the last state as that of a run that ended in order; else it stays as after a kill."""
         loop, row = self._loop, self._row
         if row is not None and loop.keeper is not None and in_order and not loop.waits:
             loop.keeper.finish(row.samples, row.output, loop.stats.cycles - 1)
@@ -97,7 +98,7 @@ class Between:
 
     def _reload(self, row: Row, generation: int) -> None:
         self._reloads = generation
-        content = self._pipe.recv()  # the supervisor put it there before it gave the order: nothing is waited for
+        content = self._pipe.recv()  # the supervisor sent it before the order, so this does not wait
         if isinstance(content, StepSettings):
             self._making = _Making(content, self._ring, generation)
         else:
@@ -126,7 +127,7 @@ class Between:
 
 
 def _below_the_loop() -> None:
-    """Less urgent than the loop, more than everything else: the loop waits for whoever has the interpreter's lock."""
+    """Set a priority just below the loop's: the loop waits for the thread that has the interpreter's lock."""
     with suppress(OSError):
         priority = os.sched_getparam(0).sched_priority
         if priority > 1:
@@ -134,7 +135,7 @@ def _below_the_loop() -> None:
 
 
 def _let_go(rows: list[Row]) -> None:
-    """Forget thousands of rows one by one, in a thread: all at once would keep the interpreter for milliseconds."""
+    """Free thousands of rows one by one in a thread: all at once would hold the interpreter's lock for milliseconds."""
 
     def work() -> None:
         _below_the_loop()
@@ -145,7 +146,7 @@ def _let_go(rows: list[Row]) -> None:
 
 
 class _Making:
-    """A step in the making, in a thread of its own."""
+    """A new step that a thread of its own compiles."""
 
     def __init__(self, settings: StepSettings, ring: Ring, generation: int) -> None:
         self.generation = generation
@@ -156,7 +157,7 @@ class _Making:
 
     def _make(self, settings: StepSettings, ring: Ring) -> None:
         _below_the_loop()
-        with suppress(RtecError):  # the supervisor made the same step before it sent it
+        with suppress(RtecError):  # the supervisor has compiled the same step before it sent it
             self.step = Step(settings)
             self.step.warm_up()
             self.rows = bind_rows(self.step, ring.slots)
@@ -164,25 +165,25 @@ class _Making:
 
 REHEARSAL_CYCLES = 100
 LONGEST_REHEARSED_NS = 10_000_000
-"""A slow loop rehearses quicker, so that it begins within a second or so."""
+"""Limit of the rehearsal's period, ns, so that a slow loop begins within a second or so."""
 FIRST_TRIES = 5
 DISK_SLACK_S = 1.0
-"""The copy on disk is at most so much behind (`[run] flush_s` is at most that)."""
+"""Largest age of the copy on disk, s (the limit of `[run] flush_s`)."""
 SWITCH_INTERVAL_S = 5e-5
-"""Another thread of this process (one that opens a port again, one that makes a new step) gives way so soon."""
+"""Interval, s, after which another thread of this process (a port that reopens, a new step) yields to the loop."""
 
 
 @dataclass(frozen=True)
-class Orders:
-    """What the supervisor tells its loop at the start.
+class LoopTask:
+    """The supervisor's instructions to its loop at the start.
 
     Attributes:
         config: the run file.
         ring: name of the ring.
-        cycles: how many; None: until it is stopped.
-        places: where the state is kept.
-        workers: memory of the devices that a worker reads, by device.
-        step_um: of a sign check, in place of the model.
+        cycles: number of cycles; None: until it is stopped.
+        places: files of the kept state.
+        workers: shared memory of the devices that a worker reads, by device.
+        step_um: step of a sign check by axis, in place of the model.
     """
 
     config: Path
@@ -193,94 +194,94 @@ class Orders:
     step_um: Mapping[str, float] = field(default_factory=dict)
 
 
-def fast_path(told: Orders, pipe: Connection) -> None:
-    """Run the loop; tell the supervisor through the pipe: ("ready", …), then ("done", …), ("error", text)
+def fast_path(task: LoopTask, pipe: Connection) -> None:
+    """Run the loop; report to the supervisor through the pipe: ("ready", …), then ("done", …), ("error", text)
     or ("died", text).
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # the order to resume is the supervisor's, and comes through the ring
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # the supervisor takes the order to resume; it comes through the ring
     try:
-        _tell(pipe, "done", _run(told, pipe))
+        _tell(pipe, "done", _run(task, pipe))
     except RtecError as e:
         _tell(pipe, "error", str(e))
-    except Exception as e:  # noqa: BLE001 - whatever it is: reported with its place, cleaned, and the process ends
+    except Exception as e:  # noqa: BLE001 - any fault is reported with its place, devices are closed, the process ends
         _tell(pipe, "died", fault(e))
     finally:
         pipe.close()
 
 
 def _tell(pipe: Connection, kind: str, content: Any) -> None:
-    with suppress(BrokenPipeError, ConnectionResetError):  # the supervisor is gone: the loop notices that by itself
+    with suppress(BrokenPipeError, ConnectionResetError):  # the supervisor has ended: the loop notices that by itself
         pipe.send((kind, content))
 
 
-def _run(told: Orders, pipe: Connection) -> dict[str, Any]:
-    setup = load_stepped(told.config, told.step_um)
+def _run(task: LoopTask, pipe: Connection) -> dict[str, Any]:
+    setup = load_stepped(task.config, task.step_um)
     clock = RealClock()
     step = Step(setup.step_settings())
     step.warm_up()
     with ExitStack() as stack:
-        ring = stack.enter_context(Ring.attach(told.ring))
+        ring = stack.enter_context(Ring.attach(task.ring))
         ring.take_name()
-        image = stack.enter_context(state_memory(told.places.memory, clock))
+        image = stack.enter_context(state_memory(task.places.memory, clock))
         rows = bind_rows(step, ring.slots)
-        here = make_devices(setup, clock)  # all of them, so that all faults of the run file are told together
-        ports = open_ports(setup, {**here, **worker_ports(told.workers, setup.machine, clock)}, stack)
-        found = _found(told.places, image, setup, ports, step)
-        start = recover(step, found)
+        here = make_devices(setup, clock)  # all of them, so that all faults of the run file are reported together
+        ports = open_ports(setup, {**here, **worker_ports(task.workers, setup.machine, clock)}, stack)
+        at_start = _at_start(task.places, image, setup, ports, step)
+        start = recover(step, at_start)
         loop = Loop(step, ports, clock, setup.period_ns, rows, start.mode)
         if start.waits:
             loop.wait_for_order(start.waits)
-        if found.output is None:
+        if at_start.output is None:
             loop.take_over(start.expected, allowed(step, DISK_SLACK_S))
-        warnings = _rehearse(setup, ports, found.output)
+        warnings = _rehearse(setup, ports, at_start.output)
         ring.orders.mode = start.mode
         loop.keeper = StateWriter(image, step, MODES_BY_NAME[setup.file.run.mode], start.sequence)
-        between = Between(loop, ring, pipe, image, setup.file.run.rate_hz)
+        after_cycle = AfterCycle(loop, ring, pipe, image, setup.file.run.rate_hz)
         told_all = {**_ready(step, start, warnings), "one_way": isinstance(ports.actuator, OneWay)}
         _tell(pipe, "ready", told_all)
         try:
-            loop.run(told.cycles, between)
+            loop.run(task.cycles, after_cycle)
         finally:
             ports.actuator.hold()
-        between.finish(in_order=bool(ring.stop_requested) or loop.stats.cycles == told.cycles)
+        after_cycle.finish(in_order=bool(ring.stop_requested) or loop.stats.cycles == task.cycles)
         return summary(loop)
 
 
-def _found(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step) -> Found:
-    """Look at what there is: kept state, ledger, counts."""
+def _at_start(places: StatePlaces, image: NDArray[np.uint8], setup: Setup, ports: Ports, step: Step) -> AtStart:
+    """Kept state, ledger and counts at the start."""
     in_memory = image.tobytes()
     saved: Saved | None = newest(in_memory)
-    new_boot, slack_s, spoilt = False, 2.0 / setup.file.run.rate_hz, [places.memory] if is_spoilt(in_memory) else []
+    new_boot, slack_s, damaged = False, 2.0 / setup.file.run.rate_hz, [places.memory] if is_damaged(in_memory) else []
     if saved is None and places.disk is not None:
         (saved, new_boot), slack_s = read_disk(places.disk), DISK_SLACK_S
-        spoilt += [places.disk] if saved is None and disk_is_spoilt(places.disk) else []
+        damaged += [places.disk] if saved is None and disk_is_damaged(places.disk) else []
     axes = len(step.layout.axes)
     output, counts = np.zeros(axes, np.int64), np.zeros(axes, np.int64)
     if saved is not None and saved.units == units_of(step) and isinstance(ports.actuator, OneWay):
         ports.actuator.was_told(saved.output)
-    return Found(
+    return AtStart(
         saved=saved,
         new_boot=new_boot,
         slack_s=slack_s,
-        output=output if _tells(ports, output) else None,
+        output=output if _reports_output(ports, output) else None,
         counts=counts if _counted(ports, counts) else None,
         start_mode=MODES_BY_NAME[setup.file.run.mode],
-        damaged=_damaged(spoilt),
+        damaged=_damaged(damaged),
         one_way=isinstance(ports.actuator, OneWay),
     )
 
 
-def _damaged(spoilt: list[Path]) -> str:
-    if not spoilt:
+def _damaged(damaged: list[Path]) -> str:
+    if not damaged:
         return ""
-    places = " and ".join(str(path) for path in spoilt)
+    places = " and ".join(str(path) for path in damaged)
     return f"the state that the run before kept in {places} is damaged, or of another version of rtec"
 
 
-def _tells(ports: Ports, output: IntArray) -> bool:
+def _reports_output(ports: Ports, output: IntArray) -> bool:
     try:
         ports.actuator.read_output(output)
     except DriverError:
@@ -307,10 +308,10 @@ def _ready(step: Step, start: Start, warnings: list[str]) -> dict[str, Any]:
 
 
 def _rehearse(setup: Setup, ports: Ports, output: IntArray | None) -> list[str]:
-    """Go through the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
+    """Run the whole cycle a few times with a held step, so that the first real cycle is not the slow one.
 
-    The step is a second one that holds what the actuator already has: nothing moves, nothing is recorded. An actuator
-    that has not told is commanded nothing before it does.
+    The step is a second one that holds the actuator's output: nothing moves, nothing is recorded. An actuator that has
+    not reported its output gets no command before it does.
     """
     step = Step(setup.step_settings())
     if output is not None:
@@ -327,7 +328,7 @@ def _rehearse(setup: Setup, ports: Ports, output: IntArray | None) -> list[str]:
 
 
 def summary(loop: Loop) -> dict[str, Any]:
-    """What the loop did, as plain data."""
+    """Times and failures of the loop, as plain data."""
     stats, step = loop.stats, loop.step
     return {
         "cycles": stats.cycles,

@@ -1,14 +1,13 @@
-"""The daemon as a process of this computer: real-time treatment, signals, its service manager, lines for people.
+"""The daemon as a process of this computer: real-time scheduling, signals, its service manager, lines for people.
 
-- `prepare_process` asks the system for real-time treatment; what is not granted is reported in one sentence.
-- `signals`, `signals_wait` and `starter`: what signals mean while the daemon runs, how a child is started deaf to
-  them, and who started it.
+- `prepare_process` asks the system for real-time scheduling; one sentence reports what the system refused.
+- `signals`, `signals_wait` and `starter`: the meaning of signals while the daemon runs, the start of a child that
+  ignores them, and the process that started this one.
 - `Notifier` reports to the service manager: the protocol of `sd_notify(3)`, a datagram to a socket. READY follows the
-  first good cycle: one whose counts were fresh, and every temperature that the model reads. WATCHDOG is sent only
-  while the loop does cycles. Its rows are counted, so the service manager finds a loop that stands still, or a
-  supervisor that no longer gets any, and restarts the daemon. Where a part of the daemon is lost that it must not
-  correct without, it asks for that at once.
-- `LinePrinter` prints lines and never waits for a terminal that stands or a journal that is full.
+  first good cycle: its counts and every temperature that the model reads were fresh. WATCHDOG is sent only while the
+  number of rows grows, so the service manager detects a loop that is stuck, or a supervisor that gets no more rows, and
+  restarts the daemon. Where an essential part of the daemon is lost, `Notifier` requests the restart at once.
+- `LinePrinter` prints lines and never waits for a stopped terminal or a full journal.
 """
 
 import ctypes
@@ -37,22 +36,22 @@ MCL_CURRENT_AND_FUTURE = 3
 PR_SET_TIMERSLACK = 29
 HOW = "see docs/real-time.md"
 WORKER_PRIORITY = 1
-"""Of drivers' threads: below every loop, above all that is not real time."""
+"""Priority of drivers' threads: below every loop, above everything that is not real time."""
 
 
-def prepare_process(wanted: "Realtime") -> list[str]:
+def prepare_process(realtime: "Realtime") -> list[str]:
     """Raise this process to SCHED_FIFO, lock its memory, pin it, switch the garbage collector off.
 
     Returns:
-        one plain warning for everything that was refused; empty when all was granted.
+        one plain warning for everything that the system refused; empty where it granted all.
     """
     refused = []
-    if wanted.priority and not _fifo(wanted.priority):
-        refused.append(f"SCHED_FIFO priority {wanted.priority}")
-    if wanted.lock_memory and not _lock_memory():
+    if realtime.priority and not _fifo(realtime.priority):
+        refused.append(f"SCHED_FIFO priority {realtime.priority}")
+    if realtime.lock_memory and not _lock_memory():
         refused.append("locking memory")
-    if not _pin(wanted.cpu):
-        refused.append(f"processor {wanted.cpu}")
+    if not _pin(realtime.cpu):
+        refused.append(f"processor {realtime.cpu}")
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
     gc.collect()
     gc.freeze()
@@ -76,7 +75,7 @@ def _lock_memory() -> bool:
 
 
 def _pin(cpu: int | None) -> bool:
-    """Stay on one processor: the one asked for, else the last where there are several."""
+    """Stay on one processor: the given one, else the last one where there are several."""
     try:
         allowed = sorted(os.sched_getaffinity(0))
         if cpu is None and len(allowed) < 2:
@@ -90,8 +89,8 @@ def _pin(cpu: int | None) -> bool:
 def prepare_worker() -> None:
     """Give the calling thread the lowest real-time priority, where the system grants it.
 
-    A driver's thread in the loop's process is not urgent. But while it holds the interpreter the loop waits for it, and
-    if any ordinary program may keep it off the processor meanwhile, the loop waits for that program.
+    A driver's thread in the loop's process is not urgent. But while it holds the interpreter's lock, the loop waits for
+    it; if an ordinary program could keep it off the processor meanwhile, the loop would wait for that program.
     """
     _fifo(WORKER_PRIORITY)
 
@@ -101,7 +100,7 @@ SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP)
 
 @contextmanager
 def signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Hand them all to the handler; the previous handlers come back afterwards."""
+    """Pass all signals to the handler; restore the previous handlers afterwards."""
     previous = {number: signal.signal(number, handler) for number in SIGNALS}
     try:
         yield
@@ -112,11 +111,11 @@ def signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
 
 @contextmanager
 def signals_wait() -> Iterator[None]:
-    """A child started meanwhile is deaf to Ctrl-C from its first instruction, until it says itself what to do with it.
+    """Start a child inside this, and it ignores Ctrl-C from its first instruction until it sets its own handler.
 
-    Here a signal that comes meanwhile is handled afterwards.
+    In this process a signal that comes meanwhile is handled afterwards.
     """
-    resource_tracker.ensure_running()  # started by `Process.start` it would let the signals through again
+    resource_tracker.ensure_running()  # if `Process.start` started it, it would unblock the signals
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -127,20 +126,20 @@ def signals_wait() -> Iterator[None]:
 def child_context(forks: bool) -> ForkContext | SpawnContext:
     """How a child is started: as a copy of this process, which has loaded everything, or by a new interpreter.
 
-    A copy lacks the other threads, and what they were doing stays half done in it. So a process with several threads
+    A copy lacks the other threads, and their unfinished work stays unfinished in it. So a process with several threads
     starts a new interpreter.
 
     Args:
-        forks: this process is rtec's own, and holds nothing open that a child must not have.
+        forks: this process is rtec's own, and has nothing open that a child must not have.
     """
     alone = forks and threading.active_count() == 1
     return multiprocessing.get_context("fork") if alone else multiprocessing.get_context("spawn")
 
 
 def starter() -> int:
-    """Process number of whoever started this process; `os.getppid` says another as soon as that one is gone.
+    """Number of the process that started this one; `os.getppid` changes as soon as that process has ended.
 
-    It was told when this process was started: one that is killed in that very moment is missed all the same.
+    It was stored when this process started; a parent that is killed at that very moment is missed all the same.
     """
     parent = parent_process()
     return os.getppid() if parent is None or parent.pid is None else parent.pid
@@ -149,24 +148,24 @@ def starter() -> int:
 NOT_GOOD: Final = Flag.STALE_COUNTS | Flag.STALE_TEMPERATURE
 STATUS_NS: Final = 1_000_000_000
 _PARTS: Final = 4
-"""So often within the time that the service manager allows."""
+"""Signs of life within the service manager's time limit."""
 
 
 class Notifier:
-    """Does nothing where no service manager asks for it.
+    """Reports to the service manager; does nothing without one.
 
     Args:
-        address: path of the socket, or its abstract name behind an `@`; "": nobody asks.
-        watchdog_ns: longest time between two signs of life; 0: nobody asks for them.
+        address: path of the socket, or its abstract name after an `@`; "": no service manager.
+        watchdog_ns: longest time between two signs of life; 0: none are needed.
         clock: monotonic.
 
     Attributes:
-        asked: whether a service manager listens.
+        listens: is there a service manager that listens?
     """
 
     def __init__(self, address: str, watchdog_ns: int, clock: Clock) -> None:
         self._address = "\0" + address[1:] if address.startswith("@") else address
-        self.asked = bool(address)
+        self.listens = bool(address)
         self._clock, self._period_ns = clock, watchdog_ns // _PARTS
         self._ready = self._lost = False
         self._cycles, self._text = -1, ""
@@ -174,13 +173,13 @@ class Notifier:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str], clock: Clock) -> "Notifier":
-        """Give what the service manager asked for: NOTIFY_SOCKET, WATCHDOG_USEC for the process WATCHDOG_PID."""
+        """The notifier for NOTIFY_SOCKET, and for WATCHDOG_USEC where WATCHDOG_PID is this process or not set."""
         usec, pid = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
         mine = pid in ("", str(os.getpid())) and usec.isdecimal()
         return cls(environment.get("NOTIFY_SOCKET", ""), int(usec) * 1000 if mine else 0, clock)
 
     def look(self, status: Status) -> None:
-        """Tell what the newest status gives reason to; called many times a second."""
+        """Send the messages that the newest status requires; called many times a second."""
         if not self._address:
             return
         now = self._clock.now_ns()
@@ -194,12 +193,12 @@ class Notifier:
             self._tell(_words(status))
 
     def lost(self) -> None:
-        """Ask for a restart: an essential part of the daemon cannot be counted on. No further sign of life is told."""
+        """Request a restart, because an essential part of the daemon is lost; send no more signs of life."""
         if self._period_ns and not self._lost:
             self._lost = self._send("WATCHDOG=trigger")
 
     def stopping(self) -> None:
-        """Tell that the run comes to its end."""
+        """Report that the run is ending."""
         self._send("STOPPING=1")
 
     def _tell(self, text: str) -> None:
@@ -207,7 +206,7 @@ class Notifier:
             self._text = text
 
     def _send(self, text: str) -> bool:
-        """Send, and never wait for it: what does not go now is sent again at the next look."""
+        """Send without waiting; a message that cannot be sent now is sent again at the next look."""
         if not self._address:
             return False
         try:
@@ -229,15 +228,15 @@ def _words(status: Status) -> str:
 
 
 WAITING: Final = 200
-"""Lines; what comes then is not said. It stands in the events all the same."""
+"""Lines that may wait; further lines are not printed. The events have them all the same."""
 END_S: Final = 1.0
 
 
 class LinePrinter:
-    """Entering starts a thread that says what it is given; leaving lets it finish, for a moment.
+    """Prints lines in a thread. Entering starts it; leaving lets it finish, for a moment.
 
     Args:
-        say: prints a line; may take as long as it likes. A line that it cannot print is left out.
+        say: prints a line; may block. A line that it cannot print is skipped.
     """
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -254,7 +253,7 @@ class LinePrinter:
         self._thread.join(END_S)
 
     def line(self, text: str) -> None:
-        """Have it said; from any thread."""
+        """Queue a line; from any thread."""
         self._put(text)
 
     def _put(self, text: str | None) -> None:
@@ -264,7 +263,7 @@ class LinePrinter:
             return
 
     def _work(self) -> None:
-        with suppress(OSError):  # a pipe whose reader is gone: there is nobody to tell
+        with suppress(OSError):  # a pipe without a reader: nobody reads the lines
             while (text := self._lines.get()) is not None:
-                with suppress(ValueError, TypeError, LookupError):  # no text for this terminal; the events have it
+                with suppress(ValueError, TypeError, LookupError):  # this terminal cannot show it; the events have it
                     self._say(text)

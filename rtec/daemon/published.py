@@ -1,11 +1,11 @@
-"""What a worker reads from its device, in shared memory: values with their instants, and what is wrong in words.
+"""A worker's readings of its device, in shared memory: values with their instants, and faults in words.
 
-One writer of the readings (the worker), readers that never wait. The version of the readings is odd while they are
-written; a reader that meets an odd one, or another one behind its copy than before it, looks again a few times and then
-keeps what it had, so no reader ever has half of one reading and half of the next.
+The worker writes the readings; readers never wait. The version of the readings is odd while they are written. A reader
+that meets an odd version, or a version that changed during its copy, tries again a few times and then keeps its old
+copy. So no reader ever has parts of two readings.
 
-The memory has no name: it goes to other processes as a file descriptor when they are started, and is gone with the
-last of them, however that ends.
+The memory has no name: other processes get its file descriptor at their start, and it is freed with the last of them,
+however that ends.
 """
 
 import mmap
@@ -22,11 +22,11 @@ from rtec.daemon.ring import NOTE_BYTES, Note
 from rtec.errors import RtecError
 
 NEVER: Final = -(2**63)
-"""Instant of a sensor that was not read yet; another device may read it."""
+"""Instant of a sensor that has not been read yet; another device may read it."""
 TRIES: Final = 5
 _LINE: Final = 64
-_WORDS: Final = 5 * _LINE // 8  # a line for everyone who writes, so that none slows another
-_VERSION, _HEARTBEAT, _STATE, _NOTE, _STOP, _SAID, _RESUMES = 0, 8, 9, 10, 16, 17, 24
+_WORDS: Final = 5 * _LINE // 8  # one cache line per writer, so that none slows another
+_VERSION, _HEARTBEAT, _STATE, _DEVICE_NOTE, _STOP, _WORKER_NOTE, _RESUMES = 0, 8, 9, 10, 16, 17, 24
 STARTING, OPEN, FAILED = 0, 1, 2
 
 
@@ -53,22 +53,22 @@ class _Fence:
         self._release, self._acquire = fence.release, fence.acquire
 
     def barrier(self) -> None:
-        """Full memory barrier: releasing, then taking a lock. x86 orders stores by itself, ARM does not."""
+        """Full memory barrier: release, then take a lock. x86 orders stores by itself, ARM does not."""
         self._release()
         self._acquire()
 
 
 class Published:
-    """Shared memory of one device's readings; make it with `create`, hand it to a process that is being started.
+    """Shared memory of one device's readings; make it with `create`, pass it to a process that is being started.
 
     Args:
-        fd: of the memory; it is this object's from now on.
-        sensors: entries, one for each sensor of the machine.
+        fd: descriptor of the memory; this object closes it.
+        sensors: number of sensors of the machine.
 
     Attributes:
-        told: what the worker says of its device in words.
-        said: what the supervisor says of the worker in words.
-        barrier: orders what is written before it and after it in the eyes of other processors.
+        device_note: the worker's words on its device.
+        worker_note: the supervisor's words on the worker.
+        barrier: orders the writes before it and after it, as other processors see them.
     """
 
     version = _Word(_VERSION, "Of the readings; odd while they are written.")
@@ -86,10 +86,10 @@ class Published:
         self._time_ns = np.frombuffer(memory, np.int64, sensors, at["time_ns"])
         self._rpm = np.frombuffer(memory, np.float64, 1, at["rpm"])
         self.barrier = _Fence().barrier
-        self._told_text = np.frombuffer(memory, np.uint8, NOTE_BYTES, at["told"])
-        self.told = Note(self._words[_NOTE : _NOTE + 1], self._told_text, self.barrier)
-        said = np.frombuffer(memory, np.uint8, NOTE_BYTES, at["said"])
-        self.said = Note(self._words[_SAID : _SAID + 1], said, self.barrier)
+        self._device_text = np.frombuffer(memory, np.uint8, NOTE_BYTES, at["device_note"])
+        self.device_note = Note(self._words[_DEVICE_NOTE : _DEVICE_NOTE + 1], self._device_text, self.barrier)
+        text = np.frombuffer(memory, np.uint8, NOTE_BYTES, at["worker_note"])
+        self.worker_note = Note(self._words[_WORKER_NOTE : _WORKER_NOTE + 1], text, self.barrier)
 
     @classmethod
     def create(cls, sensors: int) -> "Published":
@@ -109,7 +109,7 @@ class Published:
         return made
 
     def __reduce__(self) -> tuple[Callable[..., "Published"], tuple[Any, ...]]:
-        """Only while a process is being started: the descriptor goes with it."""
+        """Works only while a process is being started, which gets the descriptor."""
         return _received, (DupFd(self._fd), self._sensors)
 
     def publish(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64], rpm: float) -> None:
@@ -120,7 +120,7 @@ class Published:
             time_ns: instants, ns; `NEVER` where the device has none.
             rpm: spindle speed, 1/min; NaN where it is not known.
         """
-        version = self.version | 1  # a writer that was killed may have left it odd
+        version = self.version | 1  # a killed writer may have left it odd
         self.version = version
         self.barrier()
         self._degc[:] = degc
@@ -130,7 +130,7 @@ class Published:
         self.version = version + 1
 
     def copy(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64], rpm: NDArray[np.float64]) -> bool:
-        """Copy the readings; False where they were being written: what was copied is then worth nothing."""
+        """Copy the readings; False where they were being written: the copy is then invalid."""
         version = self.version
         if version % 2:
             return False
@@ -142,47 +142,47 @@ class Published:
         return self.version == version
 
     def forget(self) -> None:
-        """Before a worker begins: no readings, nothing told; what a killed one left half written is made good."""
-        self._words[_NOTE] |= 1
+        """Clear the memory before a worker begins: readings, notes, and what a killed worker left half written."""
+        self._words[_DEVICE_NOTE] |= 1
         self.barrier()
-        self._told_text[:4] = 0
+        self._device_text[:4] = 0
         self.barrier()
-        self._words[_NOTE] += 1
+        self._words[_DEVICE_NOTE] += 1
         nothing = np.full(self._sensors, np.nan)
         self.publish(nothing, np.full(self._sensors, NEVER), float("nan"))
         self.heartbeat_ns, self.state = 0, STARTING
 
     def close(self) -> None:
-        """Let go of the descriptor; the memory stays mapped until this object is gone."""
+        """Close the descriptor; the memory stays mapped until this object is gone."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 class PublishedReader:
-    """The newest whole reading of a `Published`; keeps what it had where none can be had. Allocates nothing.
+    """The newest whole reading of a `Published`; keeps the one before where none can be copied. Allocates nothing.
 
     Attributes:
         degc, time_ns: °C and instants, ns, by sensor.
         read: which sensors the device has read so far.
-        rpm: one entry, 1/min.
+        rpm: one element, 1/min.
     """
 
     def __init__(self, memory: Published, sensors: int) -> None:
-        self._memory, self._seen = memory, -1
+        self._memory, self._read_version = memory, -1
         self.degc, self.time_ns = np.full(sensors, np.nan), np.full(sensors, NEVER)
         self.rpm, self.read = np.full(1, np.nan), np.zeros(sensors, dtype=np.bool_)
         self._new_degc, self._new_time_ns, self._new_rpm = self.degc.copy(), self.time_ns.copy(), self.rpm.copy()
 
     def look(self) -> bool:
-        """Take the newest; False where it was being written each time that it was looked at."""
+        """Copy the newest reading; False where it was being written at each attempt."""
         memory = self._memory
         for _ in range(TRIES):
             version = memory.version
-            if version == self._seen:
+            if version == self._read_version:
                 return True
             if memory.copy(self._new_degc, self._new_time_ns, self._new_rpm):
-                self._seen = version  # at least so new; a newer one is copied the next time
+                self._read_version = version  # the copy is at least this new; a newer one is copied the next time
                 self.degc[:], self.time_ns[:], self.rpm[:] = self._new_degc, self._new_time_ns, self._new_rpm
                 np.not_equal(self.time_ns, NEVER, out=self.read)
                 return True
@@ -194,14 +194,14 @@ def _received(fd: Any, sensors: int) -> Published:
 
 
 def _plan(sensors: int) -> tuple[dict[str, int], int]:
-    """Offset of every part and the size of it all, bytes."""
+    """Offset of every part and the total size, bytes."""
     at, offsets = _WORDS * 8, {}
     for name, size in (
         ("degc", 8 * sensors),
         ("time_ns", 8 * sensors),
         ("rpm", 8),
-        ("told", NOTE_BYTES),
-        ("said", NOTE_BYTES),
+        ("device_note", NOTE_BYTES),
+        ("worker_note", NOTE_BYTES),
     ):
         offsets[name] = at
         at += -(-size // _LINE) * _LINE

@@ -1,11 +1,11 @@
 """A reload: run file, machine and model are read again, judged whole, and taken over while the loop goes on.
 
-What needs a new start is refused. So is what the loop could not take (too large for the pipe or for the kept state). A
-correction that turns round, or that would move by much at once, is taken only where the order says so (`YES`): a sign
-that somebody turned in a file is a fault far more often than it is meant.
+A change that needs a restart is refused. So is one that the loop could not take over (too large for the pipe or for
+the kept state). A change that reverses a correction, or would move it by much at once, needs confirmation in the
+order (`YES`): a reversed sign in a file is a mistake far more often than an intention.
 
-A thread reads and judges (`ReloadReader`); the supervisor hands on what came of it and sees that the loop has it
-(`ReloadDesk`).
+A thread reads and judges (`ReloadReader`); the supervisor sends the result to the loop and waits until the loop has
+taken it over (`ReloadDesk`).
 """
 
 import queue
@@ -34,27 +34,27 @@ from rtec.loop.state_files import MemoryState
 from rtec.loop.step import Step
 
 MOST_BYTES = 65_536
-"""So much fits into the pipe while the loop is not yet reading."""
+"""Bytes that fit into the pipe while the loop is not reading yet."""
 _ORDERS = {"on": "enable", "hold": "hold", "off": "fade"}
 STAYS = "the old one stays in force"
 STEP_SHARE: Final = 0.2
-"""Of an axis' `warning_um`: a reload that moves the correction by more is asked about."""
+"""Share of an axis' `warning_um`; a reload that moves the correction by more needs confirmation."""
 CLIMATES: Final = 16
 POSES: Final = 32
-"""Temperatures and spindle speeds, and positions under each of them, at which two models are compared."""
+"""Number of climates (temperatures and spindle speed), and of positions in each, at which two models are compared."""
 USUAL_K: Final = 10.0
-"""Temperatures on either side of the model's reference, where it does not say in which it was fitted."""
+"""K on either side of the model's reference temperature, where it has no fitted range."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Now:
-    """Where the loop is.
+    """Present state of the loop.
 
     Attributes:
         samples: its newest row.
-        saved: its memory at about that row; None where it is not known.
+        saved: its memory at about that row; None where it is unknown.
     """
 
     samples: Samples
@@ -63,12 +63,12 @@ class Now:
 
 @dataclass(frozen=True)
 class Reloaded:
-    """What was read, ready for the loop.
+    """A set-up that was read, ready for the loop.
 
     Attributes:
         setup: the new one.
         message: for the loop's pipe.
-        changed: in words; empty where nothing did.
+        changed: the changes in words; empty where there are none.
     """
 
     setup: Setup
@@ -76,16 +76,16 @@ class Reloaded:
     changed: list[str]
 
 
-def read_again(old: Setup, now: Now | None = None, sure: bool = False) -> Reloaded:
-    """Read the run file of a setup and all that it names again; compile the step, and judge it.
+def read_again(old: Setup, now: Now | None = None, accepts_doubts: bool = False) -> Reloaded:
+    """Read a setup's run file again, with every file that it names; compile the step, and judge it.
 
     Args:
-        old: what is in force.
-        now: where the loop is; None: it has not begun.
-        sure: whoever ordered it wants it, however much it differs.
+        old: the setup in force.
+        now: state of the loop; None: it has not begun.
+        accepts_doubts: accept a change that reverses the correction or moves it by much.
 
     Raises:
-        RtecError: something is wrong with it, or something changed that needs a new start; everything at once.
+        RtecError: a file is at fault, or something changed that needs a restart; all faults at once.
     """
     if old.step_um:
         raise OrderRefused("a sign check (--step) runs; end it, then start the run file itself")
@@ -99,18 +99,18 @@ def read_again(old: Setup, now: Now | None = None, sure: bool = False) -> Reload
     message = _bytes(step.all_numbers() if same else new.step_settings())
     if len(message) > MOST_BYTES:
         raise OrderRefused(f"{new.model.name}: too large to be taken up while the loop runs; start it again")
-    if not sure and (found := doubts(before, step, now)):
-        raise OrderRefused(f"{'; '.join(found)}; if that is meant: `rtec ctl reload --yes`")
+    if not accepts_doubts and (reasons := doubts(before, step, now)):
+        raise OrderRefused(f"{'; '.join(reasons)}; if that is meant: `rtec ctl reload --yes`")
     return Reloaded(new, message, _changed(old, new))
 
 
 def doubts(old: Step, new: Step, now: Now | None) -> list[str]:
-    """Why a new step may not be what is meant, an axis each: it turns the correction round, or moves it by much.
+    """Reasons to doubt a new step, one an axis: it reverses the correction, or moves it by much.
 
-    Both steps are run over the same positions, temperatures and spindle speeds of the machine. Their memory is used up.
+    Both steps run over the same positions, temperatures and spindle speeds of the machine, and lose their memory.
 
     Raises:
-        OrderRefused: the new step gives no finite correction somewhere where the old one does.
+        OrderRefused: the new step gives no finite correction at a point where the old one does.
     """
     running_um, coming_um = _over_the_machine(old, new)
     known = [bool(np.isfinite(running_um[..., k]).all()) for k in range(len(new.layout.axes))]
@@ -135,11 +135,11 @@ def doubts(old: Step, new: Step, now: Now | None) -> list[str]:
 
 
 def _turned(running_um: Floats, coming_um: Floats, quantum_um: float) -> list[str]:
-    """Say which part of a correction turns round: what varies with positions, with the climate, or what is constant.
+    """The part of a correction that is reversed: the part that varies with positions, or with climate, or is constant.
 
     Args:
         running_um, coming_um: of one axis, (climates, poses).
-        quantum_um: one unit of the output; what varies by less is nothing.
+        quantum_um: one unit of the output; smaller variations are ignored.
     """
     a, b = running_um, coming_um
     parts = {
@@ -161,7 +161,7 @@ def _turned(running_um: Floats, coming_um: Floats, quantum_um: float) -> list[st
 
 
 def _over_the_machine(old: Step, new: Step) -> tuple[Floats, Floats]:
-    """What both ask for, µm, (climates, poses, axes) each: the same poses under each climate."""
+    """Requests of both, µm, (climates, poses, axes) each: the same poses in each climate."""
     model, layout = old.settings.model, old.layout
     machine, chance = model.machine, np.random.default_rng(0)
     travel_mm = np.array([a.travel_mm for a in machine.axes])
@@ -185,7 +185,7 @@ def _over_the_machine(old: Step, new: Step) -> tuple[Floats, Floats]:
 
 
 def _at_this_moment(old: Step, new: Step, now: Now) -> list[tuple[float, float]]:
-    """What both ask for at this moment, µm, by axis; nothing where that is not known."""
+    """Requests of both now, µm, by axis; empty where they are unknown."""
     if now.saved is not None and now.saved.structure == structure_of(old):
         old.restore(now.saved.state)
     else:
@@ -194,20 +194,20 @@ def _at_this_moment(old: Step, new: Step, now: Now) -> list[tuple[float, float]]
         new.restore(old.state)
     else:
         new.adopt(old, now.samples)
-    asked = []
+    requests = []
     for step in (old, new):
-        step.look_anew()
-        asked.append(step.run(now.samples).requested_um[0])
-    return list(zip(*np.array(asked).tolist(), strict=True)) if np.isfinite(asked).all() else []
+        step.recompute_slow_part()
+        requests.append(step.run(now.samples).requested_um[0])
+    return list(zip(*np.array(requests).tolist(), strict=True)) if np.isfinite(requests).all() else []
 
 
 def _bytes(content: object) -> bytes:
-    """As `Connection.recv` takes it."""
+    """Bytes that `Connection.recv` reads."""
     return bytes(ForkingPickler.dumps(content))
 
 
 def _fixed(old: Setup, new: Setup) -> list[str]:
-    """What changed and may not while the loop runs."""
+    """Changes that are not allowed while the loop runs."""
     out = [
         f"[{section}] changed; it is taken up at a start only: end the run and start it again"
         for section in ("device", "role", "output", "realtime", "log", "control", "table")
@@ -245,11 +245,11 @@ def _plain(value: Any) -> Any:
 
 
 class ReloadReader:
-    """Reads again in a thread, one at a time; the supervisor goes on meanwhile.
+    """Reads again in a thread, one order at a time, while the supervisor goes on.
 
     Args:
-        setup: what is in force.
-        part: counts the faults that nobody foresaw.
+        setup: the setup in force.
+        part: counts the unforeseen faults.
     """
 
     def __init__(self, setup: Setup, part: DaemonPart) -> None:
@@ -257,33 +257,33 @@ class ReloadReader:
         self._results: queue.SimpleQueue[Reloaded | str] = queue.SimpleQueue()
         self.busy = False
         self._now: Now | None = None
-        self._sure = False
+        self._accepts_doubts = False
 
-    def begin(self, setup: Setup, now: Now | None = None, sure: bool = False) -> None:
+    def begin(self, setup: Setup, now: Now | None = None, accepts_doubts: bool = False) -> None:
         """Start reading; as for `read_again`.
 
         Raises:
-            OrderRefused: an earlier order is not done with.
+            OrderRefused: an earlier order is not finished.
         """
         if self.busy:
             raise OrderRefused("an earlier order to reload is not done with yet; wait for it")
-        self.busy, self._setup, self._now, self._sure = True, setup, now, sure
+        self.busy, self._setup, self._now, self._accepts_doubts = True, setup, now, accepts_doubts
         threading.Thread(target=self._work, name="rtec-read-again", daemon=True).start()
 
     def poll(self) -> Reloaded | str | None:
-        """Give what was read, or why not; None while there is nothing. `busy` stays until `done`."""
+        """The result, or the reason against it; None while there is none. `busy` stays True until `done`."""
         return None if self._results.empty() else self._results.get()
 
     def done(self) -> None:
-        """The loop has it, or it failed: the next may come."""
+        """Finish the order, after the loop has taken the result over or it failed: the next order may come."""
         self.busy = False
 
     def _work(self) -> None:
         try:
-            self._results.put(read_again(self._setup, self._now, self._sure))
+            self._results.put(read_again(self._setup, self._now, self._accepts_doubts))
         except RtecError as e:
             self._results.put(f"not reloaded, {STAYS}: {e}")
-        except Exception as e:  # noqa: BLE001 - whatever it is: the order is answered, and the next may come
+        except Exception as e:  # noqa: BLE001 - any fault answers the order, and the next may come
             self._part.failed(fault(e))
             self._results.put(f"not reloaded, {STAYS}: {fault(e)}")
 
@@ -295,14 +295,14 @@ class ReloadDesk:
     """One reload at a time.
 
     Args:
-        setup: what is in force.
-        memory: the loop's.
-        note: notes an event: ring, what, text, who.
+        setup: the setup in force.
+        memory: the loop's memory.
+        note: writes an event: ring, kind, text, who.
         part: counts the faults of reading.
 
     Attributes:
-        setup: what is in force now.
-        text: what came of the last order; "" before the first.
+        setup: the setup in force now.
+        text: result of the last order; "" before the first.
     """
 
     def __init__(self, setup: Setup, memory: MemoryState, note: Note, part: DaemonPart) -> None:
@@ -313,7 +313,7 @@ class ReloadDesk:
 
     @property
     def busy(self) -> bool:
-        """Is an order not done with yet?"""
+        """Is an order unfinished?"""
         return self._reader.busy
 
     def begin(self, samples: Samples | None = None, text: str = "") -> None:
@@ -321,7 +321,7 @@ class ReloadDesk:
 
         Args:
             samples: the loop's newest row; None: there is none.
-            text: of the order; `YES` takes also what differs much.
+            text: text of the order; `YES` confirms large changes, too.
         """
         now = None if samples is None else Now(samples, self._memory.newest())
         try:
@@ -330,23 +330,24 @@ class ReloadDesk:
             self.text = str(e)
 
     def send(self, ring: Ring, pipe: Connection) -> None:
-        """Hand what was read on to the loop."""
-        found = self._reader.poll()
-        if isinstance(found, str):
-            self._done(ring, found, "not reloaded")
-        elif found is not None and not found.changed:
+        """Send the result to the loop."""
+        outcome = self._reader.poll()
+        if isinstance(outcome, str):
+            self._done(ring, outcome, "not reloaded")
+        elif outcome is not None and not outcome.changed:
             self._done(ring, "reloaded: nothing changed", "reloaded")
-        elif found is not None:
-            self._coming = found
+        elif outcome is not None:
+            self._coming = outcome
             self._generation += 1
-            with suppress(BrokenPipeError, ConnectionResetError):  # the loop died; who waits for its end says so
-                pipe.send_bytes(found.message)
+            with suppress(BrokenPipeError, ConnectionResetError):  # the loop died; its end is reported elsewhere
+                pipe.send_bytes(outcome.message)
             ring.orders.reloads = self._generation
 
     def look(self, ring: Ring, disk: DiskThread) -> None:
-        """When the loop has it, it is in force, and a new file of the log begins behind the row in which it took it.
+        """When the loop has taken a reload over, put it in force; begin a new file of the log after that row.
 
-        Called between taking rows from the ring and handing them on: the loop tells before it publishes that row.
+        Called after rows are taken from the ring and before they are passed on: the loop reports before it publishes
+        the row.
         """
         if self._coming is None or abs(ring.reloads) != self._generation:
             return

@@ -7,20 +7,20 @@ of `Samples` and `Commands` as one array of `capacity` slots.
 
 No row is ever torn. The producer owns the slot of row `head` until `publish` moves `head`; so with head at h the
 rows h - capacity + 1 ... h - 1 are whole. The consumer copies rows, then reads `head` again and drops those that
-may have been overwritten meanwhile. Rows that it could not have are counted in `overruns`; the producer never waits.
+may have been overwritten meanwhile. Lost rows are counted in `overruns`; the producer never waits.
 
-The memory is a file in /dev/shm, which is what POSIX shared memory is on Linux, mapped directly:
-`multiprocessing.shared_memory` (before Python 3.13) hands every attached block to a resource tracker, which removes
-it when any one of the processes ends. Also its memory is not reserved, so that a full /dev/shm is a SIGBUS
-at some later write; here it is an error at creation.
+The memory is a file in /dev/shm, which is what POSIX shared memory is on Linux, mapped directly.
+`multiprocessing.shared_memory` (before Python 3.13) registers every attached block with a resource tracker, which
+removes it when any one of the processes ends. Nor does it reserve its memory, so a full /dev/shm is a SIGBUS at some
+later write; here it is an error at creation.
 
-Nothing leaks: the owner removes the name on leaving. A name left by a killed owner is found out by its lock, which
-the kernel releases with the process, and taken over by the next `create` of that name; where both sides are attached
-the owner may also call `unlink` at once, and then the memory goes with the last process, however that ends.
+Nothing leaks: the owner removes the name on leaving. The kernel releases the lock of a killed owner, so the next
+`create` of that name recognises the orphan and takes it over. Where both sides are attached, the owner may also call
+`unlink` at once; then the memory is freed with the last process, however that ends.
 
-`Note` is a short text in shared memory that one process writes now and then and another reads, neither waiting. The
-writer makes the version odd, writes, and makes it even again. A reader that meets an odd version, or another one behind
-its copy than before it, looks again a few times and then keeps what it had.
+`Note` is a short text in shared memory that one process writes now and then and another reads; neither waits. The
+writer makes the version odd, writes, and makes it even again. A reader that meets an odd version, or a version that
+changed during its copy, tries again a few times and then keeps its old copy.
 """
 
 import fcntl
@@ -48,7 +48,7 @@ _TRIES: Final = 5
 
 
 class Note:
-    """What the loop tells in words: by device, what is wrong now.
+    """The loop's note in words: present faults by device.
 
     Args:
         version: one int64 in shared memory.
@@ -59,10 +59,10 @@ class Note:
     def __init__(self, version: NDArray[np.int64], text: NDArray[np.uint8], barrier: Callable[[], None]) -> None:
         self._version, self._text, self._barrier = version, text, barrier
         self._written: Mapping[str, list[str]] = {}
-        self._seen, self._read = 0, dict[str, list[str]]()
+        self._read_version, self._read = 0, dict[str, list[str]]()
 
     def write(self, reasons: Mapping[str, list[str]]) -> None:
-        """Tell; what was told before is not written again, what is too long is cut."""
+        """Write the faults, where they have changed; a text that is too long is cut."""
         if reasons == self._written:
             return
         self._written = reasons
@@ -76,21 +76,21 @@ class Note:
         self._version[0] = version + 2
 
     def read(self) -> dict[str, list[str]]:
-        """What was told last."""
+        """The last note."""
         for _ in range(_TRIES):
             version = int(self._version[0])
-            if version == self._seen:
+            if version == self._read_version:
                 break
             self._barrier()
             data = self._text.tobytes()
             self._barrier()
             if version % 2 == 0 and int(self._version[0]) == version:
-                self._seen, self._read = version, _decoded(data)
+                self._read_version, self._read = version, _decoded(data)
         return self._read
 
 
 def _encoded(reasons: Mapping[str, list[str]]) -> bytes:
-    """JSON that fits; the texts are cut shorter until it does."""
+    """JSON that fits; the texts are shortened until it does."""
     most = _REASON_CHARACTERS
     while most:
         short = {name: [text[:most] for text in texts] for name, texts in reasons.items()}
@@ -102,8 +102,8 @@ def _encoded(reasons: Mapping[str, list[str]]) -> bytes:
 
 
 def _decoded(data: bytes) -> dict[str, list[str]]:
-    found: Any = json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")] or b"{}")
-    return {str(name): [str(text) for text in texts] for name, texts in found.items()}
+    reasons: Any = json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")] or b"{}")
+    return {str(name): [str(text) for text in texts] for name, texts in reasons.items()}
 
 
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
@@ -139,11 +139,11 @@ class Ring:
     """Single-producer single-consumer ring; make it with `create`, open it elsewhere with `attach`.
 
     Attributes:
-        name: what `attach` takes.
+        name: argument of `attach`.
         layout: names of axes and sensors.
         capacity: slots; at most capacity - 1 rows wait.
-        orders: what the consumer's side orders.
-        note: what the producer tells in words; None once closed.
+        orders: orders from the consumer's side.
+        note: the producer's note in words; None once closed.
     """
 
     head = _Word(_HEAD_AT, "Rows published so far; the number of the row that the producer owns.")
@@ -177,12 +177,12 @@ class Ring:
 
     @classmethod
     def create(cls, layout: Layout, capacity: int = 8192, name: str | None = None) -> Self:
-        """Make the memory, all zero, and own its name.
+        """Create the memory, all zero, and own its name.
 
         Args:
             layout: names of axes and sensors.
             capacity: slots, at least 2.
-            name: without a slash; a free one is chosen when None.
+            name: without a slash; None: a free one is chosen.
 
         Raises:
             RtecError: a living process owns that name, or there is no room in /dev/shm.
@@ -200,10 +200,10 @@ class Ring:
 
     @classmethod
     def attach(cls, name: str) -> Self:
-        """Open a ring that another process made.
+        """Open a ring that another process created.
 
         Raises:
-            RtecError: there is no ring of that name, or it is something else.
+            RtecError: no ring has that name, or the file is no ring.
         """
         path = _path(name)
         try:
@@ -219,21 +219,21 @@ class Ring:
 
     @cached_property
     def slots(self) -> list[tuple[Samples, Commands]]:
-        """One-row views of every slot; the first use makes them all (tens of ms), so use it before the loop starts."""
+        """One-row views of every slot; the first use makes them all (tens of ms), so call it before the loop starts."""
         return list(zip(self._samples.singles(), self._commands.singles(), strict=True))
 
     def slot(self, row: int) -> tuple[Samples, Commands]:
         """Views into the memory of a row; the producer fills *every* field of row `head`, then publishes it.
 
-        What stands there before is the row of `capacity` cycles ago.
+        Before that, it holds the row of `capacity` cycles ago.
         """
         return self.slots[row % self.capacity]
 
     def publish(self) -> int:
-        """Hand row `head` to the consumer; give the number of the next row."""
+        """Pass row `head` to the consumer; give the number of the next row."""
         self._published = row = self._published + 1
-        # The barriers (see `_barrier`; without its call here) keep the order row, head, next row in the eyes of
-        # other processors.
+        # The barriers (see `_barrier`; inline here to save its call) keep the order row, head, next row, as other
+        # processors see it.
         self._release()
         self._acquire()
         self._words[_HEAD_AT] = row
@@ -242,7 +242,7 @@ class Ring:
         return row
 
     def drain(self, max_rows: int = 1 << 30) -> tuple[Samples, Commands]:
-        """Copy and take up to `max_rows` of the oldest rows that are still whole; none is a block of 0 rows."""
+        """Copy and take up to `max_rows` of the oldest rows that are still whole; the block may have 0 rows."""
         head, tail = self.head, self.tail
         self._barrier()
         first = max(tail, head - self.capacity + 1)
@@ -258,17 +258,17 @@ class Ring:
         return samples.rows(whole - first, len(index)), commands.rows(whole - first, len(index))
 
     def unlink(self) -> None:
-        """Remove the name, once, by the owner; both sides keep the memory. Elsewhere and later it does nothing."""
+        """Remove the name; both sides keep the memory. Does nothing in another process, or a second time."""
         if self._owner_pid == os.getpid():
             self._owner_pid = None
             _path(self.name).unlink(missing_ok=True)
 
     def take_name(self) -> None:
-        """Remove the name though another process owns it: it is not needed any more, and its owner may be killed."""
+        """Remove the name though another process owns it: it is no longer needed, and its owner may be killed."""
         _path(self.name).unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Let go of the memory, which stays mapped until the last view of it is gone; the owner removes the name."""
+        """Release the memory, which stays mapped until the last view of it is gone; the owner removes the name."""
         self.unlink()
         if self._fd >= 0:
             os.close(self._fd)
@@ -287,13 +287,13 @@ class Ring:
         self.close()
 
     def _barrier(self) -> None:
-        """Full memory barrier: releasing, then taking a lock. x86 orders stores by itself, ARM does not."""
+        """Full memory barrier: release, then take a lock. x86 orders stores by itself, ARM does not."""
         self._release()
         self._acquire()
 
 
 def _plan(layout: Layout, capacity: int) -> tuple[list[tuple[Field, int]], int]:
-    """Offset of every field and the size of it all, bytes."""
+    """Offset of every field and the total size, bytes."""
     at, offsets = _aligned(_NAMES_OFFSET + len(_names(layout))), []
     for field in (*Samples.fields_of(layout), *Commands.fields_of(layout)):
         offsets.append((field, at))
@@ -322,7 +322,7 @@ def _path(name: str) -> Path:
 
 
 def _create_file(path: Path, size: int) -> int:
-    """A new locked file of that many zeros, in place of one whose owner is dead."""
+    """A new locked file of that many zeros; replaces one whose owner is dead."""
     _remove_dead(path)
     try:
         fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
@@ -339,7 +339,7 @@ def _create_file(path: Path, size: int) -> int:
 
 
 def _remove_orphans() -> None:
-    """Remove rings of this user whose owner was killed before anybody else had them."""
+    """Remove rings of this user whose owner was killed before another process attached."""
     for path in _SHM.glob("rtec-*-*"):
         pid = path.name.split("-")[1]
         if pid.isdigit() and not Path("/proc", pid).exists():
@@ -348,7 +348,7 @@ def _remove_orphans() -> None:
 
 
 def _remove_dead(path: Path) -> None:
-    """Remove a ring whose owner was killed; its lock is free then."""
+    """Remove a ring whose owner was killed; its lock is then free."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -357,7 +357,7 @@ def _remove_dead(path: Path) -> None:
         raise RtecError(f"ring {path}: cannot be opened: {error.strerror}") from error
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Somebody else may have replaced the file between the two calls above.
+        # Another process may have replaced the file between the two calls above.
         if path.exists() and os.path.samestat(os.fstat(fd), path.stat()):
             path.unlink()
     except BlockingIOError as error:

@@ -1,7 +1,7 @@
-"""The logs of a running daemon: where they go, what each file's header says, when a new one begins and old ones go.
+"""The logs of a running daemon: their folder, each file's header, the start of a new file, the removal of old ones.
 
-`Keeper` is called from the thread that writes the log. Nothing in it waits: a new file is ordered (`Recording.cut`),
-and the process that packs and removes (`rtec.log.tidy`) is only started and looked at.
+The thread that writes the log calls `Keeper`. It never waits: it orders a new file (`Recording.cut`), and starts and
+polls the process that packs and removes (`rtec.log.tidy`).
 """
 
 import json
@@ -25,27 +25,27 @@ from rtec.loop.state import Saved
 
 LOOK_NS: Final = 1_000_000_000
 TIDY_NS: Final = 60_000_000_000
-"""The first time so long after the start, which has better to do; then as often, where there is something new."""
+"""Wait for the first time after the start, and between two times, ns; it runs only where there are new files."""
 TIDY_ANYWAY_NS: Final = 3600_000_000_000
 STEP_NS: Final = 500_000_000
 END_S: Final = 2.0
 
 Tell = Callable[[str, str], None]
-"""Told what happened, in a word and in a sentence; stands in the events."""
+"""Called with a kind of event and a sentence; both are written to the events."""
 
 
 class Keeper:
-    """For the logs in one folder.
+    """Splits, packs and removes the logs in one folder.
 
     Args:
-        folder: of the logs; a file elsewhere is left as it is.
-        rules: of the run file.
+        folder: folder of the logs; a file elsewhere is never changed.
+        rules: the run file's rules.
         clock: monotonic.
-        tell: for the events.
+        tell: writes an event.
         clocks: gives monotonic and wall clock at one instant, ns.
 
     Attributes:
-        trouble: why logs are not packed or removed; "" where they are.
+        trouble: why logs are not packed or removed; "" where there is no fault.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Keeper:
         self._known: frozenset[Path] = frozenset()
 
     def look(self, recording: Recording, newest: Callable[[], Saved | None]) -> None:
-        """Order a new file, or start tidying, where it is time."""
+        """Order a new file, or start packing and removing, where it is time."""
         now = self._clock.now_ns()
         if now < self._next_look_ns or recording.path is None or recording.path.parent != self._folder:
             return
@@ -79,7 +79,7 @@ class Keeper:
         self._tidy(recording.path, now)
 
     def close(self) -> None:
-        """End the process that tidies; it is taken up again in the next run."""
+        """End the process that packs and removes; the next run goes on with its work."""
         tidier, self._tidier = self._tidier, None
         if tidier is None:
             return
@@ -130,14 +130,14 @@ class Keeper:
         self._start()
 
     def _start(self) -> None:
-        wanted = "pack" if self._rules.pack else "leave"
+        how = "pack" if self._rules.pack else "leave"
         command = [
             sys.executable,
             "-m",
             "rtec.log.tidy",
             str(self._folder),
             str(self._rules.disk_share),
-            wanted,
+            how,
         ]
         try:
             self._tidier = Popen(  # noqa: S603 (our own module)
@@ -149,8 +149,8 @@ class Keeper:
     def _take_in(self, ended: "Popen[bytes]") -> None:
         out, err = ended.communicate()
         try:
-            found = json.loads(out)
-            troubles, removed = [str(t) for t in found["troubles"]], [str(r) for r in found["removed"]]
+            result = json.loads(out)
+            troubles, removed = [str(t) for t in result["troubles"]], [str(r) for r in result["removed"]]
         except (ValueError, KeyError, TypeError):
             last = (err.decode(errors="replace").strip().splitlines() or [f"status {ended.returncode}"])[-1]
             troubles, removed = [f"tidying the logs failed: {last}"], []
@@ -160,7 +160,7 @@ class Keeper:
 
 
 def log_folder(setup: Setup) -> Path | None:
-    """Folder of the logs of a run file, else the one that systemd gives (LOGS_DIRECTORY); None: no log is asked for."""
+    """Log folder of a run file, else the one that systemd gives (LOGS_DIRECTORY); None: no log."""
     folder = setup.file.run.log_folder
     if folder is None:
         given = os.environ.get("LOGS_DIRECTORY", "").split(":", maxsplit=1)[0]
@@ -169,10 +169,10 @@ def log_folder(setup: Setup) -> Path | None:
 
 
 def new_log_path(setup: Setup) -> Path | None:
-    """Name of the log of a run that starts now: by number, date and time, in the run file's log folder.
+    """Path of the log of a run that starts now: number, date and time, in the run file's log folder.
 
     Raises:
-        LogError: the folder cannot be made.
+        LogError: the folder cannot be created.
     """
     folder = log_folder(setup)
     if folder is None:
@@ -188,14 +188,14 @@ def new_log(path: Path, setup: Setup, layout: Layout, clock: Clock, begin: Mappi
     """Begin a file of the log.
 
     Args:
-        path: of the file.
-        setup: what is in force.
+        path: path of the file.
+        setup: the setup in force.
         layout: axes and sensors.
-        clock: monotonic; its relation to date and time stands in the header.
-        begin: what else the header says: everything that the step remembers.
+        clock: monotonic; the header has its relation to date and time.
+        begin: further entries of the header: the step's whole memory.
 
     Raises:
-        LogError: the file cannot be made.
+        LogError: the file cannot be created.
     """
     header = {
         **setup.log_header(),

@@ -1,8 +1,8 @@
-"""The sign check: one axis is moved by a step of known size, on purpose, so that an indicator shows the sign.
+"""The sign check: it deliberately moves one axis by a known step, so that an indicator shows the sign.
 
-Instead of the model of the run file a model of one constant is in force: "this axis stands 20 µm too low" asks for
-+20 µm. It goes the way of every correction, through guard, ledger and actuator, so the limits of the run file hold.
-The run begins with the way to nothing, wherever the run before ended, and ends with it.
+A model of one constant replaces the run file's model: "this axis is 20 µm too low" requests +20 µm. The request passes
+guard, ledger and actuator like every correction, so the limits of the run file hold. The run begins with a return to
+zero, wherever the run before ended, and ends with one.
 """
 
 import math
@@ -27,19 +27,19 @@ _STEP: Final = re.compile(r"\s*(\w+)\s*=\s*([+-]?\d+(?:\.\d*)?|[+-]?\.\d+)\s*(?:
 
 
 def step_of(text: str) -> dict[str, float]:
-    """Axis and size, µm, of a step in words: `X=20um`, `Z=-5`.
+    """Axis and size, µm, of a step in words, such as `X=20um` or `Z=-5`.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: the text is not a step.
     """
-    found = _STEP.fullmatch(text)
-    if found is None:
+    match = _STEP.fullmatch(text)
+    if match is None:
         raise ConfigError(f"--step {text!r}: give an axis and micrometres, as X=20um or X=-20um")
-    return {found[1]: float(found[2])}
+    return {match[1]: float(match[2])}
 
 
 def load_stepped(path: Path, step_um: Mapping[str, float]) -> Setup:
-    """Read a run file; with a step of one axis its model is not read, and need not be there yet.
+    """Read a run file; with a step of one axis its model is not read, and need not exist yet.
 
     Raises:
         RtecError: as `rtec.loop.run_file.load_setup` and `with_step`.
@@ -48,20 +48,20 @@ def load_stepped(path: Path, step_um: Mapping[str, float]) -> Setup:
 
 
 def with_step(setup: Setup, step_um: Mapping[str, float]) -> Setup:
-    """Give the setup with a step of one axis in place of its model; without a step, the setup as it is.
+    """The setup with a step of one axis in place of its model; without a step, the setup unchanged.
 
     Args:
-        setup: an ordinary one.
-        step_um: µm by axis, positive where the axis itself counts up.
+        setup: an ordinary setup.
+        step_um: µm by axis, positive where the axis counts up.
 
     Raises:
-        ConfigError: no such axis, one that is not compensated, nothing to move, or more than its stop limit.
+        ConfigError: the axis is unknown or not compensated, or the step is zero or more than its stop limit.
     """
     if not step_um:
         return setup
     for axis, um in step_um.items():
         _check(setup, axis, um)
-    # Other than the file's mode: after a kill the next ordinary run then begins as its run file says.
+    # Differs from the file's mode: after a kill the next ordinary run then begins with its run file's mode.
     mode = "off" if setup.file.run.mode != "off" else "hold"
     file = setup.file.model_copy(update={"run": setup.file.run.model_copy(update={"mode": mode})})
     return replace(setup, file=file, model=_model(setup.model, step_um), step_um=dict(step_um))
@@ -92,16 +92,16 @@ def _model(model: Model, step_um: Mapping[str, float]) -> Model:
 
 
 class StepOrders:
-    """Gives the orders of a sign check: to nothing, then the step, at the end to nothing again.
+    """Gives the orders of a sign check: to zero, then the step, at the end to zero again.
 
-    In an ordinary run it gives none, and the run may end at once.
+    In an ordinary run it gives none, and the run may end at any time.
 
     Args:
-        setup: what runs.
+        setup: the running setup.
         clock: monotonic.
 
     Attributes:
-        lasts_s: after so long the way back begins by itself; None: it does not.
+        lasts_s: time, s, after which the return to zero begins by itself; None: never.
     """
 
     def __init__(self, setup: Setup, clock: Clock) -> None:
@@ -111,7 +111,7 @@ class StepOrders:
         self.lasts_s: float | None = None
 
     def look(self, orders: OrderWords, status: Status, ending: bool) -> bool:
-        """Order what comes next; whether the run may end now. Called some 50 times a second."""
+        """Give the next order; return whether the run may end now. Called some 50 times a second."""
         if not self._setup.step_um:
             return ending
         ending = ending or (self.lasts_s is not None and status.time_s >= self.lasts_s)
@@ -125,12 +125,12 @@ class StepOrders:
         return False
 
     def trouble(self, status: Status) -> str:
-        """What the end of the run left undone; "" where nothing."""
-        left = [f"{axis} {um:+.2f} µm" for axis, um in status.applied_um.items() if um and self._setup.step_um]
-        return f"the way back to nothing was not finished, and is held at {', '.join(left)}" if left else ""
+        """What the run did not finish; "" where it finished everything."""
+        held = [f"{axis} {um:+.2f} µm" for axis, um in status.applied_um.items() if um and self._setup.step_um]
+        return f"the way back to nothing was not finished, and is held at {', '.join(held)}" if held else ""
 
     def _too_late(self) -> bool:
-        """Something holds the correction where it is: the run ends all the same."""
+        """The correction is held, so zero cannot be reached: the run ends all the same."""
         if self._last_ns is None:
             limits = self._setup.file.limits.values()
             longest_s = max(2.0 * (x.stop_um / x.slew_um_s + x.slew_um_s / x.acceleration_um_s2) for x in limits)

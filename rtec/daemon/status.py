@@ -1,7 +1,7 @@
-"""What a run reports of itself: while it goes on (`Status`), at its end (`Report`), each alarm as an event (`Alarms`).
+"""Reports of a run: while it goes on (`Status`), at its end (`Report`), each alarm as an event (`Alarms`).
 
-`RowWatch` makes the status of the rows that pass, and remembers what the whole run came to. A status says what is
-wrong now; whoever comes in the morning finds in the events what was wrong in the night, from when to when.
+`RowWatch` makes the status from the rows that pass, and accumulates the report of the whole run. A status has the
+present faults; the events have the earlier ones, such as those of the night, with begin and end.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from rtec.loop.records import MODES_BY_NAME, Commands, Layout, Samples
 
 @dataclass
 class Status:
-    """The newest row in words, and what the loop tells beside it.
+    """The newest row in words, with the loop's other figures.
 
     Attributes:
         time_s: since the first row.
@@ -30,16 +30,16 @@ class Status:
         flags: bits of `Flag`.
         degc, degc_age_s: by sensor name.
         spindle_rpm: NaN where it is not known.
-        devices: by device, what is wrong now; a device without a fault is not there.
-        takeovers: orders to resume that were carried out.
-        reload: what came of the last order to reload; "" before the first.
-        reloads: reloads that the loop has taken over.
-        log: what goes on with the log; "" where all is well.
-        overruns: rows so far that are in no log: the ring was full, or the disk.
-        faults: how often a part of the daemon (a thread, a worker) failed and was begun again, by part.
-        kept_mode: mode of the state on disk, which a power cut leaves; "" where it is not there (yet), None where
-            no folder is named for it.
-        parts: by part, why it does not work now; a part that is well is not there.
+        devices: present faults by device; only devices with a fault.
+        takeovers: number of orders to resume that were carried out.
+        reload: result of the last order to reload; "" before the first.
+        reloads: number of reloads that the loop has taken over.
+        log: present fault of the log; "" where there is none.
+        overruns: number of rows that are in no log: the ring was full, or the disk.
+        faults: how often a part of the daemon (a thread, a worker) failed and was restarted, by part.
+        kept_mode: mode of the state on disk, which survives a power cut; "" where there is none (yet), None where the
+            run file names no folder for it.
+        parts: present faults by part of the daemon; only parts with a fault.
     """
 
     time_s: float = 0.0
@@ -68,20 +68,20 @@ class Status:
 
     @property
     def reasons(self) -> list[str]:
-        """Why the correction is not simply the requested one."""
+        """Why the applied correction is not the requested one."""
         return [text for flag, text in REASONS.items() if flag in self.flags]
 
 
 @dataclass
 class Report:
-    """What a run came to.
+    """Result of a run.
 
     Attributes:
-        summary: the fast path's own figures.
-        warnings: what the system did not grant, and what went wrong with the log.
-        log: where the log is.
+        summary: the fast path's figures.
+        warnings: what the system refused, and faults of the log.
+        log: path of the log.
         overruns: rows that did not reach the log.
-        interrupted: ended by a signal.
+        interrupted: did a signal end it?
         status: the last row.
         flags_seen: share of cycles that carried each flag, by the flag's name.
         largest_um: largest applied correction by axis.
@@ -102,11 +102,11 @@ MODE_NAMES: Final = {number: name for name, number in MODES_BY_NAME.items()}
 
 
 class RowWatch:
-    """Looks at rows.
+    """Accumulates status and report from the rows.
 
     Attributes:
         status: of the newest row.
-        rows: seen so far.
+        rows: number of rows so far.
         largest_um: largest applied correction so far, by axis.
         newest: the newest row; None before the first.
     """
@@ -120,7 +120,7 @@ class RowWatch:
         self._passed = Flag(0)
 
     def look(self, samples: Samples, commands: Commands, ring: Ring) -> None:
-        """Take rows in, at least one."""
+        """Add rows, at least one."""
         if self._first_ns is None:
             self._first_ns = int(samples.time_ns[0])
         self.rows += len(samples)
@@ -153,13 +153,13 @@ class RowWatch:
         )
 
     def take_passed(self) -> Flag:
-        """Give the flags of all rows since this was asked the last time."""
+        """Flags of all rows since the last call."""
         passed, self._passed = self._passed, Flag(0)
         return passed
 
     @property
     def largest_um(self) -> dict[str, float]:
-        """By axis."""
+        """Largest applied correction so far, µm, by axis."""
         return dict(zip(self.layout.axes, self._largest.tolist(), strict=True))
 
     @property
@@ -173,11 +173,11 @@ class RowWatch:
 
 
 ORDERED: Final = Flag.ORDERED_HOLD | Flag.ORDERED_OFF | Flag.FADING
-"""Somebody ordered it, which is an event of its own; or it follows from another one."""
+"""Flags without an alarm: ordered, which is an event of its own, or a consequence of another flag."""
 START_NS: Final = 10_000_000_000
-"""So long may slow devices take for their first reading."""
+"""Time, ns, that slow devices may take for their first reading."""
 QUIET_NS: Final = 10_000_000_000
-"""What comes again within this time is one alarm."""
+"""A fault that returns within this time, ns, is the same alarm."""
 
 Tell = Callable[[str, str], None]
 
@@ -190,10 +190,10 @@ class _Alarm:
 
 
 class Alarms:
-    """Tells of each alarm when it begins, and when it has been over for some seconds.
+    """Reports each alarm when it begins, and when it has been over for some seconds.
 
     Args:
-        tell: told the kind of event, "alarm" or "alarm over", and a text.
+        tell: called with the kind of event, "alarm" or "alarm over", and a text.
     """
 
     def __init__(self, tell: Tell) -> None:
@@ -202,12 +202,12 @@ class Alarms:
         self._first_ns: int | None = None
 
     def look(self, now_ns: int, passed: Flag, devices: Mapping[str, Sequence[str]]) -> None:
-        """Look at what is wrong.
+        """Begin and end alarms.
 
         Args:
             now_ns: monotonic.
             passed: flags of any of the rows since the last look.
-            devices: what is wrong now, by device.
+            devices: present faults, by device.
         """
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         if now_ns - self._first_ns < START_NS:
@@ -226,6 +226,6 @@ class Alarms:
 
 
 def _wrong(flags: Flag, devices: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Texts by what they are of: a device's reason may tell a time that grows, and is one alarm all the same."""
+    """Texts by device and role: a text with a growing time is still one alarm."""
     out = {f"flag {flag.name}": text for flag, text in REASONS.items() if flag in flags}
     return out | {f"device {name}": f"device {name}: {'; '.join(texts)}" for name, texts in devices.items()}

@@ -1,10 +1,10 @@
-"""What keeps the parts of the daemon alive: one mechanism for every thread, process and job that can fail by itself.
+"""Supervision of the daemon's parts: one mechanism for every thread, process and job that can fail by itself.
 
-A part that fails is reported (an event, so also a line in the journal), counted (`Status.faults`, Prometheus) and begun
-again after a wait that doubles from half a second to half a minute. A minute without a fault begins a new series.
+A part that fails is reported (an event, so also a line in the journal), counted (`Status.faults`, Prometheus) and
+restarted after a wait that doubles from half a second to half a minute. A minute without a fault begins a new series.
 
 A part that fails `LOST_AFTER` times in a row is lost. Where the daemon must not correct without it (`essential`), the
-supervisor orders a hold and asks the service manager to restart the daemon. The part is tried again all the same.
+supervisor orders a hold and asks the service manager to restart the daemon. The part is still restarted.
 """
 
 import threading
@@ -20,23 +20,23 @@ from rtec.loop.orders import LONGEST_TEXT
 FIRST_WAIT_NS: Final = 500_000_000
 LONGEST_WAIT_NS: Final = 30_000_000_000
 WELL_NS: Final = 60_000_000_000
-"""A part that has gone on for so long is well again: the next fault is the first of a series."""
+"""A part that has run for this time, ns, has recovered: its next fault is the first of a series."""
 LOST_AFTER: Final = 6
-"""Faults in a row, some 30 s from the first to the last where the part fails at once each time."""
+"""Faults in a row; some 30 s from the first to the last where the part fails at once each time."""
 FRAMES: Final = 3
 
 Report = Callable[[str], None]
-"""Told a sentence; from any thread, waits for nothing."""
+"""Called with a sentence, from any thread; does not wait."""
 
 
 class DaemonPart:
-    """One part: counts its faults, and says when it may begin again. Made by `Parts.add`.
+    """One part: counts its faults, and times its restarts. Made by `DaemonParts.add`.
 
     Attributes:
-        name: of the part, as in the status.
+        name: name of the part in the status.
         essential: the daemon must not correct without it.
         faults: how often it failed.
-        report: puts a sentence about it into the events; from any thread.
+        report: writes a sentence about it to the events; from any thread.
     """
 
     def __init__(self, name: str, clock: Clock, report: Report, essential: bool = False) -> None:
@@ -46,26 +46,26 @@ class DaemonPart:
 
     @property
     def due(self) -> bool:
-        """May it begin (again)?"""
+        """May it (re)start now?"""
         return self.wait_s <= 0
 
     @property
     def wait_s(self) -> float:
-        """How long it still waits before it begins again, s."""
+        """Time until its restart, s."""
         return max(0, self._failed_ns + self._wait_ns - self._clock.now_ns()) * 1e-9 if self._in_a_row else 0.0
 
     @property
     def lost(self) -> bool:
-        """Has it failed too often in a row to be counted on?"""
+        """Has it failed too often in a row?"""
         return self._in_a_row >= LOST_AFTER and not self._well
 
     @property
     def trouble(self) -> str:
-        """Why it does not work now; "" where it works."""
+        """Its present fault; "" where there is none."""
         return self._why if self.lost or not self.due else ""
 
     def failed(self, why: str, again: str = "begun again") -> str:
-        """Count a fault, report it with the wait that follows; give what was reported.
+        """Count a fault and report it with the wait that follows; give the reported text.
 
         Args:
             why: in words.
@@ -83,17 +83,17 @@ class DaemonPart:
         return text
 
     def keep(self, work: Callable[[], None], stop: threading.Event) -> None:
-        """Do some work until it returns; begin it again after each exception.
+        """Run work until it returns; restart it after each exception.
 
         Args:
-            work: begins anew each time from what it keeps outside; looks at `stop` by itself.
-            stop: set: it is begun once more at most, to end in order.
+            work: each call starts from the state that it keeps outside; it checks `stop` itself.
+            stop: once set, work is restarted once more at most, to end in order.
         """
         while True:
             last = stop.is_set()
             try:
                 work()
-            except Exception as e:  # noqa: BLE001 - whatever it is: the part lives, and says so
+            except Exception as e:  # noqa: BLE001 - any fault is reported, and the part is restarted
                 self.failed(fault(e))
             else:
                 return
@@ -107,11 +107,11 @@ class DaemonPart:
 
 
 class KeptThread:
-    """A thread that begins its work again when that failed.
+    """A thread that restarts its work when that fails.
 
     Args:
         part: counts its faults.
-        work: as for `Part.keep`.
+        work: as for `DaemonPart.keep`.
 
     Attributes:
         stop: set by `end`.
@@ -124,11 +124,11 @@ class KeptThread:
         )
 
     def start(self) -> None:
-        """Start it."""
+        """Start the thread."""
         self._thread.start()
 
     def end(self, timeout_s: float) -> bool:
-        """Ask it to end; say whether it did within so long."""
+        """Ask it to end; return whether it did within the time."""
         self.stop.set()
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
@@ -140,7 +140,7 @@ class DaemonParts:
 
     Args:
         clock: monotonic.
-        tell: puts a fault into the events: kind of event, text; from any thread.
+        tell: writes a fault to the events: kind of event, text; from any thread.
     """
 
     def __init__(self, clock: Clock, tell: Callable[[str, str], None]) -> None:
@@ -149,10 +149,10 @@ class DaemonParts:
         self._shown: list[DaemonPart] = []
 
     def add(self, name: str, essential: bool = False, device: bool = False) -> DaemonPart:
-        """Give a new part.
+        """Add a part.
 
         Args:
-            name: of the part, for people: "disk", "control".
+            name: name of the part, for people: "disk", "control".
             essential: the daemon must not correct without it.
             device: the worker of a device, whose trouble is in `Status.devices`.
         """
@@ -171,22 +171,22 @@ class DaemonParts:
 
     @property
     def faults(self) -> dict[str, int]:
-        """How often each part failed, of those that did."""
+        """Number of failures by part, of the parts that failed."""
         return {name: part.faults for name, part in list(self._parts.items()) if part.faults}
 
     @property
     def troubles(self) -> dict[str, str]:
-        """Why a part does not work now, by part; without the devices' workers."""
+        """Present faults by part; without the devices' workers."""
         return {part.name: text for part in list(self._shown) if (text := part.trouble)}
 
     @property
     def lost(self) -> list[str]:
-        """Essential parts that cannot be counted on."""
+        """Essential parts that are lost."""
         return [name for name, part in list(self._parts.items()) if part.essential and part.lost]
 
 
 def fault(error: Exception) -> str:
-    """An exception in a sentence: what a user can mend as it stands; else what it is, and where it came from."""
+    """An exception in a sentence: a user's own error as it is; else its kind, and where it occurred."""
     if isinstance(error, RtecError):
         return str(error)
     frames = traceback.extract_tb(error.__traceback__)[-FRAMES:]

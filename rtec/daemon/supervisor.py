@@ -1,7 +1,7 @@
-"""The supervisor: starts the fast path, drains its ring, hands orders on, shows what goes on, ends it in order.
+"""The supervisor: starts the fast path, drains its ring, passes orders on, shows the status, ends it in order.
 
-It is a process beside the loop's. What it writes to disk a thread of its own writes (`rtec.daemon.disk`), so
-that neither the loop nor an operator's order waits for a disk.
+It is a process beside the loop's. A thread of its own writes to the disk (`rtec.daemon.disk`), so that neither the
+loop nor an operator's order waits for a disk.
 """
 
 import os
@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any, Final
 
 from rtec.daemon.disk import MOST_SECONDS, DiskThread
-from rtec.daemon.fastpath import Orders, fast_path
+from rtec.daemon.fastpath import LoopTask, fast_path
 from rtec.daemon.process import Notifier, child_context, signals, signals_wait
 from rtec.daemon.reload import ReloadDesk
 from rtec.daemon.ring import Ring
@@ -41,7 +41,7 @@ __all__ = ["Report", "Status", "Supervisor"]
 DRAIN_PERIOD_NS: Final = 20_000_000
 STOP_TIMEOUT_S: Final = 5.0
 RING_SECONDS: Final = 6.0
-"""So long may the supervisor stand still before rows are lost."""
+"""The supervisor may stop for this long before rows are lost."""
 
 DELETED: Final = (
     "somebody deleted {}, the state in memory: the run goes on, but if it is killed now, ledger and mode are known "
@@ -54,21 +54,21 @@ Rows = Callable[[Samples, Commands], None]
 class Supervisor:
     """Runs a setup on the real clock.
 
-    The signals INT and TERM end the run in order; so does HUP, the end of the terminal, but where a service manager
-    looks after the daemon it is the order to reload. USR1 is the operator's order to resume.
+    The signals INT and TERM end the run in order. So does HUP, the end of the terminal; under a service manager HUP is
+    the order to reload. USR1 is the operator's order to resume.
 
     Args:
-        setup: what runs.
+        setup: the setup to run.
         log_path: a new file, the first of this run's log; None: no log.
-        on_status: told the newest status some 50 times a second, in the supervisor's thread: the place to look at
-            sockets, too.
-        on_start: told when the loop begins.
-        on_rows: told every row that passes.
-        on_event: told every event, from any thread; does not wait.
-        forks: the loop and its workers begin as copies of this process, as `rtec.daemon.process.child_context` has it.
+        on_status: called with the newest status some 50 times a second, in the supervisor's thread: sockets may be
+            polled in it, too.
+        on_start: called when the loop begins.
+        on_rows: called with every row that passes.
+        on_event: called with every event, from any thread; must not wait.
+        forks: loop and workers begin as copies of this process; see `rtec.daemon.process.child_context`.
 
     Attributes:
-        parts: of the daemon, kept alive (`rtec.daemon.supervision`); whoever runs a thread in this process adds one.
+        parts: parts of the daemon (`rtec.daemon.supervision`); code that runs a thread in this process adds one.
     """
 
     def __init__(
@@ -102,19 +102,19 @@ class Supervisor:
         self._disk_state = None if disk is None else DiskState(disk)
         self._reload = ReloadDesk(setup, self._memory, self._note, self.parts.add("reload"))
         self._step_orders = StepOrders(setup, self._clock)
-        self._interrupted, self._ended, self._at_once = False, False, False
+        self._interrupted, self._ended, self._ends_at_once = False, False, False
         self._disk: DiskThread | None = None
         self._held_without: list[str] = []
         self._flush_ns, self._deleted = 0, False
 
     @property
     def setup(self) -> Setup:
-        """What is in force: the newest that the loop has taken over."""
+        """The setup in force: the newest one that the loop has taken over."""
         return self._reload.setup
 
     @property
     def status(self) -> Status:
-        """Of the newest row."""
+        """Status of the newest row."""
         disk = self._disk
         status = replace(
             self._watch.status, reload=self._reload.text, faults=self.parts.faults, parts=self.parts.troubles
@@ -125,14 +125,14 @@ class Supervisor:
         return replace(status, log=disk.trouble, overruns=status.overruns + disk.missed, kept_mode=kept)
 
     def order(self, order: Order, text: str = "", who: str = "local") -> str:
-        """Order something, from any thread; give an answer in words. Carried out within some 20 ms, while it runs.
+        """Give an order, from any thread; return an answer in words. A running loop carries it out within some 20 ms.
 
-        What comes of RELOAD stands in the status (`reload`) when it is done; of RESUME, in `takeovers` and `devices`.
+        When it is done, the status has the result of RELOAD in `reload`, of RESUME in `takeovers` and `devices`.
 
         Args:
-            order: what.
-            text: what stands in the events with it; a mark needs one.
-            who: on whose behalf.
+            order: the order.
+            text: text of the order's event; a mark needs one.
+            who: the user who gives it.
 
         Raises:
             OrderRefused: it cannot be carried out now.
@@ -150,11 +150,11 @@ class Supervisor:
         self.order(Order.RESUME)
 
     def note(self, what: str, text: str) -> None:
-        """Put something that rtec saw itself into the events; from any thread."""
+        """Write an event that rtec itself observed; from any thread."""
         self._keep(Event(self._watch.rows - 1, self._watch.status.time_ns, wall_clock_iso(), what, text, "rtec"))
 
     def recent_events(self, most: int) -> tuple[int, list[Event]]:
-        """How many events there were, and the newest of them; from any thread."""
+        """The number of events so far, and the newest of them; from any thread."""
         return self.events.total, list(self.events.newest)[-most:]
 
     def end(self) -> None:
@@ -162,11 +162,11 @@ class Supervisor:
         self._ended = True
 
     def run(self, duration_s: float | None, beside: AbstractContextManager[object] | None = None) -> Report:
-        """Run for so long, or until a signal. A sign check lasts longer by its way back.
+        """Run for that time, or until a signal. A sign check lasts longer by its return to zero.
 
         Args:
-            duration_s: how long, s; None: until a signal.
-            beside: what starts threads; entered after the loop's process has started, left before that has ended.
+            duration_s: duration, s; None: until a signal.
+            beside: context that starts threads; entered after the loop's process has started, left before it has ended.
 
         Raises:
             RtecError: another daemon keeps its state in the same file; the fast path could not start, or died.
@@ -190,8 +190,8 @@ class Supervisor:
         with signals(self._on_signal), workers, Ring.create(self.layout, capacity) as ring:
             ring.orders.mode = MODES_BY_NAME[self.setup.file.run.mode]
             here, there = context.Pipe()
-            told = Orders(self.setup.path, ring.name, cycles, self._places, workers.memories, self.setup.step_um)
-            process = context.Process(target=fast_path, args=(told, there), name="rtec-loop", daemon=True)
+            task = LoopTask(self.setup.path, ring.name, cycles, self._places, workers.memories, self.setup.step_um)
+            process = context.Process(target=fast_path, args=(task, there), name="rtec-loop", daemon=True)
             with signals_wait():
                 process.start()
             there.close()
@@ -209,7 +209,7 @@ class Supervisor:
         while not pipe.poll(DRAIN_PERIOD_NS * 1e-9) and process.is_alive():
             workers.look(again=False)
         ready = self._receive(pipe, process)
-        ring.unlink()  # both sides have it: now it goes with the last of them, however that ends
+        ring.unlink()  # both sides have it: it is now freed with the last of them, however that ends
         self.warnings += ready["warnings"]
         self._recording.begin(Begin.at_start(ready["output"], ready["state"]))
         with self._to_disk() as disk, self._tables_kept(ring):
@@ -218,12 +218,12 @@ class Supervisor:
             self._notifier.stopping()
             try:
                 summary = self._receive(pipe, process)
-            finally:  # the last rows before the loop died are those that somebody will want to see
+            finally:  # the last rows before the loop died are the most interesting ones
                 while self._drain(ring, disk):
                     pass
-        self._tidy(ready["one_way"])
-        if left := self._step_orders.trouble(self.status):
-            self.warnings.append(left)
+        self._remove_state(ready["one_way"])
+        if unfinished := self._step_orders.trouble(self.status):
+            self.warnings.append(unfinished)
         return Report(
             summary=summary,
             warnings=self.warnings,
@@ -244,7 +244,7 @@ class Supervisor:
             workers.look()
             self._carry_out(ring)
             ending = self._interrupted or self._ended
-            if self._step_orders.look(ring.orders, self._watch.status, ending) or self._at_once:
+            if self._step_orders.look(ring.orders, self._watch.status, ending) or self._ends_at_once:
                 ring.stop_requested = 1
             self._reload.send(ring, pipe)
             self._drain(ring, disk)
@@ -306,7 +306,7 @@ class Supervisor:
             self._disk.event(self.events, event)
 
     def _tell_what_is_wrong(self, now_ns: int) -> None:
-        """Into the events, when it happens: nobody reads the summary at the end of a run of weeks."""
+        """Write faults to the events when they occur: nobody reads the summary at the end of a run of weeks."""
         if self._memory.deleted and not self._deleted:
             self._deleted = True
             self.warnings.append(DELETED.format(self._memory.path))
@@ -316,15 +316,15 @@ class Supervisor:
         self._alarms.look(now_ns, self._watch.take_passed(), self._watch.status.devices)
 
     def _hold_without(self, lost: list[str]) -> None:
-        """Hold, once for each, where a part is lost that the daemon must not correct without; ask for a restart."""
+        """Hold, once for each lost part that the daemon must not correct without; ask for a restart."""
         if new := [name for name in lost if name not in self._held_without]:
             self._orders.put((Order.HOLD, f"rtec does not correct without: {', '.join(new)}", "rtec"))
         self._held_without = lost
         if lost:
             self._notifier.lost()
 
-    def _tidy(self, one_way: bool) -> None:
-        """The run ended in order, and what the memory held is on disk, or the actuator knows it: nobody needs it."""
+    def _remove_state(self, one_way: bool) -> None:
+        """Remove the state in memory: after a run that ended in order, the disk or the actuator has it."""
         saved = self._memory.newest()
         on_disk = self._disk_state is not None and not self._state_trouble()
         if saved is not None and saved.clean and (on_disk or not one_way):
@@ -354,14 +354,14 @@ class Supervisor:
         del frame
         if number == signal.SIGUSR1:
             self._orders.put((Order.RESUME, "signal USR1", "signal"))
-        elif number == signal.SIGHUP and self._notifier.asked:
+        elif number == signal.SIGHUP and self._notifier.listens:
             self._orders.put((Order.RELOAD, "signal HUP", "signal"))
         else:
-            self._at_once, self._interrupted = self._interrupted, True
+            self._ends_at_once, self._interrupted = self._interrupted, True
 
 
 def _died(code: int | None, last_words: str) -> str:
-    """Say how the loop's process ended, and what that means for the machine."""
+    """How the loop's process ended, and what that means for the machine."""
     if last_words:
         how = f"ended at a {last_words}"
         again = "in a driver of your own, mend it, else please report it"

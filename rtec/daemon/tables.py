@@ -1,8 +1,8 @@
 """Compensation tables of a run file's `[table]`: rewritten while the machine warms up.
 
-A thread of the supervisor's looks once a second. A file is rewritten whole or not at all, at the interval or when the
-prediction has gone far enough from it, each value by a limited change. With a mode other than "on", with a temperature
-that is old or outside the model's range, the files stay as they are, and the events say why.
+A thread of the supervisor checks once a second. It rewrites a file whole or not at all, at the interval or when the
+prediction differs from it by enough, and limits the change of each value. While the mode is not "on", or a
+temperature is stale or outside the model's range, the files stay unchanged, and the events have the reason.
 """
 
 import re
@@ -24,21 +24,21 @@ from rtec.wholefile import write_text
 
 LOOK_S: Final = 1.0
 LEAST_S: Final = 10.0
-"""From one rewrite of a file to the next, at least."""
+"""Shortest time, s, between two rewrites of a file."""
 MOST_ROWS: Final = 4096
-"""Of the kept history; its older half is thinned out."""
+"""Rows of the kept history; beyond that its older half is thinned out."""
 END_S: Final = 5.0
 
 
 class TableFile:
-    """One file, and what it holds.
+    """One file, and its table.
 
     Args:
         key: of `files`: an axis, or a component.
-        setup: whose machine, model and `[table]`.
+        setup: setup with machine, model and `[table]`.
 
     Raises:
-        ConfigError: what is in the file is no table of the format.
+        ConfigError: the content of the file is no table of the format.
     """
 
     def __init__(self, key: str, setup: Setup, table: TableRewrites) -> None:
@@ -52,12 +52,12 @@ class TableFile:
         self._written_s: float | None = None
 
     def look(self, now_s: float, model: Model, at: Mapping[str, float], history: History) -> str:
-        """Rewrite it where that is due; give the line for the events, or "".
+        """Rewrite it where that is due; give the text of an event, or "".
 
         Args:
-            now_s: instant.
-            model: whose prediction.
-            at: temperatures and speed now.
+            now_s: instant, s.
+            model: model that predicts.
+            at: present temperatures and speed.
             history: until now.
 
         Raises:
@@ -72,35 +72,35 @@ class TableFile:
         predicted = table_of(
             model, self.moves, self.corrects, self._grid, whole, history, self._second, self._second_mm
         )
-        wanted = checked(predicted, self.form)
-        if wanted.largest_um > self._stop_um:
+        target = checked(predicted, self.form)
+        if target.largest_um > self._stop_um:
             raise ConfigError(
-                f"{self.path}: not written: {wanted.largest_um:.1f} µm is beyond stop_um = {self._stop_um:g} of "
+                f"{self.path}: not written: {target.largest_um:.1f} µm is beyond stop_um = {self._stop_um:g} of "
                 f"[limits.{self.corrects.name}]"
             )
         old, table = self.written, self._table
-        difference = wanted.largest_um if old is None else _difference_um(old, wanted)
+        difference = target.largest_um if old is None else _difference_um(old, target)
         passed = table.change_um is not None and difference >= table.change_um
         due = old is None or (difference >= table.hysteresis_um and (passed or since_s >= table.interval_s))
         if not due:
             return ""
-        new = wanted if old is None else checked(_limited(old, wanted, table.most_change_um), self.form)
+        new = target if old is None else checked(_limited(old, target, table.most_change_um), self.form)
         write_text(self.form.text(new), self.path, ConfigError)
         self.written, self._written_s = new, now_s
-        return self._line(old, new, wanted, model, history)
+        return self._line(old, new, target, model, history)
 
     def _line(
-        self, old: CompensationTable | None, new: CompensationTable, wanted: CompensationTable, model: Model,
+        self, old: CompensationTable | None, new: CompensationTable, target: CompensationTable, model: Model,
         history: History,
     ) -> str:  # fmt: skip
-        worst = residuals(model, wanted, history, slow=False)[0]
+        worst = residuals(model, target, history, slow=False)[0]
         made = ", ".join(f"{k} = {v:.4g}" for k, v in new.at.items() if k in model.channels)
         low, high = (float(f([new.forward_um, new.backward_um])) for f in (np.min, np.max))
         text = f"{self.path.name}: {'written' if old is None else 'rewritten'} for {made or 'all temperatures'}: "
         text += f"errors from {low:+.2f} to {high:+.2f} µm"
         if old is not None:
             text += f", changed by up to {_difference_um(old, new):.2f} µm"
-        still = _difference_um(new, wanted)
+        still = _difference_um(new, target)
         if still > self.form.limits.quantum_um:
             text += f" (limited by most_change_um; {still:.2f} µm are still to come)"
         return f"{text}; residual: up to {worst.largest_um:.2f} µm, {worst.what}"
@@ -112,10 +112,10 @@ class TableFile:
             return None
         axes = TableAxes(self.moves.name, self.corrects.name, self._second.name if self._second else "")
         try:
-            found = self.form.read(text, str(self.path), axes)
-            if found.others:
-                raise ConfigError(f"{self.path}: holds {found.others} more tables, of other axes")
-            return found
+            content = self.form.read(text, str(self.path), axes)
+            if content.others:
+                raise ConfigError(f"{self.path}: holds {content.others} more tables, of other axes")
+            return content
         except ConfigError as e:
             raise ConfigError(
                 f"{e}; [table] files.{self._key} would replace it: name another file, or move this one away"
@@ -130,7 +130,7 @@ class TableKeeper:
         report: puts a kind of event and a sentence into the events.
 
     Raises:
-        ConfigError: a file that is there is no table of the format; all of them.
+        ConfigError: an existing file is no table of the format; all of these.
     """
 
     def __init__(self, setup: Setup, report: Callable[[str, str], None]) -> None:
@@ -145,15 +145,15 @@ class TableKeeper:
             raise ConfigError("\n".join(faults))
         self._times: list[float] = []
         self._slow: list[dict[str, float]] = []
-        self._said: dict[str, str] = {}
+        self._last_texts: dict[str, str] = {}
 
     def look(self, setup: Setup, status: Status, mode: str) -> None:
-        """Look at all files once.
+        """Check all files once.
 
         Args:
-            setup: in force; its model may be newer than at the start.
+            setup: setup in force; its model may be newer than at the start.
             status: of the newest row.
-            mode: that is ordered: "on", "hold" or "off".
+            mode: the ordered mode: "on", "hold" or "off".
         """
         if not status.cycles or (self._times and status.time_s <= self._times[-1]):
             return
@@ -164,7 +164,7 @@ class TableKeeper:
         now |= {n: float(getattr(inputs, n)) for n in ("load_kg", "force_n") if n in model.channels}
         why = "" if mode == "on" else f"the mode is {mode}"
         why = why or _unusable(now, status, model, setup.file.guard.temperature_max_age_s)
-        if self._said_anew("input", why) and why:
+        if self._is_new("input", why) and why:
             self._report("table", f"the tables stay as they are: {why}")
         if not all(np.isfinite(list(now.values()))):
             return
@@ -177,15 +177,15 @@ class TableKeeper:
                 line, wrong = file.look(status.time_s, model, now, history), ""
             except RtecError as e:
                 line, wrong = "", str(e)
-            if line or (wrong and self._said_anew(str(file.path), wrong)):
+            if line or (wrong and self._is_new(str(file.path), wrong)):
                 self._report("table" if line else "alarm", line or wrong)
             if not wrong:
-                self._said.pop(str(file.path), None)
+                self._last_texts.pop(str(file.path), None)
 
-    def _said_anew(self, about: str, text: str) -> bool:
-        """Is that another text than the last time? Numbers that go up and down make no other one."""
+    def _is_new(self, about: str, text: str) -> bool:
+        """Does the text differ from the last one? Differences in numbers do not count."""
         plain = re.sub(r"[-+]?\d+(\.\d+)?", "", text)
-        before, self._said[about] = self._said.get(about, ""), plain
+        before, self._last_texts[about] = self._last_texts.get(about, ""), plain
         return before != plain
 
     def _remember(self, time_s: float, now: dict[str, float]) -> None:
@@ -201,10 +201,10 @@ class TableKeeper:
 
 
 class TableThread:
-    """Looks once a second, in a thread of its own: a slow disk keeps nobody waiting.
+    """Checks once a second, in a thread of its own: a slow disk delays nothing else.
 
     Args:
-        keeper: of the files; None: there are none.
+        keeper: keeper of the files; None: there are none.
         now: gives setup, status and ordered mode.
         part: counts its faults.
     """
@@ -235,18 +235,18 @@ def _difference_um(a: CompensationTable, b: CompensationTable) -> float:
     )
 
 
-def _limited(old: CompensationTable, wanted: CompensationTable, most_um: float) -> CompensationTable:
-    """Go from the old values towards the wanted ones, each by so much at most."""
+def _limited(old: CompensationTable, target: CompensationTable, most_um: float) -> CompensationTable:
+    """Change the old values towards the target, each by `most_um` at most."""
 
     def towards(direction: float, values: Floats) -> Floats:
-        before = old.at_points_of(wanted, direction)
+        before = old.at_points_of(target, direction)
         return before + np.clip(values - before, -most_um, most_um)
 
-    return replace(wanted, forward_um=towards(1.0, wanted.forward_um), backward_um=towards(-1.0, wanted.backward_um))
+    return replace(target, forward_um=towards(1.0, target.forward_um), backward_um=towards(-1.0, target.backward_um))
 
 
 def _unusable(now: Mapping[str, float], status: Status, model: Model, most_s: float) -> str:
-    """Why nothing can be predicted now; "" where it can."""
+    """Why no prediction is possible now; "" where one is."""
     for name, value in now.items():
         if not np.isfinite(value):
             return f"{name} is not known"

@@ -1,12 +1,12 @@
 """Slow devices in processes of their own.
 
 A device that gives temperatures or the spindle speed and nothing else is opened, polled and closed by a worker
-(`work`). It publishes what it reads in shared memory (`rtec.daemon.published`). In the loop's process a small port
-(`WorkerPort`) looks at that memory. The supervisor starts the workers (`Workers`); `KeptWorker` starts one again that
-died, with growing waits, and ends one that hangs.
+(`work`). It publishes its readings in shared memory (`rtec.daemon.published`). In the loop's process a small port
+(`WorkerPort`) reads that memory. The supervisor starts the workers (`Workers`); `KeptWorker` restarts one that died,
+with growing waits, and ends one that hangs.
 
-Workers are started by the supervisor, never by the loop's process: that one has locked memory, threads and real-time
-priority, none of which a child should begin with.
+The supervisor starts the workers, never the loop's process: a child should not begin with its locked memory, threads
+and real-time priority.
 """
 
 import ctypes
@@ -33,31 +33,31 @@ if TYPE_CHECKING:
     from rtec.loop.run_file import Setup
 
 POLL_NS: Final = 10_000_000
-"""A driver in a worker is asked so often; the instants of its readings are its own."""
+"""Period, ns, at which a worker polls its driver; the instants of the readings are the driver's own."""
 PR_SET_PDEATHSIG: Final = 1
 LOOK_NS: Final = 10_000_000
-"""While the worker opens its device, it is looked at so often."""
+"""Period, ns, of checks while the worker opens its device."""
 OPENS_NS: Final = 20_000_000_000
-"""Opening may take so long, counted from when the worker begins with it."""
+"""Longest time, ns, to open a device, from the worker's start with it."""
 BEGINS_NS: Final = 120_000_000_000
-"""So long may a new process take until it begins: a busy or slow computer reads its programs from the disk."""
+"""Longest time, ns, until a new process begins: a busy or slow computer reads its programs from the disk."""
 SILENT_NS: Final = 1_000_000_000
-"""A worker that shows no life for so long is told as silent."""
+"""A worker without a sign of life for this time, ns, is reported as silent."""
 ERRORS: Final = {kind.__name__: kind for kind in (DriverError, DriverUnavailable, DriverTimeout, DriverFault)}
 STOP_TIMEOUT_S: Final = 3.0
 
 
 @dataclass(frozen=True)
 class WorkerTask:
-    """What a worker does; goes to its process as it stands.
+    """A worker's task, as it is sent to its process.
 
     Attributes:
-        name: of the device.
+        name: name of the device.
         table: the device's table in the run file.
-        machine: whose sensors the readings follow.
-        path: of the run file.
-        temperatures, spindle: what is read from it.
-        memory: where it publishes.
+        machine: machine that has the sensors.
+        path: path of the run file.
+        temperatures, spindle: what the worker reads.
+        memory: memory in which it publishes.
     """
 
     name: str
@@ -70,13 +70,13 @@ class WorkerTask:
 
 
 def work(task: WorkerTask) -> None:
-    """Be the worker, until the supervisor asks to end or is gone.
+    """Be the worker, until the supervisor ends it or has ended itself.
 
-    What cannot be opened, and what nobody foresaw, is told in the memory and ends the process.
+    A device that cannot be opened, and an unforeseen fault, are reported in the memory and end the process.
     """
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    # A worker that is stopped or hangs cannot look for its parent; the kernel can.
+    # A worker that is stopped or hangs cannot check for its parent; the kernel can.
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     clock, memory = RealClock(), task.memory
     memory.heartbeat_ns = clock.now_ns()
@@ -92,12 +92,12 @@ def work(task: WorkerTask) -> None:
 
 
 def _last_words(memory: Published, text: str) -> None:
-    memory.told.write({"open": [text]})
+    memory.device_note.write({"open": [text]})
     memory.state = FAILED
 
 
 class _Polling:
-    """Asks one device and publishes."""
+    """Polls one device and publishes its readings."""
 
     def __init__(self, task: WorkerTask, device: Any, clock: Clock) -> None:
         self._task, self._device, self._clock = task, device, clock
@@ -106,7 +106,7 @@ class _Polling:
         self._resumes = task.memory.resumes
 
     def serve(self) -> None:
-        """Do it until told otherwise."""
+        """Poll until the supervisor ends it."""
         memory, parent = self._task.memory, starter()
         while not memory.stop_requested and os.getppid() == parent:
             now_ns = self._clock.now_ns()
@@ -125,7 +125,7 @@ class _Polling:
         if self._task.temperatures:
             try:
                 device.read_temperatures(self._degc, self._time_ns)
-            except DriverError as e:  # what is good is in the arrays all the same
+            except DriverError as e:  # the good values are in the arrays all the same
                 wrong["temperatures"] = [type(e).__name__, str(e)]
         if self._task.spindle:
             try:
@@ -134,16 +134,16 @@ class _Polling:
                 self._rpm = float("nan")
                 wrong["spindle"] = [type(e).__name__, str(e)]
         memory.publish(self._degc, self._time_ns, self._rpm)
-        memory.told.write(wrong)
+        memory.device_note.write(wrong)
 
 
 class WorkerPort:
-    """The loop's side of a worker: a device like any other, that looks at memory and waits for nothing.
+    """The loop's side of a worker: a device like any other; it reads memory only and never waits.
 
     Args:
-        name: of the device.
-        memory: where its worker publishes.
-        sensors: of the machine.
+        name: name of the device.
+        memory: memory in which its worker publishes.
+        sensors: number of sensors of the machine.
         clock: the monotonic one; all processes share it.
     """
 
@@ -155,33 +155,33 @@ class WorkerPort:
         """Wait until the worker has opened its device.
 
         Raises:
-            DriverUnavailable: it could not, or does not say.
+            DriverUnavailable: the worker could not open it, or does not answer.
         """
         memory, begun_ns = self._memory, self._clock.now_ns()
-        while memory.state == STARTING and not memory.said.read() and not late(memory, begun_ns, self._clock):
+        while memory.state == STARTING and not memory.worker_note.read() and not late(memory, begun_ns, self._clock):
             self._clock.sleep_until_ns(self._clock.now_ns() + LOOK_NS)
         if memory.state != OPEN:
-            why = memory.told.read().get("open") or memory.said.read().get("worker")
+            why = memory.device_note.read().get("open") or memory.worker_note.read().get("worker")
             raise DriverUnavailable(why[0] if why else "its worker does not say whether it is open")
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Let go; the supervisor ends the worker."""
+        """Do nothing; the supervisor ends the worker."""
 
     @property
     def must_resume(self) -> str:
         """Why the device waits for an order to resume; "" where it does not."""
-        return "".join(self._memory.told.read().get("resume", ()))
+        return "".join(self._memory.device_note.read().get("resume", ()))
 
     def resume(self) -> None:
-        """Hand the order on to the worker."""
+        """Pass the order on to the worker."""
         self._memory.resumes += 1
 
     def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
-        """Fill in what the worker published last, °C and instants, ns; then tell what is wrong.
+        """Fill in the worker's newest readings, °C and instants, ns; then raise its fault.
 
         Raises:
-            DriverError: as the driver itself; or the worker is dead or silent.
+            DriverError: the driver's own error; or the worker is dead or silent.
         """
         reader = self._reader
         reader.look()
@@ -190,10 +190,10 @@ class WorkerPort:
         self._check("temperatures")
 
     def read_spindle(self) -> float:
-        """Give the spindle speed that the worker published last, 1/min.
+        """The worker's newest spindle speed, 1/min.
 
         Raises:
-            DriverError: as the driver itself; or the worker is dead or silent.
+            DriverError: the driver's own error; or the worker is dead or silent.
         """
         self._check("spindle")
         self._reader.look()
@@ -201,13 +201,13 @@ class WorkerPort:
 
     def _check(self, does: str) -> None:
         memory = self._memory
-        said = memory.said.read()
-        if said:
-            raise DriverUnavailable(said["worker"][0])
+        note = memory.worker_note.read()
+        if note:
+            raise DriverUnavailable(note["worker"][0])
         silent_ns = self._clock.now_ns() - memory.heartbeat_ns
         if silent_ns > SILENT_NS:
             raise DriverTimeout(f"its worker has shown no life for {silent_ns // 1_000_000_000} s")
-        wrong = memory.told.read().get(does)
+        wrong = memory.device_note.read().get(does)
         if wrong:
             raise ERRORS.get(wrong[0], DriverFault)(wrong[1])
 
@@ -218,7 +218,7 @@ def worker_ports(memories: Mapping[str, Published], machine: Machine, clock: Clo
 
 
 def late(memory: Published, begun_ns: int, clock: Clock) -> bool:
-    """Has a worker shown no life for longer than it may? It was started, or waited for, at `begun_ns`."""
+    """Has a worker been without a sign of life for too long? It was started, or awaited, at `begun_ns`."""
     if not memory.heartbeat_ns:
         return clock.now_ns() - begun_ns > BEGINS_NS
     return clock.now_ns() - memory.heartbeat_ns > OPENS_NS
@@ -233,7 +233,7 @@ class KeptWorker:
         self._begun_ns = 0
 
     def start(self) -> None:
-        """Start it; what an earlier one left in the memory is forgotten."""
+        """Start it, with cleared memory."""
         context = child_context(self._forks)
         self._task.memory.forget()
         self._process = context.Process(
@@ -244,7 +244,7 @@ class KeptWorker:
             self._process.start()
 
     def look(self, again: bool) -> None:
-        """See how it does; start it again when its time has come, where that is asked for."""
+        """Check it; restart it when that is due, if `again`."""
         memory = self._task.memory
         if self._process is None:
             if again and self._part.due:
@@ -253,16 +253,16 @@ class KeptWorker:
             self._ended(again)
         elif late(memory, self._begun_ns, self._clock):
             self._process.kill()
-        elif memory.state == OPEN and memory.said.read():
-            memory.said.write({})
+        elif memory.state == OPEN and memory.worker_note.read():
+            memory.worker_note.write({})
             self._part.report("its new worker has opened it")
 
     def ask_to_end(self) -> None:
-        """Ask; `end` waits."""
+        """Ask it to end; `end` waits."""
         self._task.memory.stop_requested = 1
 
     def end(self, clean_up: Callable[[], None]) -> None:
-        """See it gone."""
+        """Wait for its end; kill it after a while."""
         process, self._process = self._process, None
         if process is not None:
             process.join(STOP_TIMEOUT_S)
@@ -274,12 +274,12 @@ class KeptWorker:
     def _ended(self, again: bool) -> None:
         self._process.join()
         memory, process = self._task.memory, self._process
-        why = memory.told.read().get("open") if memory.state == FAILED else None
+        why = memory.device_note.read().get("open") if memory.state == FAILED else None
         text = why[0] if why else f"its worker, process {process.pid}, ended ({_how(process.exitcode)})"
         self._process = None
         if again:
             text = self._part.failed(text, "a new one is started")
-        memory.said.write({"worker": [text]})
+        memory.worker_note.write({"worker": [text]})
 
 
 def _how(code: int) -> str:
@@ -292,7 +292,7 @@ def _how(code: int) -> str:
 
 
 def names_for_workers(setup: "Setup") -> list[str]:
-    """Devices of a run file that have a worker: read for temperatures or spindle speed, and nothing else.
+    """Devices of a run file that have a worker: those that only give temperatures or spindle speed.
 
     A driver whose class says `IN_LOOP = True` stays in the loop's process.
     """
@@ -303,7 +303,7 @@ def names_for_workers(setup: "Setup") -> list[str]:
 
 
 def _in_loop(driver: object, where: str) -> bool:
-    """Also where there is no such driver: the loop, which makes all devices once, says so best."""
+    """Also where there is no such driver: the loop, which makes all devices once, reports that best."""
     try:
         return bool(getattr(driver_class(str(driver), where), "IN_LOOP", False))
     except RtecError:
@@ -314,10 +314,10 @@ class Workers:
     """All workers of a run: starts them on entry, ends them on exit.
 
     Args:
-        setup: what runs.
+        setup: the setup to run.
         clock: the monotonic one.
-        parts: each worker is one of them.
-        forks: as `rtec.daemon.process.child_context` has it.
+        parts: gets a part for each worker.
+        forks: see `rtec.daemon.process.child_context`.
 
     Attributes:
         memories: by device, for the loop's process.
@@ -348,10 +348,11 @@ class Workers:
             kept.end(memory.close)
 
     def look(self, again: bool = True) -> None:
-        """See how they do; called some 50 times a second, waits for nothing.
+        """Check them; called some 50 times a second, never waits.
 
         Args:
-            again: start those that ended anew. At the start of a run they are not: it does not begin without them.
+            again: restart those that ended. At the start of a run they are not restarted: the run does not begin
+                without them.
         """
         for kept in self._kept:
             kept.look(again)

@@ -1,1 +1,1 @@
-"""Are the devices well, and is this computer fit for real time?"""
+"""Checks whether the devices work, and whether this computer is fit for real time."""

@@ -1,8 +1,8 @@
-"""What is wrong with a device that was read for a while, and ways to mend it.
+"""Faults of a device that was read for a while, and ways to mend them.
 
-The driver says what it raises; here is what only its readings show (too slow, too old, standing still). What can be
-done about either is the same for every driver on the same kind of line. So it follows from the options that such
-drivers share (`port`, `usb_serial`, `baud`, `host`, `interface`, `channel`) and from what this computer says of its
+The driver raises its own errors; this module adds the faults that only the readings show (too slow, too old, constant).
+The ways to mend them are the same for every driver on the same kind of line. So they follow from the options that such
+drivers share (`port`, `usb_serial`, `baud`, `host`, `interface`, `channel`) and from this computer's data on its
 ports.
 """
 
@@ -47,7 +47,7 @@ class SerialPlace:
     Attributes:
         port: device file, or "" where only the adapter's number is given.
         usb_serial: number of the adapter, or "".
-        settings: of the line, as in the run file.
+        settings: settings of the line, as in the run file.
     """
 
     port: str
@@ -55,20 +55,20 @@ class SerialPlace:
     settings: str
 
     def device(self, root: Path = ROOT) -> str:
-        """The device file as it is called now; "" where there is none."""
+        """Present path of the device file; "" where there is none."""
         if self.usb_serial:
             return next((p.device for p in serial_ports(root) if p.serial == self.usb_serial), "")
         return self.port
 
 
 def ways(options: BaseModel | None, error: Exception, heard: bool, root: Path = ROOT) -> tuple[str, ...]:
-    """What can be done about an error of a device.
+    """Ways to mend an error of a device.
 
     Args:
-        options: what the run file says of it; None where that could not be read.
-        error: what its driver raised.
-        heard: has it given anything? Then its line is well.
-        root: where this computer's files are.
+        options: its options in the run file; None where they could not be read.
+        error: error that its driver raised.
+        heard: has it given any reading? Then its line works.
+        root: folder of this computer's files.
     """
     if options is None:
         return ()
@@ -94,7 +94,7 @@ def serial_places(options: BaseModel) -> list[SerialPlace]:
 
 
 def shared_ports(options: BaseModel, root: Path = ROOT) -> list[str]:
-    """Warnings about ports that are open: others that read them too, adapters that keep bytes back."""
+    """Warnings on open ports: other programs that read them, adapters that hold bytes back."""
     out = []
     for place in serial_places(options):
         device = place.device(root)
@@ -130,7 +130,7 @@ def _serial_ways(place: SerialPlace, error: Exception, heard: bool, root: Path) 
 
 
 def _silent(error: Exception) -> bool:
-    """Does nothing come at all? A driver that reads several devices may tell that as a fault of some."""
+    """Does nothing arrive? A driver of several devices may report that as a fault of some."""
     return not isinstance(error, DriverFault) or any(word in str(error) for word in SILENT_WORDS)
 
 
@@ -195,13 +195,13 @@ def _text(table: BaseModel, key: str) -> str:
 
 
 FEW = 20
-"""The first readings may be slow; fewer say nothing of the others."""
+"""Fewer readings are no basis for a judgement; the first ones may be slow."""
 ROOM = 1.5
-"""A cycle should be longer than the reading by this factor: the rest of the cycle needs time too."""
+"""A cycle should be longer than the reading by this factor: the rest of the cycle needs time, too."""
 
 
 def unfit(patient: Patient, found: DeviceFound, device: Any) -> list[DeviceFault]:
-    """Roles that its driver cannot play, outputs that it does not take."""
+    """Roles that its driver cannot serve, and outputs that it refuses."""
     can = {role: isinstance(device, port) for role, port in CAN_BE.items()}
     is_ = ", ".join(role for role, so in can.items() if so)
     out = [
@@ -217,7 +217,7 @@ def unfit(patient: Patient, found: DeviceFound, device: Any) -> list[DeviceFault
 
 
 def reasons(patient: Patient, device: Any, ability: Ability, error: DriverError) -> list[str]:
-    """One text a cause: a driver that can list its faults does; sensors with the same fault stand together."""
+    """One text a cause: from the driver's list of faults, if it has one; sensors with the same fault share a text."""
     listed = getattr(device, "faults", None)
     if ability.does != "temperatures" or not callable(listed):
         return [str(error)]
@@ -230,7 +230,7 @@ def reasons(patient: Patient, device: Any, ability: Ability, error: DriverError)
 
 
 def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -> tuple[list[DeviceFault], list[str]]:
-    """Counts that come too slowly or too late for the loop; and what else is to be told."""
+    """Counts that are too slow or too late for the loop; and remarks."""
     took = ability.took_ms()
     if took is None or len(readings.counts_age_s) < FEW:
         return [], []
@@ -248,7 +248,7 @@ def count_faults(patient: Patient, readings: DeviceReadings, ability: Ability) -
 
 
 def temperature_faults(patient: Patient, readings: DeviceReadings, now_ns: int) -> list[DeviceFault]:
-    """Temperatures that the machine cannot have, or that are too old for the loop."""
+    """Temperatures that are not possible on the machine, or too old for the loop."""
     ranges = {s.name: s.range_degc for s in patient.machine.sensors}
     allowed_s, out = patient.file.guard.temperature_max_age_s, []
     for value in readings.sensor_values(now_ns):

@@ -1,7 +1,7 @@
-"""Looks at every device of a run file, all at once: opens it, reads it, reports what is wrong and how to mend it.
+"""Examines every device of a run file, all at once: opens it, reads it, reports its faults and how to mend them.
 
-Each device has a thread of its own (`Look`) that makes, opens, reads and closes it, and a deadline: one that hangs is
-reported and holds up no other. No device is commanded anything.
+Each device has a thread of its own (`Look`) that makes, opens, reads and closes it, and a deadline: a device that hangs
+is reported and delays no other. No device is commanded.
 """
 
 import os
@@ -26,23 +26,23 @@ from rtec.machine import load_machine
 from rtec.tomlfile import read_toml, validated
 
 SLOW_NS = 50_000_000
-"""Temperatures and the spindle are asked for this often; counts in every cycle, as the loop will."""
+"""Period, ns, of reading temperatures and the spindle; counts are read in every cycle, as in the loop."""
 FASTEST_NS = 1_000_000
 
 
 class Look:
-    """Looks at one device.
+    """Examines one device.
 
     Args:
-        name: of the device.
-        patient: the run file that it is in.
-        clock: ages and deadlines are in its time.
-        seconds: how long it is read.
+        name: name of the device.
+        patient: its run file.
+        clock: clock of ages and deadlines.
+        seconds: duration of reading, s.
 
     Attributes:
-        found: what was found so far.
+        found: result so far.
         stop: set to end it early.
-        options: of its table; None where they are wrong, or not read yet.
+        options: options of its table; None where they are at fault, or not read yet.
     """
 
     def __init__(self, name: str, patient: Patient, clock: Clock, seconds: float) -> None:
@@ -60,17 +60,17 @@ class Look:
         return self._readings.sensors if self._readings is not None else set()
 
     def values(self) -> list[Value]:
-        """What it reads now, or what it read last."""
+        """Its present readings, or the last ones."""
         readings = self._readings if self.found.doing == "is read" else None
         return self.found.values if readings is None else readings.values()
 
     def run(self) -> None:
-        """Look at it; whatever is wrong is noted."""
+        """Examine it; every fault is recorded."""
         try:
             self._look()
         except RtecError as e:
             self._wrong(e)
-        except Exception as e:  # noqa: BLE001 - a driver of another package may fail in any way, the others go on
+        except Exception as e:  # noqa: BLE001 - a driver of another package may raise anything; the others go on
             self.found.wrong.append(DeviceFault(f"its driver fails: {type(e).__name__}: {e}", ("tell its author",)))
         self.found.doing = "done"
 
@@ -90,7 +90,7 @@ class Look:
             self.found.doing = "is closed"
 
     def _read(self, readings: DeviceReadings) -> list[Ability]:
-        """Read as the loop will, until the time is over."""
+        """Read as the loop does, until the time is over."""
         abilities = self._abilities(readings)
         fast = [a for a in abilities if a.does == "counts"]
         period_ns = max(FASTEST_NS, round(1.0 / NS / self._patient.file.run.rate_hz)) if fast else SLOW_NS
@@ -107,8 +107,8 @@ class Look:
 
     def _abilities(self, readings: DeviceReadings) -> list[Ability]:
         by_role = readings.by_role
-        asked = [r for r in self.found.roles if r in by_role and isinstance(self._device, CAN_BE[r])]
-        return [Ability(role, by_role[role], self._clock) for role in asked]
+        roles = [r for r in self.found.roles if r in by_role and isinstance(self._device, CAN_BE[r])]
+        return [Ability(role, by_role[role], self._clock) for role in roles]
 
     def _tell(self, readings: DeviceReadings, abilities: list[Ability]) -> None:
         if "actuator" in self.found.roles and isinstance(self._device, CAN_BE["actuator"]):
@@ -131,9 +131,9 @@ class Look:
         else:
             self._tell_hiccups(ability)
         if ability.does == "counts":
-            faults, told = count_faults(self._patient, readings, ability)
+            faults, remarks = count_faults(self._patient, readings, ability)
             self.found.wrong += faults
-            self.found.told += told
+            self.found.told += remarks
         elif ability.does == "temperatures":
             self.found.wrong += temperature_faults(self._patient, readings, self._clock.now_ns())
             if error is None and not readings.sensors:
@@ -148,7 +148,7 @@ class Look:
             self.found.told.append(text)
 
     def _wrong(self, error: Exception, cause: BaseException | None = None, more: str = "") -> None:
-        """Note what is wrong, one fault a line, and the ways to mend it below the last."""
+        """Record faults, one a line, and the ways to mend them with the last one."""
         error.__cause__ = error.__cause__ or cause
         heard = self._readings is not None and self._readings.heard
         mend = ways(self.options, error, heard, self._patient.root)
@@ -159,20 +159,21 @@ class Look:
 
 
 OPEN_S = 35.0
-"""Longest wait for a device to open: drivers may be told to wait up to 30 s for theirs."""
+"""Longest wait, s, for a device to open: a driver's own limit may be up to 30 s."""
 CLOSE_S = 5.0
 SHOW_NS = 100_000_000
 Shown = Callable[[list[DeviceFound]], None]
 
 
 def load_patient(path: Path, root: Path = ROOT) -> tuple[Patient, list[DeviceFault], tuple[str, ...] | None]:
-    """Read a run file as far as its devices need it: a machine that has no model yet can have its devices looked at.
+    """Read a run file as far as its devices need it: devices can be examined before there is a model.
 
     Returns:
-        the patient; what would keep `rtec run` from starting; the sensors that the model reads, None without a model.
+        the patient; faults that would keep `rtec run` from starting; the sensors that the model reads, None without a
+        model.
 
     Raises:
-        ConfigError: the run file or the machine file is wrong.
+        ConfigError: the run file or the machine file is at fault.
     """
     file = validated(RunFile, read_toml(path), str(path))
     machine = load_machine(path.parent / file.run.machine)
@@ -192,18 +193,18 @@ def examine(
     root: Path = ROOT,
     open_s: float = OPEN_S,
 ) -> Examination:
-    """Look at all devices of a run file at once.
+    """Examine all devices of a run file at once.
 
     Args:
-        path: of the run file.
-        seconds: how long each is read.
-        shown: is given what was found so far, ten times a second.
-        clock: the real one where not given.
-        root: where this computer's files are.
+        path: path of the run file.
+        seconds: duration of reading each device, s.
+        shown: called with the result so far, ten times a second.
+        clock: None: the real one.
+        root: folder of this computer's files.
         open_s: longest wait for a device to open.
 
     Raises:
-        ConfigError: the run file or the machine file is wrong.
+        ConfigError: the run file or the machine file is at fault.
     """
     clock = clock or RealClock()
     patient, wrong, needed = load_patient(path, root)
@@ -233,7 +234,7 @@ def _wait(looks: list[Look], threads: list[threading.Thread], shown: Shown, cloc
 
 
 def _one_port(looks: list[Look], root: Path) -> list[DeviceFault]:
-    """Serial ports that several devices of the run file name; each would get a part of the bytes, or none."""
+    """Serial ports that several devices of the run file name; each device would get a part of the bytes, or none."""
     users: dict[str, list[str]] = {}
     for look in looks:
         for place in serial_places(look.options) if look.options is not None else []:
@@ -246,7 +247,7 @@ def _one_port(looks: list[Look], root: Path) -> list[DeviceFault]:
 
 
 def _missing(patient: Patient, looks: list[Look], needed: tuple[str, ...] | None) -> list[DeviceFault]:
-    """Sensors that the model reads, or without a model the machine file names, and no device gave."""
+    """Required sensors without a reading: those that the model reads, or without a model all of the machine file."""
     given = set().union(*(look.sensors for look in looks))
     lacking = [n for n in (patient.machine.sensor_names if needed is None else needed) if n not in given]
     if not lacking:

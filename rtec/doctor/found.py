@@ -1,4 +1,4 @@
-"""What the doctor finds, as data: of each device of a run file, and of this computer."""
+"""The doctor's results as data: for each device of a run file, and for this computer."""
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,13 +10,13 @@ from rtec.machine import Machine
 
 @dataclass(frozen=True)
 class Patient:
-    """What the doctor is given.
+    """The run file to examine.
 
     Attributes:
-        path: of the run file.
-        file: what it says.
-        machine: that it names.
-        root: where this computer's files are.
+        path: path of the run file.
+        file: its content.
+        machine: the machine that it names.
+        root: folder of this computer's files.
     """
 
     path: Path
@@ -25,7 +25,7 @@ class Patient:
     root: Path
 
     def roles(self, device: str) -> tuple[str, ...]:
-        """What the run file uses a device for, by the keys of `[role]`."""
+        """Roles of a device in the run file, by the keys of `[role]`."""
         role = self.file.role
         uses = {
             "counts": role.counts == device,
@@ -38,11 +38,11 @@ class Patient:
 
 @dataclass(frozen=True)
 class DeviceFault:
-    """Something that must be mended.
+    """A fault to mend.
 
     Attributes:
-        what: is wrong.
-        mend: ways to mend it, the likeliest first; empty where `what` says it itself.
+        what: the fault.
+        mend: ways to mend it, the likeliest first; empty where `what` implies it.
     """
 
     what: str
@@ -51,15 +51,15 @@ class DeviceFault:
 
 @dataclass(frozen=True)
 class Value:
-    """One thing that a device reads.
+    """One reading of a device.
 
     Attributes:
-        name: of the axis or sensor.
-        value: the newest, in `unit`.
+        name: name of the axis or sensor.
+        value: newest value, in `unit`.
         unit: "mm", "°C", "1/min", "counts" or "units".
-        digits: behind the point, as far as they mean something.
-        age_s: since it was acquired; None where the device does not say.
-        rate_hz: new values a second; None where it has read less than two.
+        digits: meaningful digits after the point.
+        age_s: time since its acquisition; None where the device does not report it.
+        rate_hz: new values a second; None before the second one.
     """
 
     name: str
@@ -72,15 +72,15 @@ class Value:
 
 @dataclass
 class DeviceFound:
-    """One device of the run file.
+    """Result for one device of the run file.
 
     Attributes:
-        name, driver: in the run file.
-        roles: what the run file uses it for.
-        doing: what is being done with it now: "waits", "is made", "is opened", "is read", "is closed", "done".
-        values: what it reads.
-        wrong: what must be mended.
-        told: what else is to be known.
+        name, driver: as in the run file.
+        roles: its roles in the run file.
+        doing: present step: "waits", "is made", "is opened", "is read", "is closed", "done".
+        values: its readings.
+        wrong: its faults.
+        told: remarks.
     """
 
     name: str
@@ -94,13 +94,13 @@ class DeviceFound:
 
 @dataclass(frozen=True)
 class Examination:
-    """All devices of a run file.
+    """Results for all devices of a run file.
 
     Attributes:
-        machine: its name.
-        seconds: how long each device was read.
-        devices: each device.
-        wrong: what is wrong with the run file itself, or with what all devices together give.
+        machine: name of the machine.
+        seconds: duration of reading each device.
+        devices: result for each device.
+        wrong: faults of the run file itself, or of all devices together.
     """
 
     machine: str
@@ -110,7 +110,7 @@ class Examination:
 
     @property
     def well(self) -> bool:
-        """Is nothing wrong?"""
+        """Is there no fault?"""
         return not self.wrong and not any(d.wrong for d in self.devices)
 
     def plain(self) -> dict[str, Any]:
@@ -119,22 +119,22 @@ class Examination:
 
 
 State = Literal["good", "better", "wrong", "unknown"]
-"""Good; works, and there is better; keeps the loop from its rhythm; not to be read here."""
+"""Good; works, but could be better; disturbs the loop's timing; cannot be read here."""
 
 
 @dataclass(frozen=True)
 class PcFinding:
-    """One thing that matters for real time.
+    """One property of the computer that matters for real time.
 
     Attributes:
-        topic: what.
-        found: how it is here.
-        state: is that good?
-        why: what it does to the loop, and what to know before it is changed; or "".
+        topic: name of the property.
+        found: its value here.
+        state: judgement.
+        why: effect on the loop, and cautions before a change; or "".
         limits: lines for a file in /etc/security/limits.d.
         unit: lines for the [Service] section of a systemd unit.
         kernel: words for the kernel's command line.
-        commands: to type, or what to do in words.
+        commands: commands to type, or instructions in words.
     """
 
     topic: str
@@ -149,21 +149,21 @@ class PcFinding:
 
 @dataclass(frozen=True)
 class PcFound:
-    """This computer.
+    """Result for this computer.
 
     Attributes:
-        findings: one thing each.
+        findings: one for each property.
     """
 
     findings: tuple[PcFinding, ...]
 
     @property
     def well(self) -> bool:
-        """Does nothing keep the loop from its rhythm?"""
+        """Does nothing disturb the loop's timing?"""
         return all(f.state != "wrong" for f in self.findings)
 
     def lines(self, where: Literal["limits", "unit", "kernel", "commands"]) -> list[str]:
-        """What to write there, or to do, each once; in the order of the findings."""
+        """Lines to write there, or to carry out, each once; in the order of the findings."""
         return list(dict.fromkeys(line for f in self.findings for line in getattr(f, where)))
 
     def plain(self) -> dict[str, Any]:

@@ -1,10 +1,9 @@
-"""Is this computer fit for real time? What it lacks, and how to get that.
+"""Is this computer fit for real time? Its shortcomings, and how to mend them.
 
-In this order: the kernel, what the computer is, its clock, swap; the processor that the loop runs on (is it its own,
-how deeply it sleeps, its speed, its firmware); what this user may ask of the kernel (real-time priority, locked
-memory).
+In this order: the kernel, the kind of computer, its clock, swap; the loop's processor (is it reserved, its idle
+states, its speed, its firmware); the user's rights (real-time priority, locked memory).
 
-All of it is read from /proc and /sys below a root folder: `/` in life, a made-up tree in tests. What is not there
+All of it is read from /proc and /sys below a root folder: `/` in use, an artificial tree in tests. A missing file
 reads as None.
 """
 
@@ -33,20 +32,20 @@ class Pc:
     """This computer's files.
 
     Attributes:
-        root: folder that they are below.
+        root: folder above them.
     """
 
     root: Path = Path("/")
 
     def text(self, path: str) -> str | None:
-        """Content of a small file without white space around it."""
+        """Content of a small file without surrounding white space; None where it cannot be read."""
         try:
             return (self.root / path).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
             return None
 
     def number(self, path: str) -> int | None:
-        """A file that holds one whole number."""
+        """Content of a file with one integer."""
         text = self.text(path)
         try:
             return int(text) if text is not None else None
@@ -54,18 +53,18 @@ class Pc:
             return None
 
     def folders(self, path: str) -> list[Path]:
-        """What is in a folder, in order; none where it cannot be read."""
+        """Sorted entries of a folder; empty where it cannot be read."""
         try:
             return sorted((self.root / path).iterdir())
         except OSError:
             return []
 
     def inside(self, path: Path) -> str:
-        """A path that `folders` gave, as the other methods take it."""
+        """A path of `folders` as an argument of the other methods."""
         return str(path.relative_to(self.root))
 
     def processors(self, path: str) -> list[int] | None:
-        """A list of processors as the kernel writes it, "0-2,7"; None where it is not there or not understood."""
+        """A list of processors in the kernel's notation, "0-2,7"; None where it is missing or not understood."""
         text = self.text(path)
         return None if text is None else processor_list(text)
 
@@ -82,7 +81,7 @@ class Pc:
         return None
 
     def capable(self, bit: int) -> bool | None:
-        """Does this process have a capability?"""
+        """Has this process a capability?"""
         text = self.status("CapEff")
         try:
             return None if text is None else bool(int(text, 16) >> bit & 1)
@@ -98,7 +97,7 @@ class Pc:
         return None
 
     def smi_count(self, processor: int) -> int | None:
-        """System management interrupts since power on, as an Intel processor counts them.
+        """System management interrupts since power on, from the counter of an Intel processor.
 
         Needs root and the kernel module msr; None without.
         """
@@ -118,7 +117,7 @@ def _number(text: str) -> int | None:
 
 
 def processor_list(text: str) -> list[int] | None:
-    """Numbers of a list such as "0-2,7"; None where it is no list."""
+    """Numbers of a list such as "0-2,7"; None where the text is no list."""
     out: list[int] = []
     try:
         for part in (p for p in text.split(",") if p.strip()):
@@ -130,7 +129,7 @@ def processor_list(text: str) -> list[int] | None:
 
 
 def as_list(numbers: list[int]) -> str:
-    """The other way round: "0-2,7"."""
+    """Text such as "0-2,7"; the inverse of `processor_list`."""
     runs: list[list[int]] = []
     for n in sorted(set(numbers)):
         if runs and n == runs[-1][1] + 1:
@@ -141,7 +140,7 @@ def as_list(numbers: list[int]) -> str:
 
 
 GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page", "riscv_clocksource")
-"""Read within some ten ns without leaving the program."""
+"""Clock sources that are read within some ten ns without a system call."""
 RT_PACKAGE = {
     "debian": "sudo apt install linux-image-rt-$(dpkg --print-architecture), then restart with that kernel",
     "ubuntu": "sudo pro enable realtime-kernel, then restart",
@@ -151,7 +150,7 @@ RT_PACKAGE = {
 
 
 def kernel(pc: Pc) -> PcFinding:
-    """PREEMPT_RT or not."""
+    """Is the kernel PREEMPT_RT?"""
     version = pc.text("proc/version")
     if version is None:
         return PcFinding("kernel", "/proc/version cannot be read", "unknown")
@@ -167,7 +166,7 @@ def kernel(pc: Pc) -> PcFinding:
 
 
 def host(pc: Pc) -> PcFinding:
-    """A real computer, a virtual one, a container."""
+    """Is it a real computer, a virtual one, or a container?"""
     cpuinfo = pc.text("proc/cpuinfo")
     if cpuinfo is None:
         return PcFinding("computer", "/proc/cpuinfo cannot be read", "unknown")
@@ -182,7 +181,7 @@ def host(pc: Pc) -> PcFinding:
 
 
 def clock_source(pc: Pc) -> PcFinding:
-    """Which counter the kernel's clock reads."""
+    """Clock source of the kernel."""
     place = "sys/devices/system/clocksource/clocksource0"
     current = pc.text(f"{place}/current_clocksource")
     if current is None:
@@ -194,7 +193,7 @@ def clock_source(pc: Pc) -> PcFinding:
 
 
 def swap(pc: Pc, memory_is_locked: bool) -> PcFinding:
-    """Memory on a disk is late."""
+    """Is there swap? Memory on a disk is slow."""
     text = pc.text("proc/swaps")
     if text is None:
         return PcFinding("swap", "/proc/swaps cannot be read", "unknown")
@@ -216,20 +215,20 @@ def _container(pc: Pc) -> bool:
 
 CPU = "sys/devices/system/cpu"
 SHALLOW_US = 20
-"""Waking from deeper than this is seen in the loop's wake-ups."""
+"""Exit latency, µs; a deeper idle state shows in the loop's wake-ups."""
 
 
-def loops_processor(pc: Pc, wanted: Realtime) -> int | None:
-    """The processor that the loop will stay on: the one asked for, else the last of those allowed."""
+def loops_processor(pc: Pc, realtime: Realtime) -> int | None:
+    """The loop's processor: the one in the run file, else the last allowed one."""
     allowed = pc.allowed()
-    if wanted.cpu is not None:
-        return wanted.cpu
+    if realtime.cpu is not None:
+        return realtime.cpu
     return allowed[-1] if allowed else None
 
 
-def isolation(pc: Pc, wanted: Realtime) -> PcFinding:
+def isolation(pc: Pc, realtime: Realtime) -> PcFinding:
     """Does the loop have a processor of its own?"""
-    topic, ours = "own processor", loops_processor(pc, wanted)
+    topic, ours = "own processor", loops_processor(pc, realtime)
     online, isolated = pc.processors(f"{CPU}/online"), pc.processors(f"{CPU}/isolated")
     if ours is None or online is None or isolated is None:
         return PcFinding(topic, "not to be read here", "unknown")
@@ -253,9 +252,9 @@ def isolation(pc: Pc, wanted: Realtime) -> PcFinding:
     )
 
 
-def idle_states(pc: Pc, wanted: Realtime) -> PcFinding:
+def idle_states(pc: Pc, realtime: Realtime) -> PcFinding:
     """How deeply may the loop's processor sleep?"""
-    topic, ours = "idle states", loops_processor(pc, wanted)
+    topic, ours = "idle states", loops_processor(pc, realtime)
     states = []
     for folder in pc.folders(f"{CPU}/cpu{ours}/cpuidle"):
         place = pc.inside(folder)
@@ -277,20 +276,20 @@ def idle_states(pc: Pc, wanted: Realtime) -> PcFinding:
     )
 
 
-def governor(pc: Pc, wanted: Realtime) -> PcFinding:
+def governor(pc: Pc, realtime: Realtime) -> PcFinding:
     """Does the processor run at full speed?"""
-    topic, ours = "speed governor", loops_processor(pc, wanted)
-    found = pc.text(f"{CPU}/cpu{ours}/cpufreq/scaling_governor")
-    if found is None:
+    topic, ours = "speed governor", loops_processor(pc, realtime)
+    setting = pc.text(f"{CPU}/cpu{ours}/cpufreq/scaling_governor")
+    if setting is None:
         return PcFinding(topic, "not to be read here", "unknown")
-    if found == "performance":
-        return PcFinding(topic, found, "good")
+    if setting == "performance":
+        return PcFinding(topic, setting, "good")
     how = ("sudo cpupower frequency-set -g performance   # Debian: package linux-cpupower",)
-    return PcFinding(topic, found, "better", "after an idle moment the processor first runs slowly", commands=how)
+    return PcFinding(topic, setting, "better", "after an idle moment the processor first runs slowly", commands=how)
 
 
 def firmware(pc: Pc, before: int | None, after: int | None, seconds: float) -> PcFinding:
-    """System management interrupts while the wake-ups were measured."""
+    """System management interrupts during the measurement of the wake-ups."""
     topic = "firmware (SMI)"
     if before is None or after is None:
         why = "" if _intel(pc) else "only Intel processors count them"
@@ -309,14 +308,14 @@ def _intel(pc: Pc) -> bool:
 
 HIGHEST = 98
 ENOUGH_BYTES = 4 * 2**30
-"""Everything that the process maps counts against the limit, libraries too; a small limit refuses it all."""
+"""Limit of locked memory, bytes, that is enough: all maps of the process count, libraries too."""
 LOG_IN = "log out and in again, or restart the service; `ulimit -r -l` shows the limits"
 
 
-def priority(pc: Pc, wanted: Realtime, user: str) -> PcFinding:
+def priority(pc: Pc, realtime: Realtime, user: str) -> PcFinding:
     """May this user have a SCHED_FIFO priority?"""
     topic = "real-time priority"
-    if not wanted.priority:
+    if not realtime.priority:
         return PcFinding(
             topic, "[realtime] priority = 0: not asked for", "better", "any other program may hold up the loop"
         )
@@ -325,15 +324,17 @@ def priority(pc: Pc, wanted: Realtime, user: str) -> PcFinding:
         how = ("sudo sysctl kernel.sched_rt_runtime_us=950000",)
         return PcFinding(topic, "kernel.sched_rt_runtime_us is 0: none for anybody", "wrong", commands=how)
     if pc.capable(CAP_SYS_NICE):
-        return PcFinding(topic, f"{wanted.priority} allowed (CAP_SYS_NICE)", "good")
+        return PcFinding(topic, f"{realtime.priority} allowed (CAP_SYS_NICE)", "good")
     limit = pc.limit("Max realtime priority")
     if limit is None:
         return PcFinding(topic, "/proc/self/limits cannot be read", "unknown")
-    if limit == UNLIMITED or limit >= wanted.priority:
-        return PcFinding(topic, f"{wanted.priority} allowed (limit {limit if limit != UNLIMITED else 'none'})", "good")
+    if limit == UNLIMITED or limit >= realtime.priority:
+        return PcFinding(
+            topic, f"{realtime.priority} allowed (limit {limit if limit != UNLIMITED else 'none'})", "good"
+        )
     return PcFinding(
         topic,
-        f"not allowed: limit {limit}, the loop asks for {wanted.priority}",
+        f"not allowed: limit {limit}, the loop asks for {realtime.priority}",
         "wrong",
         "any other program may hold up the loop",
         limits=(f"{user} - rtprio {HIGHEST}",),
@@ -342,10 +343,10 @@ def priority(pc: Pc, wanted: Realtime, user: str) -> PcFinding:
     )
 
 
-def locked_memory(pc: Pc, wanted: Realtime, user: str) -> PcFinding:
+def locked_memory(pc: Pc, realtime: Realtime, user: str) -> PcFinding:
     """May this user keep memory from being swapped?"""
     topic = "locked memory"
-    if not wanted.lock_memory:
+    if not realtime.lock_memory:
         why = "a page that is not in memory is fetched in the middle of a cycle"
         return PcFinding(topic, "[realtime] lock_memory = false: not asked for", "better", why)
     if pc.capable(CAP_IPC_LOCK):
@@ -374,10 +375,10 @@ Measure = Callable[[Realtime, float, float, Tell], WakeUps]
 
 
 def wanted_of(path: Path | None) -> tuple[Realtime, float]:
-    """What a run file asks of the computer, and its cycles a second; without one what holds where nothing is said.
+    """Real-time settings and cycles a second of a run file; without one the defaults.
 
     Raises:
-        ConfigError: the run file is wrong.
+        ConfigError: the run file is at fault.
     """
     if path is None:
         return Realtime(), DEFAULT_RATE_HZ
@@ -386,50 +387,50 @@ def wanted_of(path: Path | None) -> tuple[Realtime, float]:
 
 
 def look_at(
-    wanted: Realtime,
+    realtime: Realtime,
     rate_hz: float,
     seconds: float,
     tell: Tell = lambda _done, _of: None,
     pc: Pc | None = None,
     measure: Measure = measured,
 ) -> PcFound:
-    """Look at this computer and measure its wake-ups.
+    """Examine this computer and measure its wake-ups.
 
     Args:
-        wanted: what the loop asks of it.
+        realtime: the loop's real-time settings.
         rate_hz: cycles a second.
-        seconds: how long wake-ups are measured.
-        tell: is given how much is done, of how much.
-        pc: where its files are.
+        seconds: duration of the measurement of wake-ups.
+        tell: called with the amount done, and the total.
+        pc: this computer's files.
         measure: measures the wake-ups.
     """
     pc = pc or Pc()
-    ours = loops_processor(pc, wanted)
+    ours = loops_processor(pc, realtime)
     before = None if ours is None else pc.smi_count(ours)
-    wake_ups = _wake_ups(measure, wanted, rate_hz, seconds, tell)
+    wake_ups = _wake_ups(measure, realtime, rate_hz, seconds, tell)
     after = None if ours is None else pc.smi_count(ours)
     user = _user()
-    locked = locked_memory(pc, wanted, user)
+    locked = locked_memory(pc, realtime, user)
     return PcFound(
         (
             wake_ups,
-            priority(pc, wanted, user),
+            priority(pc, realtime, user),
             locked,
-            isolation(pc, wanted),
-            idle_states(pc, wanted),
-            governor(pc, wanted),
+            isolation(pc, realtime),
+            idle_states(pc, realtime),
+            governor(pc, realtime),
             firmware(pc, before, after, seconds),
             kernel(pc),
             host(pc),
             clock_source(pc),
-            swap(pc, wanted.lock_memory and locked.state == "good"),
+            swap(pc, realtime.lock_memory and locked.state == "good"),
         )
     )
 
 
-def _wake_ups(measure: Measure, wanted: Realtime, rate_hz: float, seconds: float, tell: Tell) -> PcFinding:
+def _wake_ups(measure: Measure, realtime: Realtime, rate_hz: float, seconds: float, tell: Tell) -> PcFinding:
     try:
-        return judged(measure(wanted, rate_hz, seconds, tell), rate_hz)
+        return judged(measure(realtime, rate_hz, seconds, tell), rate_hz)
     except DriverUnavailable as e:
         return PcFinding("wake-ups", str(e), "unknown")
 
@@ -437,5 +438,5 @@ def _wake_ups(measure: Measure, wanted: Realtime, rate_hz: float, seconds: float
 def _user() -> str:
     try:
         return pwd.getpwuid(os.geteuid()).pw_name
-    except KeyError:  # a container may run as a user that has no name
+    except KeyError:  # a container may run as a user without a name
         return str(os.geteuid())

@@ -1,7 +1,7 @@
-"""What this computer says of its serial ports and CAN interfaces: which there are, who may open them, who has them.
+"""This computer's data on its serial ports and CAN interfaces: which exist, who may open them, who has them open.
 
-Everything is read from files below a root folder, `/` in life, a made-up tree in tests. What cannot be read is not
-there; nothing raises.
+Everything is read from files below a root folder: `/` in use, an artificial tree in tests. A file that cannot be read
+counts as missing; nothing raises.
 """
 
 import grp
@@ -22,7 +22,7 @@ class PortHere:
     Attributes:
         device: such as "/dev/ttyUSB0".
         serial: serial number of the USB adapter, or "".
-        product: what the adapter calls itself, or "".
+        product: name of the adapter, or "".
     """
 
     device: str
@@ -30,7 +30,7 @@ class PortHere:
     product: str = ""
 
     def words(self) -> str:
-        """On one line."""
+        """The port on one line."""
         about = [text for text in (self.product, f"serial number {self.serial}" if self.serial else "") if text]
         return f"{self.device} ({', '.join(about)})" if about else self.device
 
@@ -44,7 +44,7 @@ class Holder:
 
 
 def text_of(path: Path) -> str:
-    """Content of a small file, without white space around it; "" where it cannot be read."""
+    """Content of a small file, without surrounding white space; "" where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
@@ -53,22 +53,22 @@ def text_of(path: Path) -> str:
 
 def serial_ports(root: Path = ROOT) -> list[PortHere]:
     """The serial ports with hardware behind them, USB adapters first."""
-    found = []
-    for entry in _entries(root / "sys/class/tty"):
-        if not (entry / "device").exists() or text_of(entry / "type") == "0":  # 0: a place without hardware
+    ports = []
+    for port in _entries(root / "sys/class/tty"):
+        if not (port / "device").exists() or text_of(port / "type") == "0":  # 0: no hardware behind it
             continue
-        adapter = _usb_adapter(entry / "device", root)
+        adapter = _usb_adapter(port / "device", root)
         if adapter is None:
-            found.append(PortHere(f"/dev/{entry.name}"))
+            ports.append(PortHere(f"/dev/{port.name}"))
             continue
         names = [text_of(adapter / "manufacturer"), text_of(adapter / "product")]
         product = " ".join(n for n in names if n)
-        found.append(PortHere(f"/dev/{entry.name}", text_of(adapter / "serial"), product))
-    return sorted(found, key=lambda p: (p.serial == "", p.device))
+        ports.append(PortHere(f"/dev/{port.name}", text_of(adapter / "serial"), product))
+    return sorted(ports, key=lambda p: (p.serial == "", p.device))
 
 
 def holders(device: str, root: Path = ROOT) -> list[Holder]:
-    """Processes beside this one that have a device open, as far as this user may see."""
+    """Other processes that have a device open, as far as this user may see."""
     real, out = os.path.realpath(device), []
     for process in _entries(root / "proc"):
         if process.name.isdigit() and int(process.name) != os.getpid() and real in _open_files(process):
@@ -77,7 +77,7 @@ def holders(device: str, root: Path = ROOT) -> list[Holder]:
 
 
 def sees_all_processes() -> bool:
-    """May this user see which files the processes of others have open?"""
+    """May this user see which files other users' processes have open?"""
     return os.geteuid() == 0
 
 
@@ -92,13 +92,13 @@ def group_of(device: str) -> str:
 
 
 def latency_ms(device: str, root: Path = ROOT) -> int | None:
-    """How long a USB adapter keeps bytes back to send more at once, ms; None where it does not say."""
+    """Time for which a USB adapter holds bytes to send more at once, ms; None where it is unknown."""
     text = text_of(root / "sys/bus/usb-serial/devices" / Path(os.path.realpath(device)).name / "latency_timer")
     return int(text) if text.isdigit() else None
 
 
 def can_state(channel: str, root: Path = ROOT) -> str:
-    """State of a CAN interface of the kernel: "up", "down", …; "" where there is no such interface."""
+    """State of a CAN interface of the kernel: "up", "down", …; "" where it does not exist."""
     place = root / "sys/class/net" / channel
     if not place.exists():
         return ""
@@ -109,8 +109,8 @@ def can_state(channel: str, root: Path = ROOT) -> str:
 
 
 def can_interfaces(root: Path = ROOT) -> list[str]:
-    """Names of the CAN interfaces that the kernel has (type 280 is ARPHRD_CAN)."""
-    return [entry.name for entry in _entries(root / "sys/class/net") if text_of(entry / "type") == "280"]
+    """Names of the kernel's CAN interfaces (type 280 is ARPHRD_CAN)."""
+    return [link.name for link in _entries(root / "sys/class/net") if text_of(link / "type") == "280"]
 
 
 def _entries(folder: Path) -> Iterator[Path]:
@@ -129,7 +129,7 @@ def _open_files(process: Path) -> set[str]:
 
 
 def _usb_adapter(device: Path, root: Path) -> Path | None:
-    """The folder of the USB device that a port hangs on."""
+    """The folder of the USB device of a port."""
     try:
         place = device.resolve(strict=True)
     except OSError:

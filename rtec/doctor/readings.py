@@ -1,4 +1,4 @@
-"""What one device has given so far: newest values, their age, how often new ones come, how often a reading failed."""
+"""Readings of one device so far: newest values, their ages, the rate of new ones, the share of failures."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,9 +13,9 @@ from rtec.loop.clock import Clock
 NS = 1e-9
 NOTHING_YET = -(2**62)
 FAILING_NS = 100_000_000
-"""So long without a good reading is no hiccup."""
+"""Time without a good reading, ns, above which it is no hiccup."""
 MANY = 0.1
-"""A device that fails in more than this share of the readings is not well, though it comes back each time."""
+"""A device that fails in more than this share of the readings is faulty, even if it recovers each time."""
 KEPT = 10_000
 
 
@@ -27,36 +27,36 @@ class Rate:
         self._news = 0
 
     @property
-    def seen(self) -> bool:
+    def started(self) -> bool:
         """Was there any?"""
         return self.newest_ns != NOTHING_YET
 
-    def see(self, time_ns: int) -> None:
-        """Take note of the instant of what was read; 0 means that nothing was."""
+    def record(self, time_ns: int) -> None:
+        """Record the instant of a reading; 0 means that there was none."""
         if time_ns in (self.newest_ns, 0):
             return
-        if self.seen:
+        if self.started:
             self._news += 1
         else:
             self.first_ns = time_ns
         self.newest_ns = time_ns
 
     def hz(self) -> float | None:
-        """New values a second; None where there were less than two."""
+        """New values a second; None before the second one."""
         span_s = (self.newest_ns - self.first_ns) * NS
         return self._news / span_s if self._news and span_s > 0 else None
 
     def age_s(self, now_ns: int) -> float:
-        """Since the newest was acquired."""
+        """Time since the acquisition of the newest."""
         return (now_ns - self.newest_ns) * NS
 
 
 class Ability:
-    """One thing that a device does for the run file.
+    """One role of a device in the run file.
 
     Attributes:
         does: "counts", "temperatures" or "spindle".
-        error: of the last reading; None where that was good.
+        error: error of the last reading; None where that was good.
     """
 
     def __init__(self, does: str, read: Callable[[], None], clock: Clock) -> None:
@@ -68,7 +68,7 @@ class Ability:
         self._took_ns: list[int] = []
 
     def ask(self) -> None:
-        """Read once; a fault is noted, never raised."""
+        """Read once; a fault is recorded, never raised."""
         start_ns = self._clock.now_ns()
         try:
             self._read()
@@ -90,12 +90,12 @@ class Ability:
             self._since_good += 1
 
     def failing(self) -> DriverError | None:
-        """The error, where it has lasted, or was there from the first reading to the last."""
+        """The error, if it has lasted, or covers all readings; else None."""
         lasting = self._good == 0 or self._clock.now_ns() - self._failing_ns > FAILING_NS
         return self.error if lasting else None
 
     def hiccups(self) -> tuple[str, bool]:
-        """What went wrong now and then since the first good reading, and whether that is too often; "" for nothing."""
+        """Occasional errors since the first good reading, and whether they are too many; "" for none."""
         if not self._bad_since_good:
             return "", False
         text = (
@@ -104,22 +104,22 @@ class Ability:
         return text, self._bad_since_good > MANY * self._since_good
 
     def took_ms(self) -> tuple[float, float] | None:
-        """How long a good reading takes, ms: median and longest; None where there was none."""
+        """Duration of a good reading, ms: median and longest; None where there was none."""
         if not self._took_ns:
             return None
         return float(np.median(self._took_ns)) * 1e-6, max(self._took_ns) * 1e-6
 
 
 class DeviceReadings:
-    """Keeps what a device gives.
+    """Keeps the readings of a device.
 
     Args:
-        device: opened.
-        patient: whose axes and sensors the arrays follow.
-        clock: ages are in its time.
+        device: the opened device.
+        patient: run file with the axes and sensors of the arrays.
+        clock: clock of the ages.
 
     Attributes:
-        counts_age_s: of every reading of the counts, when it was read.
+        counts_age_s: age of the counts at each reading.
     """
 
     def __init__(self, device: Any, patient: Patient, clock: Clock) -> None:
@@ -133,31 +133,31 @@ class DeviceReadings:
 
     @property
     def by_role(self) -> Mapping[str, Callable[[], None]]:
-        """How to read, by role; each raises the driver's errors."""
+        """Read function of each role; each raises the driver's errors."""
         return {"counts": self._read_counts, "temperatures": self._read_temperatures, "spindle": self._read_spindle}
 
     @property
     def heard(self) -> bool:
-        """Has the device given anything?"""
-        return bool(self._counts_rate.seen or self.sensors)
+        """Has the device given any reading?"""
+        return bool(self._counts_rate.started or self.sensors)
 
     @property
     def sensors(self) -> set[str]:
         """Names of the sensors that it has read."""
-        return {s.name for s, rate in zip(self._machine.sensors, self._rates, strict=True) if rate.seen}
+        return {s.name for s, rate in zip(self._machine.sensors, self._rates, strict=True) if rate.started}
 
     def values(self) -> list[Value]:
-        """What it reads now."""
+        """Present readings."""
         now_ns = self._clock.now_ns()
         return [*self._axis_values(now_ns), *self.sensor_values(now_ns), *self._spindle_values()]
 
     def sensor_values(self, now_ns: int) -> list[Value]:
-        """Temperatures now."""
+        """Present temperatures."""
         rows = zip(self._machine.sensors, self._degc.tolist(), self._rates, strict=True)
-        return [Value(s.name, degc, "°C", 2, r.age_s(now_ns), r.hz()) for s, degc, r in rows if r.seen]
+        return [Value(s.name, degc, "°C", 2, r.age_s(now_ns), r.hz()) for s, degc, r in rows if r.started]
 
     def output_values(self) -> list[Value]:
-        """What an actuator says it has applied; raises its errors."""
+        """Output that an actuator reports; raises its errors."""
         output = np.zeros(len(self._machine.axes), np.int64)
         self._device.read_output(output)
         out = []
@@ -169,21 +169,21 @@ class DeviceReadings:
 
     def _read_counts(self) -> None:
         latched_ns = self._device.read_counts(self._counts)
-        self._counts_rate.see(latched_ns)
+        self._counts_rate.record(latched_ns)
         self.counts_age_s.append((self._clock.now_ns() - latched_ns) * NS)
 
     def _read_temperatures(self) -> None:
         try:
             self._device.read_temperatures(self._degc, self._degc_ns)
-        finally:  # what is good is filled in, whatever is told of the others
+        finally:  # good values are filled in, whatever is raised on the others
             for rate, time_ns in zip(self._rates, self._degc_ns.tolist(), strict=True):
-                rate.see(time_ns)
+                rate.record(time_ns)
 
     def _read_spindle(self) -> None:
         self._rpm = self._device.read_spindle()
 
     def _axis_values(self, now_ns: int) -> list[Value]:
-        if not self._counts_rate.seen:
+        if not self._counts_rate.started:
             return []
         age_s, hz = self._counts_rate.age_s(now_ns), self._counts_rate.hz()
         return [

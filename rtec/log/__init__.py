@@ -1,1 +1,1 @@
-"""The log of a run: written, rotated, packed, read, exported."""
+"""The log of a run: writing, rotating, packing, reading, exporting."""

@@ -1,4 +1,4 @@
-"""What happened beside the rows of a log: orders, marks, reloads; a line of JSON each, next to the log."""
+"""Events beside the rows of a log: orders, marks, reloads; a line of JSON each, in a file next to the log."""
 
 import errno
 import json
@@ -16,15 +16,15 @@ REMEMBERED: Final = 200
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened.
+    """One event.
 
     Attributes:
-        row: number of the newest row then; rows count from the start of the run.
+        row: number of the newest row at the event; rows count from the start of the run.
         time_ns: instant of that row, monotonic clock, as in the log.
         utc: date and time of day, for people.
         what: name of the order, or "reloaded", "not reloaded".
-        text: what was said with it, or what came of it.
-        who: who ordered it.
+        text: text of the order, or its result.
+        who: user who gave the order.
     """
 
     row: int
@@ -40,14 +40,14 @@ class Event:
 
 
 class Events:
-    """Keeps the newest events, and writes each to a file.
+    """Keeps the newest events, and writes each event to a file.
 
     Args:
-        path: the file, appended to; None: they are only kept.
+        path: the file, which is appended to; None: events are only kept.
 
     Attributes:
-        newest: the last of them.
-        total: how many there were.
+        newest: the newest events.
+        total: number of all events.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -57,32 +57,32 @@ class Events:
         self._waiting: deque[Event] = deque(maxlen=REMEMBERED)
 
     def note(self, event: Event) -> None:
-        """Keep it in memory."""
+        """Keep an event in memory."""
         self.newest.append(event)
         self.total += 1
 
     def write(self, event: Event) -> None:
-        """Write it to the file, behind those that could not be written before.
+        """Write an event to the file, after those that could not be written before.
 
         Raises:
-            OSError: it cannot be written now; it is kept for the next time.
+            OSError: it cannot be written now; it is kept for the next attempt.
         """
         if self.path is not None:
             self._waiting.append(event)
             self.catch_up()
 
     def catch_up(self) -> None:
-        """Write what could not be written before.
+        """Write the events that could not be written before.
 
         Raises:
-            OSError: it still cannot.
+            OSError: they still cannot be written.
         """
         while self.path is not None and self._waiting:
             self._append(self.path, self._waiting[0])
             self._waiting.popleft()
 
     def _append(self, path: Path, event: Event) -> None:
-        """All of a line or nothing of it: half a line would spoil the next one."""
+        """Write the whole line or nothing: half a line would make the next one malformed."""
         fields: Mapping[str, object] = asdict(event)
         line = (json.dumps(fields, ensure_ascii=False) + "\n").encode()
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -96,5 +96,5 @@ class Events:
 
 
 def events_path(log: Path | None) -> Path | None:
-    """The file that lies next to a log."""
+    """Path of the events next to a log."""
     return None if log is None else log.with_suffix(".events.jsonl")

@@ -37,11 +37,11 @@ def export(reader: Log, out_path: Path, progress: Callable[[int], None] | None =
     Args:
         reader: the log; it is streamed, memory does not grow with its length.
         out_path: ends in `.parquet`, `.mcap` (both keep the header as metadata) or `.csv`.
-        progress: told the number of rows done, from time to time.
-        utc: a first column `utc` with date and time of each row; for a `LogStretch`, which knows them.
+        progress: called with the number of rows written, from time to time.
+        utc: add a first column `utc` with date and time of each row; needs a `LogStretch`, which has them.
 
     Returns:
-        Rows written.
+        Number of rows written.
 
     Raises:
         LogError: another ending, the log itself as target, the file cannot be written, or `mcap` is not installed.
@@ -98,8 +98,9 @@ def _open(part: Path, schema: pa.Schema) -> _Sink:
 
 
 class _McapFile:
-    """One channel `rtec`, a JSON message a row; what is not a number is null. The time of a message is its `utc`, else
-    the loop's own clock.
+    """One channel `rtec`, a JSON message a row; a number that is not finite is null.
+
+    The time of a message is its `utc`, else the loop's own clock.
     """
 
     def __init__(self, part: Path, schema: pa.Schema) -> None:
@@ -148,9 +149,9 @@ def _tables(reader: Log, schema: pa.Schema) -> Iterator[pa.Table]:
 
 
 def _utc(reader: Log, samples: Samples) -> "pa.Array[Any]":
-    """Date and time of rows; empty where their file does not tell."""
+    """Date and time of rows; empty where their file does not have it."""
     offset_ns = getattr(reader, "offset_ns", None)
     if offset_ns is None:
         return pa.nulls(len(samples), _UTC)
-    found: pa.Array[Any] = pa.array(samples.time_ns + offset_ns).cast(_UTC)
-    return found
+    utc: pa.Array[Any] = pa.array(samples.time_ns + offset_ns).cast(_UTC)
+    return utc

@@ -1,8 +1,8 @@
-"""A folder of logs: their names, the order that these give, and of each file when, how much and whether it is whole.
+"""A folder of logs: their names, their order, and of each file its time, its size and whether it is whole.
 
-`mill-000012-20260309T133000Z-3.arrows` is the third file of the twelfth run logged into that folder. Files are in order
-run by run, file by file as they were begun. The date is for people; where the clock was set back between two runs the
-numbers still tell which came first.
+`mill-000012-20260309T133000Z-3.arrows` is the third file of the twelfth run that was logged into that folder. Files are
+ordered by run, then by number. The date is for people; the numbers keep the order even where the clock was set back
+between two runs.
 """
 
 import fcntl
@@ -29,11 +29,11 @@ _NAME: Final = re.compile(r"(?P<stem>.*?)(-(?P<run>\d{6,}))?-(?P<date>\d{8}T\d{6
 
 @dataclass(frozen=True, order=True)
 class LogPlace:
-    """Where a file stands among the others.
+    """Place of a file in the order.
 
     Attributes:
         run: number of its run; 0 for a file that has none.
-        name: of its run.
+        name: name of its run.
         file: number within the run.
     """
 
@@ -44,27 +44,27 @@ class LogPlace:
 
 def place_of(path: Path) -> LogPlace:
     """Read a file's place from its name."""
-    found = _NAME.fullmatch(path.stem)
-    if found is None:
+    match = _NAME.fullmatch(path.stem)
+    if match is None:
         return LogPlace(0, path.stem, 1)
-    run, name = int(found["run"] or 0), path.stem[: found.end("date")]
-    return LogPlace(run, name, int(found["file"] or 1))
+    run, name = int(match["run"] or 0), path.stem[: match.end("date")]
+    return LogPlace(run, name, int(match["file"] or 1))
 
 
 def log_files(folder: Path) -> list[Path]:
-    """All logs of a folder, by their names alone, oldest first; where both forms of one are there, the written one."""
+    """All logs of a folder, by name, oldest first; where both forms of a log exist, the written one."""
     try:
-        found = [p for p in folder.iterdir() if p.suffix in (WRITTEN, PACKED) and not p.name.startswith(".")]
+        logs = [p for p in folder.iterdir() if p.suffix in (WRITTEN, PACKED) and not p.name.startswith(".")]
     except OSError:
         return []
-    return sorted((p for p in found if p.suffix == WRITTEN or p.with_suffix(WRITTEN) not in found), key=place_of)
+    return sorted((p for p in logs if p.suffix == WRITTEN or p.with_suffix(WRITTEN) not in logs), key=place_of)
 
 
 def logs_at(path: Path) -> list[Path]:
-    """Give the logs of a folder, oldest first; a file stands for itself.
+    """The logs of a folder, oldest first; a file stands for itself.
 
     Raises:
-        LogError: there is no such file or folder, or it cannot be read, or it has no logs.
+        LogError: the file or folder does not exist or cannot be read, or the folder has no logs.
     """
     try:
         if not stat.S_ISDIR(path.stat().st_mode):
@@ -72,22 +72,22 @@ def logs_at(path: Path) -> list[Path]:
         next(path.iterdir(), None)
     except OSError as error:
         raise LogError(f"log {path}: cannot be opened: {error.strerror}") from error
-    if not (found := log_files(path)):
+    if not (logs := log_files(path)):
         raise LogError(f"log {path}: no logs in this folder")
-    return found
+    return logs
 
 
 def next_log(folder: Path, path: Path) -> Path | None:
-    """Give the log that was begun after this one; None where there is none, or no folder."""
+    """The log that was begun after this one; None where there is none, or no folder."""
     return next((p for p in log_files(folder) if place_of(p) > place_of(path)), None) if folder.is_dir() else None
 
 
 def first_name(folder: Path, stem: str, started: str) -> Path:
-    """Name of the first file of a run.
+    """Path of the first file of a run.
 
     Args:
-        folder: of the logs.
-        stem: of the run file.
+        folder: folder of the logs.
+        stem: stem of the run file.
         started: date and time, as in `20260309T133000Z`.
     """
     run = 1 + max((place_of(path).run for path in log_files(folder)), default=0)
@@ -95,23 +95,23 @@ def first_name(folder: Path, stem: str, started: str) -> Path:
 
 
 State = Literal["being written", "packed", "whole", "torn", "damaged"]
-_READ_AT_ONCE_NS: Final = 10_000_000
+_READ_TOGETHER_NS: Final = 10_000_000
 _TRIES: Final = 5
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A file.
+    """One file of a log.
 
     Attributes:
         path: the file.
-        state: "being written"; "packed" as Parquet; "whole" or "torn" at its end by a kill or power cut, not yet
+        state: "being written"; "packed" as Parquet; "whole", or "torn" at its end by a kill or power cut, and not yet
             packed; "damaged": cannot be read, or not to its end.
         bytes: its size.
-        rows: that can be read, as far as its head tells.
-        from_ns, to_ns: date and time of its first and last row, ns since 1970 UTC; None where that is not known.
-        offset_ns: wall clock minus monotonic clock, as they stood when the file began; None where it does not say.
-        why: what is damaged; "" where nothing is.
+        rows: number of readable rows, according to its header.
+        from_ns, to_ns: date and time of its first and last row, ns since 1970 UTC; None where they are unknown.
+        offset_ns: wall clock minus monotonic clock when the file began; None where the file does not have it.
+        why: the damage; "" where there is none.
     """
 
     path: Path
@@ -124,16 +124,16 @@ class Segment:
     why: str = ""
 
     def overlaps(self, from_ns: int | None, to_ns: int | None) -> bool:
-        """Has it rows in that stretch of date and time? A file that does not tell its time may have."""
+        """Has it rows in that stretch of date and time? A file without its time may have."""
         if self.from_ns is None or self.to_ns is None:
             return True
         return (from_ns is None or self.to_ns >= from_ns) and (to_ns is None or self.from_ns < to_ns)
 
 
 def time_header(clock: Clock) -> dict[str, str]:
-    """What a file says of time at its beginning: both clocks at one instant, and which start of the computer it was.
+    """Time entries of a file's header: both clocks at one instant, and the start of the computer.
 
-    A step of the wall clock begins a new file, so what stands here holds for all of its rows.
+    A step of the wall clock begins a new file, so the offset holds for all rows of the file.
     """
     monotonic_ns, wall_ns = both_clocks(clock)
     boot = boot_id().decode(errors="replace").strip("\0")
@@ -141,30 +141,30 @@ def time_header(clock: Clock) -> dict[str, str]:
 
 
 def both_clocks(clock: Clock) -> tuple[int, int]:
-    """Monotonic and wall clock at one instant, ns; read again where something came between."""
+    """Monotonic and wall clock at one instant, ns; read again where the two reads were too far apart."""
     for _ in range(_TRIES):
         before, wall_ns = clock.now_ns(), wall_clock_ns()
-        if clock.now_ns() - before < _READ_AT_ONCE_NS:
+        if clock.now_ns() - before < _READ_TOGETHER_NS:
             break
     return before, wall_ns
 
 
 def look_at(path: Path) -> Segment:
-    """Look at one file; whatever is wrong with it is told, not raised."""
+    """Look at one file; its faults are in the result, not raised."""
     size = 0
     with suppress(OSError):
         size = path.stat().st_size
     try:
         with open_log(path) as log:
-            return _found(path, log, size)
+            return _segment(path, log, size)
     except LogError as error:
         return Segment(path, "being written" if being_written(path) else "damaged", size, why=str(error))
 
 
 def being_written(path: Path) -> bool:
-    """Has somebody locked the file?"""
+    """Does a process hold the file's lock?"""
     try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)  # a FIFO, too, is no log
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)  # never blocks on a FIFO
     except OSError:
         return False
     try:
@@ -176,7 +176,7 @@ def being_written(path: Path) -> bool:
     return False
 
 
-def _found(path: Path, log: Log, size: int) -> Segment:
+def _segment(path: Path, log: Log, size: int) -> Segment:
     rows, span = log.rows, log.span_ns
     offset_ns = _offset_ns(log.header, span)
     from_ns = to_ns = None
@@ -204,7 +204,7 @@ def _offset_ns(header: Mapping[str, str], span_ns: tuple[int, int] | None) -> in
             return int(header["wall_ns"]) - int(header["monotonic_ns"])
         if span_ns is None:
             return None
-        started = datetime.fromisoformat(header["started"])  # a log of an older version: to a few seconds
+        started = datetime.fromisoformat(header["started"])  # a log of an older version: exact to a few seconds
         return round(started.timestamp() * 1e9) - span_ns[0]
     except (KeyError, ValueError, OverflowError):
         return None

@@ -1,7 +1,7 @@
-"""What a log is: what every reader of one gives (`Log`), its Arrow schema, and its rows as a flat table.
+"""The format of a log: the interface of its readers (`Log`), its Arrow schema, and its rows as a flat table.
 
-The schema belongs to the form in which a log is written (`rtec.log.reader`). The table, one column a number, is what a
-packed log holds (`rtec.log.packed`) and what an export writes.
+The Arrow schema is that of the written form (`rtec.log.reader`). The table, one column a number, is that of a packed
+log (`rtec.log.packed`) and of an export.
 """
 
 import json
@@ -19,7 +19,7 @@ from rtec.loop.records import Commands, Field, Layout, Samples
 
 FORMAT_VERSION: Final = "1"
 END_MARK: Final = b"\xff\xff\xff\xff\0\0\0\0"
-"""What Arrow writes after the last batch of a stream."""
+"""Bytes that Arrow writes after the last batch of a stream."""
 _MAX_NAMES: Final = 4096
 _UNITS: Final = {
     "time_ns": "ns",
@@ -41,11 +41,11 @@ Columns = list[NDArray[Any]]
 
 
 class Log(Protocol):
-    """What reads one log: `LogReader`, `PackedReader`, or `LogStretch` for many files at once.
+    """Reader of one log: `LogReader`, `PackedReader`, or `LogStretch` for many files at once.
 
     Attributes:
         path: the file or folder.
-        header: what the writer was given.
+        header: header as the writer got it.
         layout: names of axes and sensors.
         bytes: size of the file.
     """
@@ -57,17 +57,17 @@ class Log(Protocol):
 
     @property
     def rows(self) -> int:
-        """Whole rows."""
+        """Number of whole rows."""
         ...
 
     @property
     def torn_bytes(self) -> int:
-        """Bytes behind the last whole row."""
+        """Number of bytes after the last whole row."""
         ...
 
     @property
     def complete(self) -> bool:
-        """Whether the writer closed it."""
+        """Did the writer close it?"""
         ...
 
     @property
@@ -80,11 +80,11 @@ class Log(Protocol):
         ...
 
     def refresh(self) -> None:
-        """Look at the file again, with what was appended since."""
+        """Read the size of the file again, to include what was appended since."""
         ...
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -95,12 +95,12 @@ class Log(Protocol):
 
 
 def columns_of(layout: Layout) -> tuple[Field, ...]:
-    """Fields that have a column, in the order of the columns."""
+    """Fields with columns, in the order of the columns."""
     return tuple(f for f in (*Samples.fields_of(layout), *Commands.fields_of(layout)) if f.width != 0)
 
 
-def entry_names(field: Field, layout: Layout) -> tuple[str, ...]:
-    """Names of a vector's entries; none for a scalar."""
+def element_names(field: Field, layout: Layout) -> tuple[str, ...]:
+    """Names of a vector's elements; none for a scalar."""
     if field.width is None:
         return ()
     return layout.sensors if field.name.startswith("degc") else layout.axes
@@ -110,9 +110,9 @@ def schema_of(layout: Layout, header: Mapping[str, str]) -> pa.Schema:
     """Arrow schema of a log; names, units and header are its metadata."""
     columns = []
     for f in columns_of(layout):
-        entry: pa.DataType = pa.from_numpy_dtype(np.dtype(f.dtype))
-        kind = entry if f.width is None else pa.list_(pa.field("item", entry, nullable=False), f.width)
-        about: dict[bytes | str, bytes | str] = {"unit": _UNITS[f.name], "names": json.dumps(entry_names(f, layout))}
+        element: pa.DataType = pa.from_numpy_dtype(np.dtype(f.dtype))
+        kind = element if f.width is None else pa.list_(pa.field("item", element, nullable=False), f.width)
+        about: dict[bytes | str, bytes | str] = {"unit": _UNITS[f.name], "names": json.dumps(element_names(f, layout))}
         columns.append(pa.field(f.name, kind, nullable=False, metadata=about))
     metadata: dict[bytes | str, bytes | str] = {
         "rtec.log": FORMAT_VERSION,
@@ -125,20 +125,20 @@ def schema_of(layout: Layout, header: Mapping[str, str]) -> pa.Schema:
 
 def read_metadata(schema: pa.Schema) -> dict[str, str]:
     """Header and the format's own entries (`rtec.…`) as text."""
-    found = (schema.metadata or {}).items()
-    return {key.decode(errors="replace"): value.decode(errors="replace") for key, value in found}
+    entries = (schema.metadata or {}).items()
+    return {key.decode(errors="replace"): value.decode(errors="replace") for key, value in entries}
 
 
 def read_layout(path: Path, metadata: Mapping[str, str]) -> Layout:
-    """Give the names of axes and sensors.
+    """The names of axes and sensors.
 
     Raises:
-        LogError: not a log, a format of another version, or names that cannot be.
+        LogError: not a log, a format of another version, or names that are not allowed.
     """
     version = metadata.get("rtec.log")
     if version != FORMAT_VERSION:
-        found = "an Arrow stream, but not a log of rtec" if version is None else f"log format {version!r}"
-        raise LogError(f"log {path}: {found}; format {FORMAT_VERSION!r} is needed")
+        content = "an Arrow stream, but not a log of rtec" if version is None else f"log format {version!r}"
+        raise LogError(f"log {path}: {content}; format {FORMAT_VERSION!r} is needed")
     return Layout(_read_names(path, metadata, "rtec.axes"), _read_names(path, metadata, "rtec.sensors"))
 
 
@@ -154,18 +154,18 @@ def _read_names(path: Path, metadata: Mapping[str, str], key: str) -> tuple[str,
     return tuple(names)
 
 
-def check_columns(path: Path, found: pa.Schema, layout: Layout) -> None:
+def check_columns(path: Path, actual: pa.Schema, layout: Layout) -> None:
     """Refuse columns other than those of the layout.
 
     Raises:
         LogError: names what is missing or different.
     """
-    wanted = schema_of(layout, {})
-    if missing := [name for name in wanted.names if name not in found.names]:
+    needed = schema_of(layout, {})
+    if missing := [name for name in needed.names if name not in actual.names]:
         raise LogError(f"log {path}: columns missing: {', '.join(missing)}")
-    if found.names != wanted.names:
-        raise LogError(f"log {path}: columns {found.names} found, {wanted.names} are needed")
-    for mine, theirs in zip(wanted, found, strict=True):
+    if actual.names != needed.names:
+        raise LogError(f"log {path}: columns {actual.names} found, {needed.names} are needed")
+    for mine, theirs in zip(needed, actual, strict=True):
         if mine.type != theirs.type:
             raise LogError(f"log {path}: column {mine.name}: type {theirs.type} found, {mine.type} is needed")
 
@@ -178,7 +178,7 @@ def flat_names(layout: Layout) -> list[str]:
     """
     names: list[str] = []
     for f in columns_of(layout):
-        names += [f.name] if f.width is None else [f"{f.name}_{entry}" for entry in entry_names(f, layout)]
+        names += [f.name] if f.width is None else [f"{f.name}_{element}" for element in element_names(f, layout)]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise LogError(f"log: the names of axes and sensors give two columns {twice[0]!r}; it cannot be exported")
     return names
@@ -207,5 +207,5 @@ def chunks(log: Log) -> Iterator[list[Block]]:
 
 
 def first_line(error: BaseException) -> str:
-    """What a library says of a fault, without its details."""
+    """First line of a library's message, without its details."""
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,9 +1,9 @@
 """The packed form of a closed log: zstd Parquet, every bit of every row; written once, read a group of rows at a time.
 
-The columns are those of an export (`counts_X`, `degc_T_spindle`, …), for any program that opens Parquet. One thing
-is special: `applied_um_X` is empty (null) in every row where it is the same number, bit for bit, as `requested_um_X`,
-which is almost all of them. Each page carries a checksum. The file's metadata is the header of the log, and beside it
-the format's own entries (`rtec.…`).
+The columns are those of an export (`counts_X`, `degc_T_spindle`, …), for any program that opens Parquet, with one
+exception: `applied_um_X` is empty (null) in every row where it is the same number, bit for bit, as `requested_um_X`,
+which is almost all rows. Each page has a checksum. The file's metadata is the header of the log, with the format's
+own entries (`rtec.…`).
 """
 
 import json
@@ -26,7 +26,7 @@ from rtec.log.format import (
     Log,
     chunks,
     columns_of,
-    entry_names,
+    element_names,
     first_line,
     flat_names,
     flatten,
@@ -41,21 +41,21 @@ SAME_AS: Final = {"applied_um": "requested_um"}
 _DELTA: Final = ("time_ns", "counts_time_ns", "counts_", "output_")
 """Columns that change by little from row to row."""
 _SPLIT: Final = ("requested_um_", "applied_um_")
-"""Columns whose first bytes change slowly, and whose last ones are noise."""
+"""Columns whose first bytes change slowly, while the last ones are noise."""
 _LEVEL: Final = 3
 _BROKEN: Final = (pa.ArrowException, OSError, ValueError, KeyError, OverflowError)
 
 
 def same_columns(layout: Layout) -> dict[str, str]:
-    """By flat name: the column whose number an empty cell stands for."""
+    """By flat name: the column that has the number of an empty cell."""
     return {f"{a}_{axis}": f"{b}_{axis}" for a, b in SAME_AS.items() for axis in layout.axes}
 
 
 def pack(log: Log, path: Path) -> int:
-    """Write a log as Parquet; the file appears whole or not at all, and never in place of another.
+    """Write a log as Parquet; the file appears whole or not at all, and never replaces another.
 
     Returns:
-        Rows written.
+        Number of rows written.
 
     Raises:
         LogError: the file exists or cannot be written, or the log is damaged.
@@ -76,7 +76,7 @@ def pack(log: Log, path: Path) -> int:
 
 
 def part_of(path: Path) -> Path:
-    """The name under which a packed log is written until it is whole."""
+    """Path of a packed log while it is being written."""
     return path.with_name(f".{path.name}.part")
 
 
@@ -138,7 +138,7 @@ def _table(blocks: list[Block], schema: pa.Schema, layout: Layout) -> pa.Table:
 
 
 def _equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
-    """Bit for bit: a NaN equals itself, and -0 is not 0."""
+    """Bitwise equality: a NaN equals itself, and -0 does not equal 0."""
     return np.asarray(np.ascontiguousarray(a).view(np.int64) == np.ascontiguousarray(b).view(np.int64))
 
 
@@ -155,19 +155,19 @@ class PackedReader:
 
     Attributes:
         path: the file.
-        header: what the writer was given.
+        header: header as the writer got it.
         layout: names of axes and sensors.
         bytes: size of the file.
-        rows: rows in it.
-        torn_bytes: what was torn from the end of the log before it was packed.
-        complete: whether the writer had closed it.
+        rows: number of rows.
+        torn_bytes: bytes that were torn from the end of the log before it was packed.
+        complete: had the writer closed it?
     """
 
     def __init__(self, path: Path) -> None:
         """Open and check columns and header.
 
         Raises:
-            LogError: missing, damaged, or no packed log.
+            LogError: missing, damaged, or not a packed log.
         """
         self.path = path
         try:
@@ -191,10 +191,10 @@ class PackedReader:
         self.complete = metadata.get("rtec.complete") == "true"
 
     def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[Block]:
-        """Give the rows from `start` on, in blocks of `max_rows` at most.
+        """The rows from `start` on, in blocks of `max_rows` at most.
 
         Raises:
-            LogError: a group of rows is damaged; those before it were given.
+            LogError: a group of rows is damaged; the rows before it were given.
         """
         row = 0
         for k in range(self._file.metadata.num_row_groups):
@@ -209,7 +209,7 @@ class PackedReader:
         """Do nothing: a packed log does not grow."""
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -218,12 +218,12 @@ class PackedReader:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _check(self, found: pa.Schema) -> None:
-        wanted = flat_names(self.layout)
-        if found.names != wanted:
-            raise LogError(f"log {self.path}: columns {found.names} found, {wanted} are needed")
+    def _check(self, actual: pa.Schema) -> None:
+        needed = flat_names(self.layout)
+        if actual.names != needed:
+            raise LogError(f"log {self.path}: columns {actual.names} found, {needed} are needed")
         empty = flatten(Samples.empty(self.layout, 0), Commands.empty(self.layout, 0))
-        for field, column in zip(found, empty, strict=True):
+        for field, column in zip(actual, empty, strict=True):
             if field.type != pa.from_numpy_dtype(column.dtype):
                 raise LogError(f"log {self.path}: column {field.name}: type {field.type} found")
 
@@ -248,20 +248,20 @@ class PackedReader:
 
 
 def _array(field: Field, n: int, flat: dict[str, NDArray[Any]], layout: Layout) -> NDArray[Any]:
-    """A field of a record; a vector of no entries has no column."""
+    """A field of a record; a vector of length 0 has no column."""
     if field.width is None:
         return np.array(flat[field.name], field.dtype)
     out = np.zeros(field.shape(n), field.dtype)
     if field in columns_of(layout):
-        for k, name in enumerate(entry_names(field, layout)):
+        for k, name in enumerate(element_names(field, layout)):
             out[:, k] = flat[f"{field.name}_{name}"]
     return out
 
 
 def _numbers(text: str, n: int) -> list[int]:
-    """So many integers, of JSON that nobody vouches for."""
+    """Exactly `n` integers from JSON that may be malformed; zeros where it is."""
     try:
-        found = [int(x) for x in json.loads(text)]
+        numbers = [int(x) for x in json.loads(text)]
     except (ValueError, TypeError, RecursionError):
-        found = []
-    return found if len(found) == n else [0] * n
+        numbers = []
+    return numbers if len(numbers) == n else [0] * n

@@ -1,12 +1,12 @@
-"""Reads a log as it is written: an Arrow IPC stream (`.arrows`) that any Arrow program opens. And opens either form.
+"""Reads the written form of a log: an Arrow IPC stream (`.arrows`) that any Arrow program opens. Opens either form.
 
 One column a field of `Samples`, then of `Commands`; vectors are fixed-size lists, and their axis or sensor names are in
-the column's metadata (`names`), units in `unit`. The schema, written first, carries the header (versions, hashes, host,
-start) as metadata. Batches are uncompressed, so that a reader maps the file and copies nothing. A vector of no entries
-(a machine without sensors) has no column.
+the column's metadata (`names`), units in `unit`. The schema is written first and has the header (versions, hashes,
+host, start) as metadata. Batches are uncompressed, so that a reader maps the file and copies nothing. A vector of
+length 0 (a machine without sensors) has no column.
 
-The file is only ever appended to, a whole batch at a time. What a kill or power cut leaves after the last whole batch
-is ignored by the reader, and counted in `torn_bytes`.
+The file is only ever appended to, a whole batch at a time. The reader ignores a part of a batch at the end, as after a
+kill or power cut, and counts it in `torn_bytes`.
 """
 
 import mmap
@@ -25,7 +25,7 @@ from rtec.loop.records import Commands, Field, Samples
 
 _MAX_PLANS: Final = 256
 _MESSAGE: Final = b"\xff\xff\xff\xff"
-"""What every message of a stream begins with."""
+"""First bytes of every message of a stream."""
 _NOTHING: Final = pa.py_buffer(b"")
 _Broken = (pa.ArrowException, OSError, EOFError, ValueError, TypeError, KeyError, OverflowError)
 
@@ -35,7 +35,7 @@ class LogReader:
 
     Attributes:
         path: the file.
-        header: what the writer was given.
+        header: header as the writer got it.
         layout: names of axes and sensors.
     """
 
@@ -62,27 +62,27 @@ class LogReader:
 
     @property
     def rows(self) -> int:
-        """Whole rows in the file as it was mapped; reads the head of each batch, not the rows."""
+        """Number of whole rows in the mapped file; reads the header of each batch, not the rows."""
         self._index()
         return self._rows_at_end[-1]
 
     @property
     def torn_bytes(self) -> int:
-        """Bytes after the last whole batch that are not the mark of a clean end."""
+        """Number of bytes after the last whole batch that are not the mark of a clean end."""
         self._index()
         return 0 if self.complete else self.bytes - self._ends[-1]
 
     @property
     def complete(self) -> bool:
-        """Whether the writer closed the file: the end mark stands after the last batch."""
+        """Did the writer close the file, with the end mark after the last batch?"""
         self._index()
         self._source.seek(self._ends[-1])
         return self._source.read(len(END_MARK) + 1) == END_MARK
 
     @property
     def damaged_bytes(self) -> int:
-        """Bytes behind the last readable row, where a whole batch follows them: damage, not a torn end; else 0."""
-        at = self._ends[-1] if self.torn_bytes else self.bytes  # looking for the ends has read all heads before
+        """Bytes after the last readable row, where a whole batch follows them: damage, not a torn end; else 0."""
+        at = self._ends[-1] if self.torn_bytes else self.bytes  # the search for the ends has read all headers
         while (at := self._memory.find(_MESSAGE, at + 1)) >= 0:
             if at % 8 == 0 and any(True for _ in self._batches(at)):
                 return self.bytes - self._ends[-1]
@@ -95,10 +95,10 @@ class LogReader:
         return None if last < 0 else (self._time_ns(0), self._time_ns(last))
 
     def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[tuple[Samples, Commands]]:
-        """Give the rows from `start` on, in blocks of `max_rows` at most, as views of the mapped file.
+        """The rows from `start` on, in blocks of `max_rows` at most, as views of the mapped file.
 
         The mapping is private: writing to a view changes no file. Blocks end where the batches of the file do. Views
-        stay good after the reader is closed.
+        stay valid after the reader is closed.
 
         Raises:
             LogError: a batch is whole in length but contradicts the header.
@@ -114,11 +114,11 @@ class LogReader:
             row += n
 
     def refresh(self) -> None:
-        """Map the file again, with what was appended since; earlier views stay good."""
+        """Map the file again, to include what was appended since; earlier views stay valid."""
         self._map()
 
     def close(self) -> None:
-        """Let go of the file; it stays mapped until the last view is gone."""
+        """Close the file; it stays mapped until the last view is gone."""
         self._source.close()
 
     def __enter__(self) -> Self:
@@ -130,13 +130,13 @@ class LogReader:
     def _map(self) -> None:
         try:
             with self.path.open("rb") as file:
-                # Private: arrays of it are ordinary writable ones, and writing to them would change no file.
+                # Private: its arrays are ordinary writable ones, and writing to them changes no file.
                 self._memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
             whole = pa.py_buffer(self._memory)
             self._source, self._address, self.bytes = pa.BufferReader(whole), whole.address, whole.size
         except OSError as error:
             raise LogError(f"log {self.path}: cannot be opened: {error.strerror or error}") from error
-        except ValueError as error:  # nothing to map
+        except ValueError as error:  # an empty file cannot be mapped
             raise LogError(f"log {self.path}: is empty") from error
 
     def _time_ns(self, row: int) -> int:
@@ -144,7 +144,7 @@ class LogReader:
         return int(samples.time_ns[0])
 
     def _index(self) -> None:
-        """Find the end and row count of every batch not seen yet."""
+        """Find end and row count of every batch that is not in the index yet."""
         for end, n, _, _ in self._batches(self._ends[-1]):
             self._ends.append(end)
             self._rows_at_end.append(self._rows_at_end[-1] + n)
@@ -164,14 +164,14 @@ class LogReader:
                 end = self._source.tell()
                 n, offsets = self._plan(message, at)
             except _Broken:
-                return  # the end, or what a kill or power cut left
+                return  # the end, or a part of a batch after a kill or power cut
             yield end, n, offsets, message.body or _NOTHING
             at = end
 
     def _plan(self, message: pa.Message, at: int) -> tuple[int, tuple[int, ...]]:
         """Rows of a batch, and offset of each column's numbers in its body.
 
-        Equal heads mean equal plans; looking at each batch anew would take most of the time of reading.
+        Equal headers mean equal plans; parsing each batch again would take most of the reading time.
         """
         head = message.metadata.to_pybytes()
         if head not in self._plans:
@@ -187,7 +187,7 @@ class LogReader:
         except pa.ArrowInvalid as error:
             raise LogError(f"log {self.path}: batch at byte {at} is damaged: {first_line(error)}") from error
         offsets = [values.address - body.address if (values := c.buffers()[-1]) else 0 for c in batch.columns]
-        # Compressed numbers lie elsewhere than in the body.
+        # Compressed numbers are not in the body.
         if any(offset % 8 or not 0 <= offset <= body.size for offset in offsets) or body.address % 8:
             raise LogError(f"log {self.path}: batch at byte {at} is compressed or not aligned to 8 bytes")
         return tuple(offsets)
@@ -200,7 +200,7 @@ class LogReader:
 
 
 def _view(field: Field, n: int, memory: mmap.mmap, offsets: Iterator[int]) -> NDArray[Any]:
-    """An array at the next offset; a vector of no entries has no column, a batch of no rows no body."""
+    """An array at the next offset; a vector of length 0 has no column, a batch without rows has no body."""
     if field.width == 0 or n == 0:
         return np.zeros((n, 0), field.dtype)
     return np.ndarray(field.shape(n), field.dtype, memory, next(offsets))
@@ -210,10 +210,10 @@ def open_log(path: Path) -> Log:
     """Open one file of a log.
 
     Raises:
-        LogError: it is missing, or no log.
+        LogError: it is missing, or is not a log.
     """
     if path.is_dir():
         raise LogError(f"log {path}: is a folder; `rtec log list {path}` shows the logs in it")
-    if path.exists() and not path.is_file():  # opening a FIFO would wait for somebody who writes into it
+    if path.exists() and not path.is_file():  # opening a FIFO would wait for a writer
         raise LogError(f"log {path}: is no ordinary file")
     return PackedReader(path) if path.suffix == PACKED else LogReader(path)

@@ -1,8 +1,8 @@
-"""The log of a run, in one file or several: a new one where a reload began, and after rows were lost.
+"""The log of a run, in one file or several: a reload and a loss of rows begin a new file.
 
-A disk that fails costs the rows that could not be written, never the correction: that is told, tried again every few
-seconds, and told when it goes on. Every file can be replayed by itself: its header holds the step's whole memory as
-it was before the file's first row.
+A disk that fails costs the rows that could not be written, never the correction. The failure is reported, logging is
+tried again every few seconds, and its return is reported. Every file can be replayed by itself: its header holds the
+step's whole memory before the file's first row.
 """
 
 import json
@@ -21,20 +21,20 @@ RETRY_NS: Final = 5_000_000_000
 
 
 class Writer(Protocol):
-    """What a recording needs of a log: `rtec.log.writer.LogWriter` is one.
+    """A file of a log, as a recording uses it: `rtec.log.writer.LogWriter` is one.
 
     Attributes:
-        rows: rows in the file.
+        rows: number of rows in the file.
     """
 
     rows: int
 
     def write(self, samples: Samples, commands: Commands) -> None:
-        """Take rows; raises LogError."""
+        """Append rows; raises LogError."""
         ...
 
     def flush(self) -> None:
-        """Put them on disk; raises LogError."""
+        """Put all rows on disk; raises LogError."""
         ...
 
     def close(self) -> None:
@@ -44,11 +44,11 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class Begin:
-    """Where a file begins.
+    """Beginning of a file.
 
     Attributes:
         row: its first row.
-        header: what it says of its beginning.
+        header: header entries on its beginning.
     """
 
     row: int
@@ -56,12 +56,12 @@ class Begin:
 
     @classmethod
     def at_start(cls, output: list[int], state: Mapping[str, Any]) -> "Begin":
-        """The first file of a run; `state` as the fast path told it."""
+        """The first file of a run; `state` is the fast path's report."""
         return cls(0, {"initial_output": json.dumps(output), "initial_state": json.dumps(state)})
 
     @classmethod
     def behind(cls, saved: Saved) -> "Begin":
-        """A file whose first row follows the one that a state was kept of."""
+        """A file whose first row follows the row of a saved state."""
         state = {"structure": saved.structure.hex(), **state_text(saved.state)}
         header = {"initial_output": json.dumps(saved.output.tolist()), "initial_state": json.dumps(state)}
         return cls(saved.row + 1, {**header, "first_row": str(saved.row + 1)})
@@ -72,15 +72,15 @@ Open = Callable[[Path, Mapping[str, str]], Writer]
 
 @dataclass
 class Recording:
-    """Rows on their way to the disk.
+    """Writes rows to the disk.
 
     Attributes:
         path: the newest file; None: nothing is recorded.
-        clock: for trying again.
-        open_writer: makes a file, given its path and what it says of its beginning.
-        warnings: what a user is told, added to.
-        trouble: what is wrong now; "" where all is well.
-        missed: rows that are in no file.
+        clock: times new attempts.
+        open_writer: creates a file, from its path and its beginning.
+        warnings: messages for the user; new ones are appended.
+        trouble: present fault; "" where there is none.
+        missed: number of rows that are in no file.
     """
 
     path: Path | None
@@ -100,10 +100,10 @@ class Recording:
     _goes_on: str = ""
 
     def begin(self, begin: Begin) -> None:
-        """Make the first file.
+        """Create the first file.
 
         Raises:
-            LogError: it cannot be made: a run that cannot be logged from the start is not begun.
+            LogError: it cannot be created; a run that cannot be logged from the start does not begin.
         """
         if self.path is not None:
             self._writer = self.open_writer(self.path, begin.header)
@@ -113,7 +113,7 @@ class Recording:
         """Record rows; `first_row` is the number of the first of them.
 
         Raises:
-            Exception: a fault that is no LogError; as after one of those, the file ends and the rows count as missed.
+            Exception: an unforeseen fault; as after a LogError, the file ends and the rows count as missed.
         """
         stop = first_row + len(samples)
         try:
@@ -129,24 +129,24 @@ class Recording:
             raise
 
     def flush(self) -> None:
-        """Bring them to the disk."""
+        """Put all rows on disk."""
         self._try(lambda w: w.flush())
         if self.clock.now_ns() >= self._retry_ns:
             self._tell_that_it_goes_on()
 
     def cut(self, begin: Begin) -> None:
-        """Let a new file begin at that row, which is still to come."""
+        """Begin a new file at that row, which is still to come."""
         if self.path is not None:
             self._pending = begin
 
     def wants_to_try_again(self) -> bool:
-        """Is it time for a new file, after a failure or a gap? `cut` says where it may begin."""
+        """Is it time for a new file, after a failure or a gap? `cut` sets where it begins."""
         if self.path is None or self._pending is not None:
             return False
         return self._inexact if self._writer is not None else self.clock.now_ns() >= self._retry_ns
 
     def close(self) -> None:
-        """End the file."""
+        """End the last file."""
         self._try(lambda w: w.flush())
         self._tell_that_it_goes_on()
         self._try(lambda w: w.close())
@@ -164,16 +164,16 @@ class Recording:
             self._try(lambda w: w.write(samples.rows(skip, len(samples)), commands.rows(skip, len(samples))))
 
     def _end_at_gap(self, row: int, lost_rows: int) -> None:
-        """Rows are missing: what follows cannot be replayed from this file's beginning, and goes into another.
+        """Rows are missing: the next rows cannot be replayed from this file's beginning, and go into another file.
 
-        Nobody knows the step's memory at this row, so the other can be read but not checked; the next one can.
+        The step's memory at this row is unknown, so that file can be read but not checked; the one after it can.
         """
         self.warnings.append(f"{lost_rows} rows came too fast and are in no log; a new file begins behind them")
         self._change(Begin(row, {"first_row": str(row), "rows_lost_before": str(lost_rows)}))
         self._inexact = True
 
     def _tell_that_it_goes_on(self) -> None:
-        """Not with the first rows that find room: a disk that is all but full would have it told every few seconds."""
+        """Report it some time after the first rows: an almost full disk would else cause a report every few seconds."""
         if self._goes_on and self._writer is not None and self._writer.rows:
             self.warnings.append(self._goes_on)
             self.trouble, self._missed_before, self._goes_on = "", self.missed, ""
@@ -222,13 +222,13 @@ class Recording:
         self._retry_ns = self.clock.now_ns() + RETRY_NS
         writer, self._writer = self._writer, None
         if writer is not None:
-            self.missed += self._given - writer.rows  # what it held back
-            with suppress(Exception):  # told already
+            self.missed += self._given - writer.rows  # rows that were still in memory
+            with suppress(Exception):  # reported already
                 writer.close()
 
 
 def free_path(path: Path) -> Path:
-    """The next free name behind this one: `run.arrows`, `run-2.arrows`, `run-3.arrows`."""
+    """The next free name after this one: `run.arrows`, `run-2.arrows`, `run-3.arrows`."""
     stem, k = path.stem, 1
     head, _, tail = stem.rpartition("-")
     if head and tail.isdigit() and len(tail) < len("20260101"):

@@ -1,7 +1,7 @@
-"""A stretch of time as one log, over however many files of a folder and starts of the computer it goes.
+"""A stretch of time as one log, over any number of files of a folder and starts of the computer.
 
-Monotonic time begins at zero with every start of the computer; rows are in the order of the files, which their names
-give. A damaged file costs its own rows, and is reported in `troubles`. Date and time of day only choose the stretch.
+Monotonic time begins at zero with every start of the computer; rows are in the order of the files' names. A damaged
+file costs its own rows, and is reported in `troubles`. Date and time of day only select the stretch.
 """
 
 from collections import Counter
@@ -24,68 +24,68 @@ EXAMPLES: Final = "2026-03-09, '2026-03-09 14:30', 2026-03-09T13:30:00Z or 2026-
 
 
 def instant_ns(text: str) -> int:
-    """Give the instant that an ISO 8601 text names, ns since 1970 UTC; without a zone it is this computer's own time.
+    """The instant of an ISO 8601 text, ns since 1970 UTC; a text without a zone is in this computer's local time.
 
     Raises:
-        LogError: it is no date and time.
+        LogError: the text is no date and time.
     """
     try:
-        found = datetime.fromisoformat(text.strip())
-        return (found.astimezone(UTC) - _EPOCH) // _MICROSECOND * 1000
+        moment = datetime.fromisoformat(text.strip())
+        return (moment.astimezone(UTC) - _EPOCH) // _MICROSECOND * 1000
     except (ValueError, OverflowError) as error:
         raise LogError(f"{text!r} is no date and time; give {EXAMPLES}") from error
 
 
 def utc_text(instant: int) -> str:
-    """Give an instant, ns since 1970 UTC, as `2026-03-09 13:30:00Z`; "" where no calendar reaches."""
+    """An instant, ns since 1970 UTC, as `2026-03-09 13:30:00Z`; "" where it is outside the calendar."""
     try:
         return (_EPOCH + timedelta(microseconds=instant // 1000)).strftime("%Y-%m-%d %H:%M:%SZ")
     except OverflowError:
         return ""
 
 
-Told = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
 def segments_of(
-    path: Path, from_ns: int | None = None, to_ns: int | None = None, progress: Told | None = None
+    path: Path, from_ns: int | None = None, to_ns: int | None = None, progress: Progress | None = None
 ) -> list[Segment]:
     """The files of a folder that have rows in a stretch of date and time, oldest first; a file stands for itself.
 
     Args:
         path: folder, or one log.
         from_ns, to_ns: ns since 1970 UTC, `to_ns` not included; None: no bound.
-        progress: told files done, and files in all.
+        progress: called with the number of files done, and of all files.
 
     Raises:
-        LogError: there is no such file or folder, it cannot be read, or it has no logs.
+        LogError: the file or folder does not exist or cannot be read, or the folder has no logs.
     """
     paths = logs_at(path)
-    found = []
+    segments = []
     for k, each in enumerate(paths):
-        found.append(look_at(each))
+        segments.append(look_at(each))
         if progress is not None:
             progress(k + 1, len(paths))
-    return [segment for segment in found if segment.overlaps(from_ns, to_ns)]
+    return [segment for segment in segments if segment.overlaps(from_ns, to_ns)]
 
 
 class LogStretch:
     """Reads the rows of files one after the other.
 
     Attributes:
-        path: where the files are.
-        header: of the first file, and the names of all (`segments`).
+        path: folder of the files.
+        header: header of the first file, and the names of all (`segments`).
         layout: names of axes and sensors, the same in all files.
-        bytes: of all files.
-        troubles: what could not be read, so far.
-        offset_ns: wall clock minus monotonic clock of the block given last; None where its file does not say.
+        bytes: size of all files.
+        troubles: faults of reading, so far.
+        offset_ns: wall clock minus monotonic clock of the newest block; None where its file does not have it.
     """
 
     def __init__(self, path: Path, segments: Iterable[Segment], from_ns: int | None, to_ns: int | None) -> None:
-        """Look at the heads of all files.
+        """Read the headers of all files.
 
         Raises:
-            LogError: no file of them can be read, or their axes or sensors differ.
+            LogError: none of the files can be read, or their axes or sensors differ.
         """
         self.path, self._from_ns, self._to_ns = path, from_ns, to_ns
         self.troubles: list[str] = []
@@ -99,17 +99,17 @@ class LogStretch:
 
     @property
     def rows(self) -> int:
-        """Rows of all files, those outside the stretch too."""
+        """Number of rows of all files, including those outside the stretch."""
         return sum(s.rows for s in self._segments)
 
     @property
     def torn_bytes(self) -> int:
-        """0: a torn end is told of its file alone."""
+        """0: only a single file has a torn end."""
         return 0
 
     @property
     def complete(self) -> bool:
-        """Was there nothing that could not be read?"""
+        """Could everything be read?"""
         return not self.troubles
 
     @property
@@ -118,7 +118,7 @@ class LogStretch:
         return None
 
     def blocks(self, max_rows: int = 65_536, start: int = 0) -> Iterator[Block]:
-        """Rows of the stretch in blocks of `max_rows` at most; `start` is not used but as 0."""
+        """Rows of the stretch in blocks of `max_rows` at most; `start` must be 0."""
         del start
         for segment in self._segments:
             self.offset_ns = segment.offset_ns
@@ -134,7 +134,7 @@ class LogStretch:
                 self.troubles += [segment.why] if segment.why else []
 
     def refresh(self) -> None:
-        """Do nothing: the stretch is what it was when it was chosen."""
+        """Do nothing: the stretch does not grow."""
 
     def close(self) -> None:
         """Do nothing: files are open only while they are read."""
@@ -146,7 +146,7 @@ class LogStretch:
         self.close()
 
     def _within(self, segment: Segment, time_ns: "np.ndarray[tuple[int, ...], np.dtype[np.int64]]") -> tuple[int, int]:
-        """Rows of a block that lie in the stretch; all, where the file does not tell its date."""
+        """Range of a block's rows in the stretch; all rows, where the file does not have its date."""
         if segment.offset_ns is None:
             return 0, len(time_ns)
         bounds = [None if b is None else b - segment.offset_ns for b in (self._from_ns, self._to_ns)]

@@ -3,8 +3,8 @@
     python -m rtec.log.tidy FOLDER DISK_SHARE PACK
 
 The daemon starts this as a process of its own at the lowest priority: packing takes the processor for a second or so,
-and removing a large file can hold its caller up for as long as the disk likes. What came of it stands on standard
-output as one line of JSON. A file that is being written is locked, and left alone.
+and removing a large file can block for any length of time. The result is one line of JSON on standard output. A file
+that is being written is locked, and is skipped.
 """
 
 import fcntl
@@ -26,17 +26,17 @@ from rtec.log.packed import PACKED, pack
 from rtec.log.reader import open_log
 
 NICE: Final = 19
-MOST_TOLD: Final = 20
+MOST_REPORTED: Final = 20
 
 
 @dataclass
 class Tidied:
-    """What was done.
+    """Result.
 
     Attributes:
-        packed: names of files that are Parquet now.
-        removed: names of files that are gone, for their disk space.
-        troubles: what could not be done, and why.
+        packed: names of files that are now Parquet.
+        removed: names of files that were removed to free space.
+        troubles: failures, with their reasons.
     """
 
     packed: list[str] = field(default_factory=list)
@@ -45,17 +45,17 @@ class Tidied:
 
 
 def tidy(folder: Path, most_bytes: int, wants_pack: bool = True) -> Tidied:
-    """Remove what is too much, then pack what is closed; does nothing while another process does it.
+    """Remove the oldest logs beyond the limit, then pack closed ones; does nothing while another process does it.
 
     Args:
-        folder: of the logs.
-        most_bytes: all of its logs may have.
-        wants_pack: pack too.
+        folder: folder of the logs.
+        most_bytes: largest size of all logs together.
+        wants_pack: pack, too?
     """
     done = Tidied()
     with _alone(folder) as alone:
         if alone:
-            for part in folder.glob(f".*{PACKED}.part"):  # of one that was killed
+            for part in folder.glob(f".*{PACKED}.part"):  # from a process that was killed
                 part.unlink(missing_ok=True)
             _thin(folder, most_bytes, done)
             for path in [p for p in log_files(folder) if p.suffix == WRITTEN] if wants_pack else []:
@@ -67,31 +67,31 @@ def _thin(folder: Path, most_bytes: int, done: Tidied) -> None:
     """Remove the oldest; never one that is being written, never the newest."""
     paths = log_files(folder)
     sizes = {path: _bytes(path) for path in paths}
-    left = sum(sizes.values())
+    total = sum(sizes.values())
     for path in paths[:-1]:
-        if left <= most_bytes:
+        if total <= most_bytes:
             return
         if being_written(path):
             continue
         try:
             path.unlink()
-            left -= sizes[path]
+            total -= sizes[path]
             done.removed.append(path.name)
             _remove_events(path, log_files(folder))
         except OSError as error:
             done.troubles.append(f"{path}: cannot be removed: {error.strerror}")
 
 
-def _remove_events(path: Path, left: list[Path]) -> None:
-    """The events of a run go with the last of its files."""
+def _remove_events(path: Path, remaining: list[Path]) -> None:
+    """Remove the events of a run with the last of its files."""
     run = place_of(path).name
     events = events_path(path.with_name(run + WRITTEN))
-    if events is not None and all(place_of(other).name != run for other in left):
+    if events is not None and all(place_of(other).name != run for other in remaining):
         events.unlink(missing_ok=True)
 
 
 def _pack_one(path: Path, done: Tidied) -> None:
-    """Pack a file that is closed, by its writer or by a kill; one that is damaged inside stays as it is."""
+    """Pack a file that was closed, by its writer or by a kill; one that is damaged inside stays unchanged."""
     segment = look_at(path)
     if segment.state not in ("whole", "torn") or not segment.rows:
         return
@@ -114,7 +114,7 @@ def _pack_one(path: Path, done: Tidied) -> None:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[bool]:
-    """Take the folder's lock; False where another has it, or there is no folder."""
+    """Take the folder's lock; False where another process has it, or the folder does not exist."""
     try:
         fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError:
@@ -137,18 +137,18 @@ def _bytes(path: Path) -> int:
 
 
 def main(arguments: list[str]) -> int:
-    """Do it as a process of its own."""
+    """Run as a process of its own."""
     import pyarrow as pa
 
     folder, share, wants_pack = Path(arguments[0]), float(arguments[1]), arguments[2] == "pack"
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon; what is half done here is soon done
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon; this process ends soon
     with suppress(OSError):
         os.nice(NICE)
     pa.set_cpu_count(1)
     pa.set_io_thread_count(1)
     done = tidy(folder, round(share * shutil.disk_usage(folder).total), wants_pack)
-    told = {key: value[:MOST_TOLD] for key, value in asdict(done).items()}
-    sys.stdout.write(json.dumps(told) + "\n")
+    result = {key: value[:MOST_REPORTED] for key, value in asdict(done).items()}
+    sys.stdout.write(json.dumps(result) + "\n")
     return 0
 
 

@@ -1,7 +1,7 @@
-"""Writes a log; see `rtec.log.reader` for the file.
+"""Writes a log; `rtec.log.reader` describes the file.
 
-As long as it is written the file is locked (`flock`), so that nobody packs or removes it meanwhile; the lock goes with
-the process, however that ends.
+The file is locked (`flock`) while it is written, so that no other process packs or removes it; the lock ends with the
+process, however that ends.
 """
 
 import fcntl
@@ -21,21 +21,21 @@ from rtec.loop.records import Commands, Layout, Samples
 
 
 class LogWriter:
-    """Appends to a new log; holds back one batch at most.
+    """Appends to a new log; holds at most one batch in memory.
 
     Attributes:
         path: the file.
-        rows: rows in the file.
+        rows: number of rows in the file.
     """
 
     def __init__(self, path: Path, layout: Layout, header: Mapping[str, str], batch_rows: int = 8192) -> None:
-        """Make the file with its header, on disk when this returns.
+        """Create the file with its header; it is on disk when this returns.
 
         Args:
             path: must not exist.
             layout: names of axes and sensors.
             header: free text by key: versions, hashes, host, start; keys starting with `rtec.` are the format's own.
-            batch_rows: rows held back before they are written without being asked.
+            batch_rows: rows held in memory before a batch is written.
 
         Raises:
             LogError: the file exists or cannot be written, or a key is not allowed.
@@ -52,19 +52,19 @@ class LogWriter:
         except OSError as error:
             raise LogError(f"log {path}: cannot be made: {error.strerror}") from error
         try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX)  # nobody else holds an empty file for longer than a look at it
+            fcntl.flock(self._fd, fcntl.LOCK_EX)  # waits shortly: others lock an empty file only to look at it
             self._append(self._schema.serialize())
             self._sync()
             _sync_folder(path)
         except LogError:  # a file without its header is no log
             self._remove()
             raise
-        except OSError as error:  # a file system without locks, a disk that fails
+        except OSError as error:  # a file system without locks, or a disk that fails
             self._remove()
             raise LogError(f"log {path}: cannot be locked or brought to the disk: {error.strerror}") from error
 
     def write(self, samples: Samples, commands: Commands) -> None:
-        """Take n rows (copied); each time a batch is full it goes into the file.
+        """Append n rows (copied); each full batch goes into the file.
 
         Raises:
             LogError: the file cannot be written, now or before; it is then readable up to `rows`.
@@ -81,18 +81,18 @@ class LogWriter:
                 self._append_batch()
 
     def flush(self) -> None:
-        """Put the rows taken so far on disk: they survive a power cut from here on.
+        """Put all rows on disk; from here on they survive a power cut.
 
         Raises:
             LogError: as for `write`.
         """
-        self._see_that_it_is_there()
+        self._fail_if_removed()
         if self._filled:
             self._append_batch()
         self._sync()
 
     def close(self) -> None:
-        """Flush, mark the end, close; does nothing the second time, or the last of it after a fault.
+        """Flush, mark the end, close; does nothing the second time. After a fault it only closes.
 
         Raises:
             LogError: as for `write`; the file is closed all the same.
@@ -105,7 +105,7 @@ class LogWriter:
                 self._append(END_MARK)
                 self._sync()
         finally:
-            if self._fault and not self.rows:  # on a full disk each new try would leave an empty file behind
+            if self._fault and not self.rows:  # on a full disk each attempt would leave an empty file behind
                 self._remove()
             else:
                 os.close(self._fd)
@@ -117,8 +117,8 @@ class LogWriter:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _see_that_it_is_there(self) -> None:
-        """A file that somebody removed takes rows as before, and all of them are gone when it is closed."""
+    def _fail_if_removed(self) -> None:
+        """Fail where the file was removed: it would accept rows as before, and lose all of them when it is closed."""
         if self._fault or self._fd < 0 or os.fstat(self._fd).st_nlink:
             return
         self._fault = f"log {self.path}: somebody removed it while it was written; its {self.rows} rows are lost"
@@ -134,13 +134,13 @@ class LogWriter:
         self._filled = 0
 
     def _append(self, message: pa.Buffer | bytes) -> None:
-        """Write all of it, or nothing: a piece would make other Arrow programs refuse the file."""
+        """Write the whole message, or nothing: other Arrow programs refuse a file with a part of one."""
         if self._fault or self._fd < 0:
             raise LogError(self._fault or f"log {self.path}: closed")
-        left = memoryview(message)
+        rest = memoryview(message)
         try:
-            while left:
-                left = left[os.write(self._fd, left) :]
+            while rest:
+                rest = rest[os.write(self._fd, rest) :]
         except OSError as error:
             with suppress(OSError):
                 os.ftruncate(self._fd, self._end)
@@ -168,14 +168,14 @@ class LogWriter:
 
 
 def _column(array: NDArray[Any], kind: pa.DataType) -> "pa.Array[Any]":
-    flat: pa.Array[Any] = pa.Array.from_buffers(  # pa.array would import pandas, where it is, before the first row
+    flat: pa.Array[Any] = pa.Array.from_buffers(  # pa.array would import an installed pandas before the first row
         pa.from_numpy_dtype(array.dtype), array.size, [None, pa.py_buffer(np.ascontiguousarray(array).data)]
     )
     return flat if array.ndim == 1 else pa.Array.from_buffers(kind, len(array), [None], children=[flat])
 
 
 def _sync_folder(path: Path) -> None:
-    """Put the folder's entry of a new file on disk; without it a power cut takes the whole file."""
+    """Put the folder's entry of a new file on disk; without it a power cut removes the whole file."""
     fd = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(fd)

@@ -5,14 +5,14 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Monotonic time in ns, and waiting until an instant of it."""
+    """Monotonic time in ns, and a wait until an instant of it."""
 
     def now_ns(self) -> int:
         """Time now, ns; never steps back, whatever happens to the wall clock."""
         ...
 
     def sleep_until_ns(self, instant_ns: int) -> None:
-        """Return at that instant, or at once if it has passed."""
+        """Return at that instant; return at once if it has passed."""
         ...
 
 
@@ -46,10 +46,10 @@ class VirtualClock:
 
 
 def wall_clock_ns() -> int:
-    """Give the date and time of day, ns since 1970 UTC: to be written down beside monotonic time, never for control."""
+    """Date and time of day, ns since 1970 UTC: for records beside monotonic time, never for control."""
     return time.time_ns()
 
 
 def wall_clock_iso() -> str:
-    """Give the date and time of day in UTC, ISO 8601: for people and file names, never for control."""
+    """Date and time of day in UTC, ISO 8601: for people and file names, never for control."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Ports:
-    """Opened devices by what they do.
+    """Opened devices by role.
 
     Attributes:
-        names: the devices' names by what they do, for messages; what is not there is called by what it does.
+        names: the devices' names by role, for messages; a role without a device has the role's name.
     """
 
     counts: CountSource
@@ -35,7 +35,7 @@ class Ports:
     names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def name(self, does: str, k: int = 0) -> str:
-        """Name of the k-th device that does this: "counts", "temperatures", "spindle" or "output"."""
+        """Name of the k-th device of a role: "counts", "temperatures", "spindle" or "output"."""
         names = self.names.get(does, ())
         return names[k] if k < len(names) else does
 
@@ -46,11 +46,11 @@ class Ports:
 
 
 def driver_class(name: str, where: str) -> Any:
-    """Give the class of a driver; only now is its module imported.
+    """Import a driver's module and give the driver's class.
 
     Raises:
-        ConfigError: no driver of that name.
-        DriverUnavailable: its module, or a library that it needs, is not installed; or it has no such class.
+        ConfigError: no driver has that name.
+        DriverUnavailable: its module, or a library that it needs, is not installed; or the module has no such class.
     """
     try:
         return find(name, where).load()
@@ -59,7 +59,7 @@ def driver_class(name: str, where: str) -> Any:
 
 
 def make_devices(setup: "Setup", clock: Clock) -> dict[str, Device]:
-    """Construct every device of a run file; nothing is opened yet.
+    """Construct every device of a run file; opens none.
 
     Raises:
         ConfigError: all faults of all devices.
@@ -79,10 +79,10 @@ def make_devices(setup: "Setup", clock: Clock) -> dict[str, Device]:
 
 
 def open_ports(setup: "Setup", devices: Mapping[str, Any], stack: ExitStack) -> Ports:
-    """Open all devices on the stack, which holds and closes them, and give them by role.
+    """Open all devices on the stack, which holds and closes them; give them by role.
 
     Raises:
-        DriverUnavailable: all that could not be opened.
+        DriverUnavailable: every device that could not be opened.
     """
     faults = []
     for name, device in devices.items():
@@ -108,7 +108,7 @@ def open_ports(setup: "Setup", devices: Mapping[str, Any], stack: ExitStack) -> 
 
 
 def make_device(name: str, table: Mapping[str, Any], machine: Machine, clock: Clock, path: Path) -> Device:
-    """Construct one device of the run file at `path`; it is not opened.
+    """Construct one device of the run file at `path`; does not open it.
 
     Raises:
         ConfigError: its table is wrong; all faults.
@@ -124,7 +124,7 @@ def make_device(name: str, table: Mapping[str, Any], machine: Machine, clock: Cl
 
 
 def device_options(name: str, table: Mapping[str, Any], path: Path) -> tuple[Any, BaseModel]:
-    """Driver class of a device of the run file at `path`, and its options, checked.
+    """Driver class of a device of the run file at `path`, and its checked options.
 
     Raises:
         ConfigError, DriverUnavailable: as `make_device`.
@@ -139,17 +139,17 @@ def device_options(name: str, table: Mapping[str, Any], path: Path) -> tuple[Any
 
 
 def _role_faults(devices: Mapping[str, object], role: "Roles", source: str) -> list[str]:
-    wanted: list[tuple[str, str, type]] = [
+    assigned: list[tuple[str, str, type]] = [
         ("counts", role.counts, CountSource),
         *(("temperatures", name, TemperatureSource) for name in role.temperatures),
     ]
     if role.actuator:
-        wanted.append(("actuator", role.actuator, Actuator))
+        assigned.append(("actuator", role.actuator, Actuator))
     if role.spindle:
-        wanted.append(("spindle", role.spindle, SpindleSource))
+        assigned.append(("spindle", role.spindle, SpindleSource))
     return [
         f"{source}: [role] {what} = {name!r}: that device's driver cannot do this"
-        for what, name, kind in wanted
+        for what, name, kind in assigned
         if name in devices and not isinstance(devices[name], kind)
     ]
 

@@ -1,12 +1,12 @@
-"""The drivers that are installed: rtec's own, and those of other packages by the entry point `rtec.drivers`.
+"""The installed drivers: rtec's own, and those that other packages register at the entry point `rtec.drivers`.
 
-An entry point gives either the driver's class, then its own name is the driver's, or a table `name -> (module, class)`
-as rtec's own registry; modules of a table are imported only when their driver is asked for. One package that cannot be
-loaded hides no other.
+An entry point gives either a driver's class (the entry point's name is then the driver's) or a table
+`name -> (module, class)`, as rtec's own registry does. A module of a table is imported only when its driver is used.
+A package that fails to load hides no other.
 
-What people read of a driver (`driver_facts`, `options_of`) is read off its class: its ports, and each option's name,
-type, default and meaning off the pydantic model that checks it. The meaning is the field's description where it has
-one, else what the class' docstring says under "Attributes:".
+The description of a driver (`driver_facts`, `options_of`) is derived from its class: its ports, and each option's name,
+type, default and meaning from the pydantic model that checks it. The meaning is the field's description; a field
+without one takes it from "Attributes:" in the class' docstring.
 """
 
 import importlib
@@ -37,10 +37,10 @@ class Installed:
     """Where a driver is.
 
     Attributes:
-        name: as a run file calls it.
+        name: its name in a run file.
         module, kind: its module and the name of its class.
         package: installed package that it belongs to.
-        trouble: why it cannot be used, found before its module was asked for; or "".
+        trouble: why it cannot be used, as known before its module is imported; or "".
     """
 
     name: str
@@ -50,28 +50,29 @@ class Installed:
     trouble: str = ""
 
     def load(self) -> Any:
-        """Import its module and give its class.
+        """Import its module and give the driver's class.
 
         Raises:
-            DriverUnavailable: it cannot be used; the message says what to install, where that would help.
+            DriverUnavailable: it cannot be used; the message says what to install, where that helps.
         """
         if self.trouble:
             raise DriverUnavailable(f"driver {self.name!r} {self.trouble}")
         try:
-            found = getattr(importlib.import_module(self.module), self.kind, None)
+            driver_type = getattr(importlib.import_module(self.module), self.kind, None)
         except ImportError as e:
             raise DriverUnavailable(f"driver {self.name!r} {_cannot(e, self.package)}") from e
-        except Exception as e:  # another's code may fail in any way while it is imported
+        except Exception as e:  # a package's own code may raise anything while it is imported
             raise DriverUnavailable(f"driver {self.name!r} cannot be imported: {type(e).__name__}: {e}") from e
-        if found is None:
+        if driver_type is None:
             raise DriverUnavailable(f"driver {self.name!r}: module {self.module} has no {self.kind}")
-        return found
+        return driver_type
 
 
 def installed() -> dict[str, Installed]:
-    """All drivers by name, rtec's own first. Of two with one name the first stays; the other is listed with its fault.
+    """All drivers by name, rtec's own first.
 
-    Its listed name then has its package behind it, which no run file can name.
+    Where two have one name, the first keeps it. The other is listed with its fault under "NAME (PACKAGE)", which no run
+    file can use.
     """
     out: dict[str, Installed] = {}
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (_package(e) != OWN, e.name)):
@@ -87,10 +88,10 @@ def installed() -> dict[str, Installed]:
 
 
 def find(name: str, where: str) -> Installed:
-    """A driver by name.
+    """The driver of that name.
 
     Raises:
-        ConfigError: none of that name.
+        ConfigError: no driver has that name.
     """
     table = installed()
     if name not in table:
@@ -99,13 +100,13 @@ def find(name: str, where: str) -> Installed:
 
 
 def _of(entry: EntryPoint) -> list[Installed]:
-    """The drivers of one entry point."""
+    """The drivers that one entry point registers."""
     package = _package(entry)
     try:
         value: Any = entry.load()
     except ImportError as e:
         return [Installed(entry.name, entry.module, entry.attr, package, _cannot(e, package))]
-    except Exception as e:  # noqa: BLE001 - another's code may fail in any way while it is imported
+    except Exception as e:  # noqa: BLE001 - a package's own code may raise anything while it is imported
         fault = f"cannot be imported: {type(e).__name__}: {e}"
         return [Installed(entry.name, entry.module, entry.attr, package, fault)]
     if isinstance(value, type):
@@ -121,7 +122,7 @@ def _package(entry: EntryPoint) -> str:
 
 
 def _cannot(error: ImportError, package: str) -> str:
-    """Say why an import failed, and what to install."""
+    """Why an import failed, and what to install."""
     missing = (error.name or "").partition(".")[0]
     if not isinstance(error, ModuleNotFoundError) or not missing:
         return f"cannot be imported: {error}"
@@ -129,10 +130,10 @@ def _cannot(error: ImportError, package: str) -> str:
 
 
 def _how(missing: str, package: str) -> str:
-    """The command that installs a module's package: by the extra of the driver's package where that names it."""
+    """The command that installs a missing module: with the extra of the driver's package, if one names that module."""
     try:
         requires = Distribution.from_name(package).requires or []
-    except (ModuleNotFoundError, ValueError):  # no such package, or one without a name
+    except (ModuleNotFoundError, ValueError):  # the package does not exist, or has no name
         requires = []
     for requirement in requires:
         name = re.match(r"[A-Za-z0-9._-]+", requirement)
@@ -162,11 +163,11 @@ class Option:
     """One key that a device's table may have.
 
     Attributes:
-        name: the key; of a table within it with dots, `NAME` standing for a name of the user's choice.
-        kind: what may be given.
-        default: what holds where it is not given, as TOML; "" where nothing does.
+        name: the key; a key within a table follows its table's name and a dot. `NAME` is a name that the user chooses.
+        kind: type and allowed values, in words.
+        default: value of a key that is not given, as TOML; "" where there is none.
         required: must it be given?
-        meaning: one sentence or two; "" where the driver's author wrote none.
+        meaning: one or two sentences; "" where the driver's author wrote none.
     """
 
     name: str
@@ -177,13 +178,13 @@ class Option:
 
 
 def options_of(model: type[BaseModel], prefix: str = "") -> list[Option]:
-    """All options of a model, those of tables within it behind their table."""
-    said = _attributes(model)
+    """All options of a model; the options within a table follow it."""
+    documented = _attributes(model)
     out = []
     for key, field in model.model_fields.items():
         name = prefix + (field.alias or key)
         kind, inner, below = _kind(field.annotation, field.metadata)
-        meaning = field.description or said.get(key) or said.get(field.alias or key, "")
+        meaning = field.description or documented.get(key) or documented.get(field.alias or key, "")
         out.append(Option(name, kind, _default(field), field.is_required(), _flat(meaning)))
         if inner is not None:
             out += options_of(inner, f"{name}.{below}")
@@ -196,7 +197,7 @@ def summary_of(kind: type) -> str:
 
 
 def _kind(annotation: Any, metadata: typing.Sequence[Any] = ()) -> tuple[str, type[BaseModel] | None, str]:
-    """Words for a type; the model of a table within; and what stands between its name and its keys."""
+    """A type in words; the model of a table within; and the part of a key between the table's name and its own keys."""
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is typing.Annotated:
         parts = [part.metadata if isinstance(part, FieldInfo) else [part] for part in arguments[1:]]
@@ -225,7 +226,7 @@ def _sequence(arguments: tuple[Any, ...]) -> str:
 
 
 def _bounds(metadata: typing.Sequence[Any]) -> str:
-    """Such as " from 1 to 247"."""
+    """Limits in words, such as " from 1 to 247"."""
     return "".join(
         f" {words.format(_short(getattr(item, key)))}"
         for side in (LOW, HIGH)
@@ -257,7 +258,7 @@ def _toml(value: Any) -> str:
 
 
 def _attributes(model: type) -> dict[str, str]:
-    """What the docstrings of a class and of its bases say of their attributes; the class' own words first."""
+    """Descriptions of the attributes, from the docstrings of a class and of its bases; the class' own come first."""
     out: dict[str, str] = {}
     for base in model.__mro__:
         text = inspect.cleandoc(base.__doc__ or "")
@@ -288,25 +289,25 @@ CAN_BE: dict[str, type] = {
     "spindle": SpindleSource,
     "actuator": Actuator,
 }
-"""The keys of a run file's `[role]`, and the port that a driver must have for each."""
+"""The keys of a run file's `[role]`, each with the port that a driver must have for it."""
 
 
 @dataclass(frozen=True)
 class DriverFacts:
-    """One driver.
+    """Description of one driver.
 
     Attributes:
-        name: as a run file calls it.
-        module, package: where it is.
+        name: its name in a run file.
+        module, package: where it is defined.
         summary: one sentence.
-        roles: what it can be, by the keys of `[role]`.
-        takes: kinds of output that it takes, where it is an actuator; empty where it does not say.
-        takes_by: the option that says which of them, or "".
-        resumes: does it stop where it would guess, until it is ordered to resume?
-        scans: can it look on its port or bus for numbers?
+        roles: the keys of `[role]` that it can serve.
+        takes: kinds of output that it accepts as an actuator; empty where it does not declare them.
+        takes_by: the option that selects the kind of output, or "".
+        resumes: does it stop after a fault until it is ordered to resume?
+        scans: can it scan its port or bus for numbers?
         options: the keys of its device's table.
         example: text of a device's table, or "".
-        trouble: why it cannot be used, with a way on; or "".
+        trouble: why it cannot be used, and what to do; or "".
     """
 
     name: str
@@ -333,10 +334,10 @@ def all_drivers() -> list[DriverFacts]:
 
 
 def driver_facts(name: str) -> DriverFacts:
-    """One driver.
+    """Description of one driver.
 
     Raises:
-        ConfigError: none of that name.
+        ConfigError: no driver has that name.
     """
     return _facts(find(name, "rtec drivers"))
 
@@ -367,11 +368,11 @@ def _facts(driver: Installed) -> DriverFacts:
 
 
 def _takes(kind: Any) -> tuple[tuple[str, ...], str]:
-    """Kinds of output, and the option that chooses among them: what the class says, else its option `actuator`."""
+    """Kinds of output that the class declares, else those of its option `actuator`, with that option's name."""
     if not issubclass(kind, Actuator):
         return (), ""
-    said = getattr(kind, "TAKES", None)
-    if said is not None:
-        return tuple(said), ""
+    declared = getattr(kind, "TAKES", None)
+    if declared is not None:
+        return tuple(declared), ""
     option = kind.options_model.model_fields.get("actuator")
     return (tuple(map(str, get_args(option.annotation))), "actuator") if option is not None else ((), "")

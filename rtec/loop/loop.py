@@ -1,12 +1,12 @@
 """The loop: wait for the deadline, read, step, keep the state, command. Nothing else.
 
-Whether there may be a command at all, `rtec.loop.output` says. An order to resume (`Loop.order_resume`) goes to every
-device that takes one; the ledger is then taken over from the actuator before anything is commanded.
+`rtec.loop.output` decides whether a command may be sent. An order to resume (`Loop.order_resume`) goes to every device
+that takes one; the loop then takes over the actuator's ledger before it commands anything.
 
-The state is kept (`rtec.loop.state`) between the step and the command: what is kept is never behind the actuator.
+The loop keeps the state (`rtec.loop.state`) before it sends the command: the kept state is never behind the actuator.
 
-Deadlines are absolute, so jitter does not add up. A cycle that ends after the next deadline costs that deadline (a
-miss, counted) and the loop goes on with the next one that is still to come.
+Deadlines are absolute, so jitter does not add up. A cycle that ends after the next deadline misses that deadline (a
+miss, counted); the loop goes on with the first deadline that is still ahead.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,18 +40,18 @@ class Row:
 
 
 def bind_rows(step: Step, pairs: Sequence[tuple[Samples, Commands]]) -> list[Row]:
-    """Prepare rows once, so that a cycle makes no views."""
+    """Make the views of all rows once, so that a cycle makes none."""
     return [Row(s, c, s.counts[0], s.degc[0], s.degc_time_ns[0], c.output[0], step.bind(s, c)) for s, c in pairs]
 
 
 class Loop:
-    """The loop over rows in a circle.
+    """The loop; its rows are reused in a circle.
 
     Attributes:
         step: the step that it runs.
         mode: MODE_ON, MODE_OFF or MODE_HOLD; read every cycle.
-        stats: what it did so far.
-        keeper: keeps the state of every cycle; None: nobody does.
+        stats: counts, times and failures so far.
+        keeper: keeps the state of every cycle; None: no state is kept.
     """
 
     def __init__(self, step: Step, ports: Ports, clock: Clock, period_ns: int, rows: list[Row], mode: int) -> None:
@@ -77,11 +77,11 @@ class Loop:
         self._next = 0
 
     def run(self, cycles: int | None, after_cycle: Callable[[Row], bool]) -> None:
-        """Run so many cycles, or for ever; `after_cycle` sees each row and says whether to go on."""
+        """Run that many cycles, or for ever; `after_cycle` gets each row and returns whether to go on."""
         deadline_ns = self._clock.now_ns() + self._period_ns
-        left = -1 if cycles is None else cycles
-        while left != 0:
-            left -= 1
+        remaining = -1 if cycles is None else cycles
+        while remaining != 0:
+            remaining -= 1
             self._clock.sleep_until_ns(deadline_ns)
             row = self._rows[self._next]
             end_ns = self.cycle(row, deadline_ns)
@@ -95,33 +95,33 @@ class Loop:
                 deadline_ns += lost * self._period_ns
 
     def wait_for_order(self, why: str) -> None:
-        """Hold until the order to resume comes, whatever the mode; for a start that nobody can vouch for."""
+        """Hold until the order to resume comes, whatever the mode: for a start without a ledger that can be trusted."""
         self._waiting.failed(why)
 
     def order_resume(self) -> None:
-        """Order all devices to go on after a reset or a lost position; before the next cycle, in the loop's thread."""
+        """Order all devices to go on after a reset or a lost position. Call it between cycles, in the loop's thread."""
         for device in self._resumable:
             device.resume()
         self._waiting.now = False
         self.take_over(None)
 
     def take_over(self, expected: IntArray | None, allowed: IntArray | None = None) -> None:
-        """Stand, and command nothing, until the actuator tells its ledger; see `CommandGate.take_over`."""
+        """Hold and command nothing until the actuator reports its ledger; see `CommandGate.take_over`."""
         self._gate.take_over(expected, allowed)
 
     @property
     def waits(self) -> bool:
-        """Is an order to resume waited for, or not carried out yet?"""
+        """Does it wait for an order to resume, or has it not carried one out yet?"""
         return self._gate.waits or any(d.must_resume for d in self._resumable)
 
     def go_on_with(self, step: Step, rows: list[Row]) -> list[Row]:
-        """Take another step, and rows bound to it in the same memory, from the next cycle on; give the old rows."""
+        """Change to another step, with rows bound to it in the same memory, for the next cycle; give the old rows."""
         old = self._rows
         self.step, self._rows = step, rows
         return old
 
     def cycle(self, row: Row, deadline_ns: int) -> int:
-        """Do one cycle into a row; give the instant at which the command was out, ns."""
+        """Run one cycle into a row; give the instant after the command was sent, ns."""
         clock, stats = self._clock, self.stats
         now_ns = clock.now_ns()
         self._read()
@@ -135,7 +135,7 @@ class Loop:
         row.degc_time_ns[:] = self._degc_time_ns
         samples.spindle_rpm[0] = self._spindle_rpm
         row.step()
-        if taken_over:  # the device has it already, and the row says so
+        if taken_over:  # the actuator has this output already; the row records it
             row.output[:] = self._gate.has
             stats.takeovers += mode == MODE_TAKEN_OVER
         if self.keeper is not None:
@@ -151,7 +151,7 @@ class Loop:
         return end_ns
 
     def _read(self) -> None:
-        """Read every source; what fails keeps its old value and its old time, and the guard judges the age."""
+        """Read every source; a source that fails keeps its old value and time, and the guard judges the age."""
         ports = self._ports
         try:
             self._counts_time_ns = ports.counts.read_counts(self._counts)
@@ -162,7 +162,7 @@ class Loop:
             try:
                 source.read_temperatures(self._degc, self._degc_time_ns)
                 trouble.now = False
-            except DriverError as e:  # what is good is in the arrays all the same
+            except DriverError as e:  # the good values are in the arrays all the same
                 trouble.failed(str(e))
         if ports.spindle is not None:
             try:

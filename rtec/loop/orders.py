@@ -1,8 +1,9 @@
-"""Orders from outside to the loop: what they are called, and the words of shared memory that carry them.
+"""Orders from outside to the loop: their names, and the words of shared memory that carry them.
 
 An operator, a control socket or a signal calls `Supervisor.order`. The supervisor writes these words; the loop reads
-them once a cycle, between two cycles. A mode is a level: the last one counts. To resume and to reload are counted, so
-that an order is carried out once, however often the word is read, and none is lost while the supervisor stands still.
+them once a cycle, between two cycles. A mode is a level: the last one counts. Orders to resume and to reload are
+counted, so that each is carried out once, however often the loop reads the word, and none is lost while the supervisor
+is stopped.
 """
 
 from enum import StrEnum
@@ -16,38 +17,38 @@ from rtec.errors import RtecError
 
 
 class Order(StrEnum):
-    """What can be ordered."""
+    """The orders."""
 
     ENABLE = "enable"
-    """The correction follows the model, from where it stands, within its limits."""
+    """The correction follows the model, from its present value, within its limits."""
     HOLD = "hold"
     """The correction stays where it is."""
     FADE = "fade"
-    """The correction goes to nothing at its slew limit."""
+    """The correction returns to zero at its slew limit."""
     RESUME = "resume"
-    """Devices that stopped by themselves (a box that started anew, a lost position) go on as they are now."""
+    """Devices that stopped by themselves (a box that restarted, a lost position) go on from their present state."""
     RELOAD = "reload"
-    """Run file and model are read again; limits and model change without a jump."""
+    """Run file and model are read again; limits and model change without a jump of the correction."""
     MARK = "mark"
-    """Nothing but an entry with a text beside the log."""
+    """Writes a text into the log's events, and does nothing else."""
 
 
 MODE_OF: Final = {Order.ENABLE: MODE_ON, Order.HOLD: MODE_HOLD, Order.FADE: MODE_OFF}
-"""The mode that an order stands for."""
+"""The mode that each order sets."""
 LONGEST_TEXT: Final = 400
 YES: Final = "yes"
-"""Text of an order to reload that also takes what turns the correction round, or moves it by much."""
+"""Text of an order to reload that also accepts a change that reverses the correction, or moves it by much."""
 
 
 class OrderRefused(RtecError):
-    """An order that cannot be carried out; the message says why and what can be done."""
+    """An order that cannot be carried out; the message has the reason and what can be done."""
 
 
 def order_named(name: str) -> Order:
     """Give the order of that name.
 
     Raises:
-        OrderRefused: there is none; the message lists them.
+        OrderRefused: no order has that name; the message lists the names.
     """
     try:
         return Order(name)
@@ -56,10 +57,10 @@ def order_named(name: str) -> Order:
 
 
 class OrderWords:
-    """The orders in shared memory: one writer (the supervisor), one reader (the loop), single words, so never torn.
+    """The orders in shared memory. One writer (the supervisor), one reader (the loop); a single word is never torn.
 
     Args:
-        words: three int64: mode, how often to resume was ordered, how often to reload.
+        words: three int64: the mode, the number of orders to resume, the number of orders to reload.
     """
 
     def __init__(self, words: NDArray[np.int64]) -> None:
@@ -76,7 +77,7 @@ class OrderWords:
 
     @property
     def resumes(self) -> int:
-        """How often the devices were ordered to resume."""
+        """Number of orders to resume so far."""
         return int(self._words[1])
 
     @resumes.setter
@@ -85,7 +86,7 @@ class OrderWords:
 
     @property
     def reloads(self) -> int:
-        """Generation of what was ordered to be loaded; its content came through the pipe before."""
+        """Generation of the set-up to load; its content came through the pipe before."""
         return int(self._words[2])
 
     @reloads.setter

@@ -1,16 +1,16 @@
-"""The loop's output: what the actuator was told, what it says that it has, and whether it may be told more.
+"""The loop's output: the last command, the output that the actuator reports, and whether the next command may go out.
 
-A command is absolute, so one that is lost is made good by the next; but only as long as it is not far from what the
-machine has. So there is no new command before the actuator has said that it has the one before: the one before is
-repeated, and nothing moves (OUTPUT_UNCONFIRMED). Whatever becomes of a command, the machine never sees a change that is
-larger than one cycle's.
+A command is absolute, so the next command makes good for a lost one, as long as it is close to the actuator's output.
+So there is no new command before the actuator has confirmed the one before: the loop repeats that one, and the
+correction does not move (OUTPUT_UNCONFIRMED). Whatever becomes of a command, the machine never sees a larger change
+than that of one cycle.
 
-Where the actuator fails, or does not do as it is told for a quarter of a second, the output is in trouble
-(OUTPUT_TROUBLE): the correction stands, whatever is ordered, and the row says so. Of an actuator that fails the ledger
-is taken over; one that just does nothing is told the same again, one cycle's change at most off what it has. It goes
-on from there, from rest, when the command was taken and confirmed. An actuator that by itself has something else than
-any command started anew, or somebody else wrote to it: nobody can say what its counts mean now, so its ledger is taken
-over and the order to resume is waited for.
+Where the actuator fails, or does not confirm a command for a quarter of a second, the output is in trouble
+(OUTPUT_TROUBLE): the correction holds, whatever is ordered, and the row has the flag. The loop takes over the ledger of
+an actuator that fails. To an actuator that accepts commands without effect, it repeats the command, which differs from
+the actuator's output by one cycle's change at most. The loop goes on from there, from rest, when the command was
+accepted and confirmed. An actuator whose output matches no command has restarted, or something else wrote to it: its
+counts may have another meaning now. The loop takes over its ledger and waits for the order to resume.
 """
 
 from typing import Final
@@ -24,32 +24,32 @@ from rtec.loop.stats import Trouble
 from rtec.loop.step import Step
 
 PATIENCE_NS: Final = 250_000_000
-"""So long may an actuator leave a command unconfirmed that its driver accepts, before that is trouble."""
+"""A command that the driver accepted may be unconfirmed for this long; after that the output is in trouble."""
 HOLDS: Final = "the correction holds until it is ordered to resume (`rtec ctl resume`)"
 
 
-def lost(expected: IntArray, found: IntArray, allowed: IntArray, source: str = "the run before left") -> str:
-    """Say that an actuator's ledger is not the one that it should have; "" where it is near enough."""
-    if (np.abs(found - expected) <= allowed).all():
+def lost(expected: IntArray, has: IntArray, allowed: IntArray, source: str = "the run before left") -> str:
+    """Message on an actuator whose ledger differs from the expected one by more than allowed; else ""."""
+    if (np.abs(has - expected) <= allowed).all():
         return ""
     return (
-        f"the actuator has {found.tolist()}, {source} {expected.tolist()}: it restarted, and its counts "
+        f"the actuator has {has.tolist()}, {source} {expected.tolist()}: it restarted, and its counts "
         f"may mean something else now; {HOLDS}"
     )
 
 
 class CommandGate:
-    """The actuator as the loop sees it.
+    """The actuator as the loop sees it: reads its output, and decides whether a command may go out.
 
     Attributes:
-        has: what the actuator said last that it has, in the sink's units, by axis.
-        takes_over: its ledger is to be taken over before anything is commanded.
+        has: the output that the actuator last reported, in the sink's units, by axis.
+        takes_over: its ledger must be taken over before anything is commanded.
 
     Args:
-        actuator: of the run.
-        axes: how many.
-        trouble: is told what is wrong with it.
-        waiting: is told why an order to resume is needed.
+        actuator: the run's actuator.
+        axes: number of axes.
+        trouble: records what is wrong with the actuator.
+        waiting: records why an order to resume is needed.
         period_ns: length of a cycle.
     """
 
@@ -63,7 +63,7 @@ class CommandGate:
         self._expected: IntArray | None = None
         self._allowed: IntArray | None = None
         self._step: Step | None = None
-        self._told = self.has
+        self._last = self.has
         self._known = self._failed = self._in_trouble = self._far = False
         self._unconfirmed_ns: int | None = None
 
@@ -73,20 +73,20 @@ class CommandGate:
         return self.takes_over or self._waiting.now or bool(self._resumable and self._resumable.must_resume)
 
     def take_over(self, expected: IntArray | None, allowed: IntArray | None) -> None:
-        """Stand, and command nothing, until the actuator tells its ledger; go on from that one.
+        """Hold and command nothing until the actuator reports its ledger; go on from that ledger.
 
         Args:
-            expected: what it should have; where it is further off than `allowed`, the order to resume is waited for.
-            allowed: by axis; both None: whatever it has is right.
+            expected: ledger it should have; where it differs by more than `allowed`, the loop waits for an order.
+            allowed: by axis; both None: any ledger is accepted.
         """
         self.takes_over, self._expected, self._allowed = self._present, expected, allowed
 
     def look(self, step: Step, order: int, now_ns: int) -> int:
-        """Look at what the actuator has, before a cycle; give the cycle's mode.
+        """Read the actuator's output before a cycle; give the cycle's mode.
 
         Args:
-            step: its ledger is what the actuator was told last; it becomes the actuator's own where that is needed.
-            order: what is ordered, of MODE_OFF, MODE_ON and MODE_HOLD.
+            step: its ledger is the last command; the actuator's output replaces it where that is needed.
+            order: the ordered mode: MODE_OFF, MODE_ON or MODE_HOLD.
             now_ns: instant of the cycle.
         """
         if not self._present:
@@ -104,21 +104,21 @@ class CommandGate:
             self._failed = True
             self._trouble.failed(stopped)
         if step is not self._step:
-            self._step, self._told = step, step.output_of(step.state)
-        told = self._told
-        confirmed = told.tobytes() == self.has.tobytes()
+            self._step, self._last = step, step.output_of(step.state)
+        last = self._last
+        confirmed = last.tobytes() == self.has.tobytes()
         if confirmed and not self._failed:
             self._well()
             return order
         if self._unconfirmed_ns is None:
             self._unconfirmed_ns = now_ns
         for_ns = now_ns - self._unconfirmed_ns
-        changed = lost(told, self.has, step.units_in(self._period_s), "the last command was")
+        changed = lost(last, self.has, step.units_in(self._period_s), "the last command was")
         self._far = bool(changed)
         if not self._failed and not self._in_trouble and for_ns <= PATIENCE_NS:
             return order | OUTPUT_UNCONFIRMED
         if not self._failed:
-            self._trouble.failed(f"has {self.has.tolist()}, {for_ns * 1e-9:.1f} s after the command {told.tolist()}")
+            self._trouble.failed(f"has {self.has.tolist()}, {for_ns * 1e-9:.1f} s after the command {last.tolist()}")
         begins, self._in_trouble = not self._in_trouble, True
         if changed:
             self._waiting.failed(changed)
@@ -129,7 +129,7 @@ class CommandGate:
         return order | OUTPUT_TROUBLE
 
     def send(self, output: IntArray) -> None:
-        """Command the cycle's output, where that is not too far from what the actuator has."""
+        """Command the cycle's output, unless it is too far from the actuator's output."""
         if self.takes_over or self._far or not self._known:
             return
         try:
@@ -140,7 +140,7 @@ class CommandGate:
             self._trouble.failed(str(e))
 
     def _taken_over(self, step: Step) -> int:
-        """Go on from what the actuator has; wait for an order where it should have had something else."""
+        """Go on from the actuator's output; wait for an order where another output was expected."""
         step.resume(self.has)
         self.takes_over = self._failed = False
         self._well()

@@ -1,8 +1,8 @@
 """What a driver can be: a few small capabilities (seam 1 of the architecture).
 
-A device is one object with one or more of these. Constructing it validates its options and touches no
-hardware; entering it (`with`) opens; leaving holds, then closes. Nothing here blocks for longer than the
-device's own configured timeout.
+A device is one object with one or more of these. Its construction validates the options and touches no hardware.
+Entering it (`with`) opens it; leaving holds, then closes. No call here blocks for longer than the device's own
+configured timeout.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -29,7 +29,7 @@ class Device(Protocol):
 
 
 class AlwaysOpen:
-    """For a device with nothing to open and nothing to hold, such as a file that is read anew each time."""
+    """For a device with nothing to open and nothing to hold, such as a file that is read again each time."""
 
     def __enter__(self) -> Self:
         return self
@@ -43,10 +43,10 @@ class CountSource(Protocol):
     """Reads the axes' raw encoder counts (x4, before any insertion), all latched at one instant."""
 
     def read_counts(self, counts: IntArray) -> int:
-        """Fill `counts` (one entry an axis, in the machine's axis order); give the instant of latching, ns.
+        """Fill `counts` (one element an axis, in the machine's axis order); give the instant of latching, ns.
 
         Raises:
-            DriverTimeout, DriverFault: no fresh value; `counts` is then left as it was.
+            DriverTimeout, DriverFault: no fresh value; `counts` is then unchanged.
         """
         ...
 
@@ -56,10 +56,10 @@ class TemperatureSource(Protocol):
     """Reads temperature sensors."""
 
     def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
-        """Fill `degc` (°C) and `time_ns` (instant of acquisition), one entry a sensor, in the machine's order.
+        """Fill `degc` (°C) and `time_ns` (instant of acquisition), one element a sensor, in the machine's order.
 
-        A sensor without a new reading keeps its old value and its old time; the guard judges the age. What is good is
-        filled in first, then what is wrong is raised: the arrays hold after an error too.
+        A sensor without a new reading keeps its old value and its old time; the guard judges the age. Good values are
+        filled in before an error is raised: the arrays are valid after an error, too.
 
         Raises:
             DriverError: what is wrong with some of the sensors, or with the device.
@@ -78,12 +78,12 @@ class SpindleSource(Protocol):
 
 @runtime_checkable
 class Actuator(Protocol):
-    """Puts the correction into the machine: an encoder box, a controller's offset register, a D/A."""
+    """Puts the correction into the machine: an encoder box, a controller's offset register, a D/A converter."""
 
     def refuses(self, sink: Sink) -> str:
-        """Say why it cannot take this kind of output, or outputs of this unit; "" where it can.
+        """Why it does not accept this kind of output, or outputs of this unit; "" where it does.
 
-        Counts put into a register, or units of another size, would make the error larger: asked before anything runs.
+        Counts in an offset register, or units of another size, would increase the error: this is checked before a run.
         """
         ...
 
@@ -95,22 +95,22 @@ class Actuator(Protocol):
         ...
 
     def read_output(self, output: IntArray) -> None:
-        """Fill `output` with what the device itself says is applied (its own ledger), in the same units.
+        """Fill `output` with the output that the device itself reports (its own ledger), in the same units.
 
-        A device that cannot say fills in what it was last told, and is a `OneWay` too.
+        A device that cannot report it fills in the last command, and is a `OneWay` too.
 
         Raises:
-            DriverUnavailable: it has not said yet.
+            DriverUnavailable: it has not reported yet.
         """
         ...
 
     def hold(self) -> None:
-        """Keep the last output until told otherwise; called when the loop ends, however it ends."""
+        """Keep the last output until the next command; called when the loop ends, however it ends."""
         ...
 
 
 class NoActuator:
-    """In place of an actuator where tables alone correct (`[table]`): the loop commands nothing, and has nothing."""
+    """No actuator: tables alone correct (`[table]`). Accepts every call and does nothing; its output is zero."""
 
     def refuses(self, sink: Sink) -> str:
         """Refuse nothing."""
@@ -121,7 +121,7 @@ class NoActuator:
         """Do nothing: the loop's correction is off."""
 
     def read_output(self, output: IntArray) -> None:
-        """Nothing is inserted."""
+        """Leave `output` at zero: nothing is inserted."""
         output[:] = 0
 
     def hold(self) -> None:
@@ -130,35 +130,35 @@ class NoActuator:
 
 @runtime_checkable
 class OneWay(Protocol):
-    """An actuator that cannot say what it has, and keeps it while nobody is there: an offset register, a D/A."""
+    """An actuator that cannot report its output, and keeps it between runs: an offset register, a D/A converter."""
 
     def was_told(self, output: IntArray) -> None:
-        """Learn at the start what an earlier run told it last; `read_output` says so from then on. Sends nothing."""
+        """Take over an earlier run's last command at the start; `read_output` gives it from then on. Sends nothing."""
         ...
 
 
 @runtime_checkable
 class Resumable(Protocol):
-    """Stops by itself where it would guess: a box that started anew, a position that was lost. Goes on when ordered."""
+    """Stops by itself after a fault, such as a box that restarted or a lost position; goes on when ordered."""
 
     @property
     def must_resume(self) -> str:
-        """Why it waits for an order to resume; "" where it does not. Looks at nothing but memory."""
+        """Why it waits for an order to resume; "" where it does not. Reads memory only."""
         ...
 
     def resume(self) -> None:
-        """Take what the device says next as it stands: its counts, its ledger. Waits for nothing.
+        """Accept the next reading as it is: counts and ledger. Does not wait.
 
-        Whoever orders it takes over the ledger (`Actuator.read_output`) before the next command.
+        The caller takes over the ledger (`Actuator.read_output`) before the next command.
         """
         ...
 
 
 class Scanner(Protocol):
-    """Looks on a port or bus for numbers, before a file says where they are. It reads, and commands nothing.
+    """Scans a port or bus for numbers, before a file says where they are. It reads, and commands nothing.
 
-    A driver's class that can look has a class method `scanner(table, clock)`; `table` is what is known of the device's
-    table by then: its port, or interface and channel. Entering opens, leaving closes.
+    A driver's class that can scan has a class method `scanner(table, clock)`; `table` has the known keys of the
+    device's table: port, or interface and channel. Entering opens, leaving closes.
 
     Attributes:
         duration: of `search`, in words that follow "takes".
@@ -173,9 +173,9 @@ class Scanner(Protocol):
     ) -> None: ...
 
     def search(self) -> Iterator[tuple[float, str]]:
-        """Look step by step; give the share that is done, and what was found just now in plain words, or "".
+        """Scan step by step; yield the fraction done, 0 to 1, and the newest match in plain words, or "".
 
-        What was found stays found when nobody asks for the next step.
+        Matches stay valid when the caller stops early.
 
         Raises:
             DriverUnavailable: the port or bus is gone.
@@ -183,11 +183,11 @@ class Scanner(Protocol):
         ...
 
     def read(self) -> dict[str, float]:
-        """The newest numbers as the device has them, by their places: in words that a person can look up."""
+        """The newest numbers as the device reports them, by place; a place is in words that a person can look up."""
         ...
 
     def proposed(self, names: Sequence[str]) -> dict[str, str]:
-        """A guess at the place of each of these axes or sensors; empty where what was found allows none."""
+        """A guess at the place of each of these axes or sensors; empty where the matches allow none."""
         ...
 
     def table(self, places: Mapping[str, str], unit: float) -> dict[str, Any]:
@@ -195,6 +195,6 @@ class Scanner(Protocol):
 
         Args:
             places: by axis or sensor.
-            unit: °C that a temperature's number 1 is worth; axes take no notice.
+            unit: °C per count of a temperature; axes ignore it.
         """
         ...

@@ -1,4 +1,4 @@
-"""Sample and command: the two records that cross the line between drivers and the loop, and fill a log.
+"""Sample and command: the two records that drivers and the loop exchange, and that fill a log.
 
 Both are held as blocks of n rows, one array a field (structure of arrays), so that the loop (n = 1), a replay
 (n = many), the shared-memory ring and the Arrow log use the same memory layout without conversion.
@@ -18,7 +18,7 @@ MODES_BY_NAME = {"off": MODE_OFF, "on": MODE_ON, "hold": MODE_HOLD}
 
 @dataclass(frozen=True)
 class Layout:
-    """The names behind the columns: axes and sensors in the machine's order."""
+    """The axes and sensors behind the columns, in the machine's order."""
 
     axes: tuple[str, ...]
     sensors: tuple[str, ...]
@@ -26,7 +26,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a record: `width` None is a scalar a row, else a vector of that length a row."""
+    """One field of a record. `width` None: one number a row; else a vector of that length a row."""
 
     name: str
     dtype: type[np.generic]
@@ -53,7 +53,7 @@ class _Block:
         return dict(vars(self))
 
     def rows(self, start: int, stop: int) -> Self:
-        """Give a view of some rows; nothing is copied."""
+        """A view of some rows; nothing is copied."""
         return type(self)(*[array[start:stop] for array in vars(self).values()])
 
     def singles(self) -> Iterator[Self]:
@@ -61,7 +61,7 @@ class _Block:
         return (self.rows(i, i + 1) for i in range(len(self)))
 
     def copy(self) -> Self:
-        """Give a block with memory of its own."""
+        """A block with memory of its own."""
         return type(self)(**{name: array.copy() for name, array in self.arrays().items()})
 
 
@@ -71,7 +71,7 @@ class Samples(_Block):
 
     Attributes:
         time_ns: the loop's instant, monotonic clock.
-        mode: MODE_OFF, MODE_ON or MODE_HOLD as ordered for this cycle; MODE_TAKEN_OVER where the ledger was.
+        mode: the ordered MODE_OFF, MODE_ON or MODE_HOLD of this cycle; MODE_TAKEN_OVER where the ledger was taken over.
         counts_time_ns: instant at which the counts were latched.
         counts: raw counts after x4, (n, axes).
         degc: temperatures, °C, (n, sensors); NaN where a sensor has given none yet.
@@ -148,5 +148,5 @@ class StepState:
     ints: NDArray[np.int64]
 
     def copy(self) -> "StepState":
-        """Give a state with memory of its own."""
+        """A state with memory of its own."""
         return StepState(self.floats.copy(), self.ints.copy())

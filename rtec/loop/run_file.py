@@ -1,6 +1,6 @@
 """The run file: which machine, model, devices and limits, and the daemon's control, log and real-time tables.
 
-It is read whole and checked whole, with everything that it names; all faults are reported at once.
+The file and every file that it names are read and checked whole; all faults are reported at once.
 """
 
 from collections.abc import Iterator, Mapping
@@ -28,15 +28,15 @@ NO_DEVICES: Final = {"role": {"counts": "none", "actuator": "none"}, "device": {
 
 
 class ControlTable(Strict):
-    """Sockets of the daemon. None of them leaves this computer; who comes by the network comes by ssh.
+    """Sockets of the daemon. None of them is on the network; remote users come by ssh.
 
     Attributes:
-        local: answer on this computer, by a socket that file permissions guard.
+        local: open a socket on this computer, guarded by file permissions.
         access: who may use it: "user" (the one that the daemon runs as, and root) or "group" (its group, too).
-        status_access: who may use the socket that only shows the status, as `rtec telemetry` does: as `access`.
+        status_access: who may use the socket that only reads the status, as `rtec telemetry` does; as `access`.
         status_hz: how often the status is sent to clients that watch it.
         prometheus: "host:port" of this computer at which Prometheus reads figures; not given: nothing listens.
-        compared: file with what `rtec compare --json` printed last; the status shows its residual.
+        compared: file with the output of `rtec compare --json`; the status shows its residual.
     """
 
     local: bool = True
@@ -70,12 +70,12 @@ class ControlTable(Strict):
 
 
 class LogTable(Strict):
-    """Rules for the logs in `[run] log_folder`. A log that `--log` puts elsewhere is one file, and stays as it is.
+    """Rules for the logs in `[run] log_folder`. A log that `--log` puts elsewhere is one file, never split or packed.
 
     Attributes:
-        segment_mb: a file that has grown to this is closed, and the next begun; 10^6 bytes.
-        segment_s: a file that is this old is closed, too.
-        disk_share: all logs in the folder may take this share of its disk; the oldest go first.
+        segment_mb: a file of this size is closed, and the next one begins; 10^6 bytes.
+        segment_s: a file of this age is closed, too.
+        disk_share: share of the disk that all logs in the folder may take; the oldest are removed first.
         pack: turn closed files into zstd Parquet, about a tenth of the size.
     """
 
@@ -89,13 +89,13 @@ class RunTable(Strict):
     """`[run]`: what runs, how fast, where the log goes. Relative paths start at the run file's folder.
 
     Attributes:
-        machine: its file.
-        model: its file. Without one nothing is corrected: `mode` is then "hold" or "off".
+        machine: path of the machine file.
+        model: path of the model file. Without one nothing is corrected: `mode` is then "hold" or "off".
         rate_hz: cycles per second.
         mode: "on", "off" or "hold" at the start.
-        log_folder: a log a run is written there; no log where it is not given.
-        state_folder: ledger and mode are kept there over a power cut; not given: the log_folder.
-        flush_s: the log loses at most this much in a power cut.
+        log_folder: every run writes a log there; not given: no log.
+        state_folder: folder for ledger and mode, which survive a power cut there; not given: the log_folder.
+        flush_s: a power cut loses at most this much of the log.
     """
 
     machine: Path
@@ -108,11 +108,11 @@ class RunTable(Strict):
 
 
 class Roles(Strict):
-    """`[role]`: which device reads and writes what, by the device's name.
+    """`[role]`: the device that reads or writes each quantity, by the device's name.
 
     Attributes:
         counts: reads the axes' encoder counts.
-        temperatures: read the temperature sensors; each gives those that it has.
+        temperatures: read the temperature sensors; each gives its own.
         spindle: reads the spindle speed.
         actuator: puts the correction into the machine; not given: `[table]` alone corrects.
     """
@@ -131,11 +131,11 @@ class TableRewrites(Strict):
             at the run file.
         format: of all files; `rtec table formats` lists them.
         grid_mm: distance of the points.
-        interval_s: each file is rewritten so often, where the prediction differs from it by `hysteresis_um`.
-        change_um: a file is rewritten earlier, ten seconds after the last time at the earliest, where the prediction
+        interval_s: period after which each file is rewritten, where the prediction differs from it by `hysteresis_um`.
+        change_um: a file is rewritten earlier, but not within ten seconds of the last time, where the prediction
             differs from it by this; not given: at the interval only.
         hysteresis_um: a smaller difference than this rewrites nothing.
-        most_change_um: a value changes by this at most in one rewrite.
+        most_change_um: largest change of a value in one rewrite.
     """
 
     files: Annotated[dict[str, Path], Field(min_length=1)]
@@ -154,12 +154,12 @@ class TableRewrites(Strict):
 
 
 class Realtime(Strict):
-    """`[realtime]`: how the loop's process asks to be treated.
+    """`[realtime]`: scheduling and memory of the loop's process.
 
     Attributes:
-        priority: SCHED_FIFO priority; 0: do not ask.
+        priority: SCHED_FIFO priority; 0: an ordinary process.
         cpu: processor to stay on; not given: the last one where there are several.
-        lock_memory: keep its memory from being swapped.
+        lock_memory: lock its memory, so that it is never swapped.
     """
 
     priority: Annotated[int, Field(ge=0, le=98)] = 80
@@ -171,7 +171,7 @@ class CaptureAxis(Strict):
     """`[capture.axis.X]`: channels of one axis in a logic-analyser capture, and what the controller can follow.
 
     Attributes:
-        a, b: names of the lines; every other line, the index too, stays as it is.
+        a, b: names of the lines; every other line, the index too, is copied unchanged.
         start_mm: position at the first sample.
         min_edge_separation_us: least time between an inserted edge and any other.
     """
@@ -202,12 +202,12 @@ class RunFile(Strict):
     Attributes:
         run: what runs, how fast, where the log goes.
         role: which device does what.
-        device: the devices by name; the key `driver` names the driver, whose own keys the others are.
+        device: the devices by name; the key `driver` names the driver, the other keys are the driver's own.
         limits: of each axis' correction; every compensated axis needs them.
         guard: when inputs are too old.
-        inputs: what no device reads.
+        inputs: quantities that no device reads.
         output: how the correction of an axis goes into the machine; not given: as pulses.
-        realtime: how the loop's process asks to be treated.
+        realtime: scheduling and memory of the loop's process.
         log: rules for the logs in `log_folder`.
         control: sockets of the daemon.
         table: compensation tables that the daemon rewrites.
@@ -238,9 +238,9 @@ class Setup:
 
     Attributes:
         path: the run file.
-        file: what it says.
+        file: its content.
         machine, model: read and checked.
-        hash: SHA-256 of what it says.
+        hash: SHA-256 of its content.
         step_um: by axis, the deliberate step that the model of a sign check makes; empty in ordinary runs.
     """
 
@@ -262,13 +262,13 @@ class Setup:
         return round(1e9 / self.file.run.rate_hz)
 
     def step_settings(self) -> StepSettings:
-        """What the step is made of."""
+        """Settings of the step."""
         sinks = {a.name: self.file.output.get(a.name, PulseSink()).scale(a) for a in self.machine.axes}
         longest_s = 1.0 / self.file.run.rate_hz
         return StepSettings(self.model, self.file.limits, sinks, self.file.guard, longest_s, self.file.inputs)
 
     def log_header(self) -> dict[str, str]:
-        """What the log says of its origin."""
+        """Entries of the log's header: where the log comes from."""
         from rtec.version import __version__
 
         return {
@@ -290,11 +290,11 @@ def load_setup(path: Path, *, needs_model: bool = True, needs_devices: bool = Tr
 
     Args:
         path: of the run file.
-        needs_model: False: its model is not read, and one that asks for nothing is in its place.
+        needs_model: False: do not read its model; a model without effects replaces it.
         needs_devices: False: `[role]` and `[device]` may be missing, as for the replay of a log or a capture.
 
     Raises:
-        RtecError: everything that is wrong with any of them.
+        RtecError: all faults of all these files.
     """
     data = read_toml(path)
     file = validated(RunFile, data if needs_devices else {**NO_DEVICES, **data}, str(path))
@@ -329,7 +329,7 @@ def setup_of(data: Mapping[str, Any], path: Path, machine: Machine, model: Model
         machine, model: those that it will name.
 
     Raises:
-        ConfigError: everything that is wrong with the tables.
+        ConfigError: all faults of the tables.
     """
     file = validated(RunFile, data, str(path))
     if faults := [*_faults(file, machine, str(path)), *_role_faults(file, str(path))]:
@@ -369,8 +369,8 @@ def _role_faults(file: RunFile, source: str) -> list[str]:
 
 
 def _table_faults(file: RunFile, table: TableRewrites, machine: Machine, path: Path) -> list[str]:
-    """Everything that can be known before there is a prediction."""
-    where, out, seen = f"{path}: [table]", list[str](), dict[Path, str]()
+    """Every fault that shows before there is a prediction."""
+    where, out, key_of = f"{path}: [table]", list[str](), dict[Path, str]()
     form = FORMATS.get(table.format)
     if form is None:
         out.append(f"{where} format: no format {table.format!r}{nearest(table.format, FORMATS)}")
@@ -378,9 +378,9 @@ def _table_faults(file: RunFile, table: TableRewrites, machine: Machine, path: P
         out.append(f"{where}: needs a model: [run] key 'model' is missing")
     for key, name in table.files.items():
         target = (path.parent / name).resolve()
-        if target in seen:
-            out.append(f"{where} files.{key}: {name} is the file of {seen[target]} already")
-        seen[target] = key
+        if target in key_of:
+            out.append(f"{where} files.{key}: {name} is the file of {key_of[target]} already")
+        key_of[target] = key
         if not target.parent.is_dir():
             out.append(f"{where} files.{key}: the folder {target.parent} is not there")
         try:
@@ -400,7 +400,7 @@ def _table_faults(file: RunFile, table: TableRewrites, machine: Machine, path: P
 
 
 def _unfit(form: TableFormat, axis: Axis, corrects: Axis, second: Axis | None, table: TableRewrites) -> Iterator[str]:
-    """Why a format cannot hold a table of these axes."""
+    """Reasons why a format cannot hold a table of these axes."""
     if form.limits.typed:
         yield f"{table.format} is a list to type in; the daemon cannot put it into the control"
         return

@@ -1,9 +1,9 @@
-"""The loop's state as it is kept: an image of three slots that is whole at every instant, whatever is cut off when.
+"""The loop's kept state: an image of three slots. One of them is whole at every instant, even within a write.
 
-Slots 0 and 1 are written in turns, slot 2 when something began anew (a reload). Each is a row of 64-bit words:
-what it is, ledger, counts, the step's memory, and a CRC-32 of all that. A slot that was not written to its end
-does not fit its CRC; the other of the two then still holds the cycle before. The loop writes it every cycle *before*
-the command goes out: after a kill the ledger is what the actuator was told last, or what it was just to be told.
+Slots 0 and 1 are written in turns, slot 2 at a new beginning (a reload). Each slot is a row of 64-bit words: header,
+ledger, counts, the step's memory, and a CRC-32 of all that. The CRC of a slot that was not written to its end does not
+match; the other slot then still holds the cycle before. The loop writes a slot every cycle *before* the command goes
+out: after a kill, the ledger is the actuator's last command, or the one that was about to go out.
 """
 
 import hashlib
@@ -35,20 +35,20 @@ _AT_UNITS: Final = slice(15, 18)
 
 @dataclass(frozen=True)
 class Saved:
-    """One slot, read and found whole.
+    """One slot that was read whole.
 
     Attributes:
-        sequence: how many were written before.
+        sequence: number of slots written before it.
         row: number of the cycle's row in the ring.
         time_ns: the cycle's instant, monotonic clock.
-        mode: as it was ordered.
-        start_mode: the mode that the run file began with.
-        clean: the run ended in order.
-        waits: it was waiting for an order to resume.
+        mode: the ordered mode.
+        start_mode: the run file's mode at the start.
+        clean: did the run end in order?
+        waits: did it wait for an order to resume?
         output: ledger, in the sink's units, by axis.
         counts: raw counts, by axis.
         structure: of the step whose memory this is (`structure_of`).
-        units: what output and counts are counted in (`units_of`).
+        units: units of output and counts (`units_of`).
         state: the step's memory.
         words: the slot itself.
     """
@@ -69,34 +69,34 @@ class Saved:
 
 
 def structure_of(step: "Step") -> bytes:
-    """32 bytes that tell whether memory of one step means the same to another: model, places, names, units."""
-    told = hashlib.sha256(step.source.memory.encode())
-    told.update(units_of(step))
-    return told.digest()
+    """Hash of 32 bytes; equal where memory of two steps has the same meaning: model, places, names, units."""
+    digest = hashlib.sha256(step.source.memory.encode())
+    digest.update(units_of(step))
+    return digest.digest()
 
 
 def units_of(step: "Step") -> bytes:
-    """24 bytes that tell whether ledger and counts of one step mean the same to another."""
-    told = hashlib.sha256(repr(step.layout.axes).encode())
+    """Hash of 24 bytes; equal where ledger and counts of two steps have the same meaning."""
+    digest = hashlib.sha256(repr(step.layout.axes).encode())
     for name in ("counts_per_mm", "per_um", "quantum"):
-        told.update(step.constants(name).tobytes())
-    return told.digest()[:24]
+        digest.update(step.constants(name).tobytes())
+    return digest.digest()[:24]
 
 
 class StateWriter:
     """Keeps the state of one step in an image; a call writes some hundred bytes and waits for nothing.
 
     Attributes:
-        sequence: slots written so far, by whoever wrote this image.
+        sequence: number of slots written to this image so far, by all writers.
         start_mode: the mode of the run file.
-        order: the mode that is ordered.
-        waits: the loop waits for an order to resume.
+        order: the ordered mode.
+        waits: does the loop wait for an order to resume?
 
     Args:
         image: `IMAGE_BYTES` bytes, shared or not.
-        step: whose memory is kept.
+        step: the step whose memory is kept.
         start_mode: the mode of the run file.
-        sequence: where an earlier writer of this image ended.
+        sequence: that of an earlier writer of this image.
 
     Raises:
         ModelError: the step's memory does not fit.
@@ -117,16 +117,16 @@ class StateWriter:
         head[_AT_UNITS] = np.frombuffer(units_of(step), np.int64)
 
     def keep(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
-        """Keep what this cycle came to."""
+        """Keep the state after this cycle."""
         self.sequence += 1
         self._write(self._slots[self.sequence & 1], samples, output, row, 0)
 
     def snapshot(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
-        """Keep it in the third slot: the state in which something begins anew behind this row."""
+        """Keep it in the third slot: the state from which a new set-up begins after this row."""
         self._write(self._slots[SNAPSHOT], samples, output, row, 0)
 
     def finish(self, samples: Samples, output: NDArray[np.int64], row: int) -> None:
-        """The same for the last time: the run ended in order."""
+        """Keep it as the last state: the run ended in order."""
         self.sequence += 1
         self._write(self._slots[self.sequence & 1], samples, output, row, 1)
 
@@ -144,7 +144,7 @@ class StateWriter:
 
 
 class _Slot:
-    """Views of one slot of an image; making them changes nothing in it."""
+    """Views of one slot of an image; making them changes nothing in the image."""
 
     def __init__(self, image: NDArray[np.uint8], k: int, axes: int, ints: int, floats: int) -> None:
         sizes = (_HEAD, axes, axes, ints, floats)
@@ -185,13 +185,13 @@ def read_slot(image: bytes, k: int) -> Saved | None:
 
 
 def newest(image: bytes) -> Saved | None:
-    """Give the younger of the first two slots that are whole; None where neither is."""
+    """The later of the first two slots that are whole; None where neither is."""
     whole = [saved for k in range(2) if (saved := read_slot(image, k)) is not None]
     return max(whole, key=lambda saved: saved.sequence, default=None)
 
 
-def is_spoilt(image: bytes) -> bool:
-    """Was something kept here, and nothing of it is whole? An image that nobody wrote to is all zeros."""
+def is_damaged(image: bytes) -> bool:
+    """Was a state kept here of which no slot is whole? An image that nobody wrote to is all zeros."""
     return newest(image) is None and any(image[: SNAPSHOT * SLOT_BYTES])
 
 
@@ -201,7 +201,7 @@ def state_text(state: StepState) -> dict[str, Any]:
 
 
 def state_from_text(text: Any, like: StepState) -> StepState | None:
-    """Read `state_text` again; None where it is none, or of another size than `like`."""
+    """Read the result of `state_text`; None where the text is malformed, or its size differs from that of `like`."""
     try:
         floats = np.array([float.fromhex(x) for x in text["floats"]])
         ints = np.array([int(x) for x in text["ints"]], np.int64)

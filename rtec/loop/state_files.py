@@ -1,7 +1,7 @@
-"""Where the loop's state is kept: memory that outlives the process, and a copy on disk that outlives the power.
+"""The files of the loop's state: memory that outlives the process, and a copy on disk that survives a power cut.
 
-The memory is a file in a file system that is memory (/dev/shm, or the run-time folder that systemd gives), so that
-the loop never waits for a disk: writing to a mapped file on disk can stop for as long as the disk likes. The file's
+The first file is in a file system in memory (/dev/shm, or the run-time folder that systemd gives), so that the loop
+never waits for a disk: a write to a mapped file on disk may block for any length of time. The file's
 lock belongs to the loop's process; a second loop for the same run file is refused. The copy on disk is locked by the
 supervisor: that refuses a second daemon where the file in memory was deleted, and another run file of the same name.
 """
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rtec.errors import RtecError
 from rtec.loop.clock import Clock
-from rtec.loop.state import IMAGE_BYTES, SLOT_BYTES, SNAPSHOT, Saved, is_spoilt, newest, read_slot
+from rtec.loop.state import IMAGE_BYTES, SLOT_BYTES, SNAPSHOT, Saved, is_damaged, newest, read_slot
 
 _SHM: Final = Path("/dev/shm")  # noqa: S108 (not a temporary file: the place of shared memory on Linux)
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
@@ -35,11 +35,11 @@ _LOCK_PERIOD_NS: Final = 50_000_000
 
 @dataclass(frozen=True)
 class StatePlaces:
-    """Files of one run file's state.
+    """Paths of one run file's state.
 
     Attributes:
-        memory: in memory.
-        disk: on disk; None: nothing is kept over a power cut.
+        memory: file in memory.
+        disk: file on disk; None: nothing survives a power cut.
     """
 
     memory: Path
@@ -47,14 +47,14 @@ class StatePlaces:
 
 
 def state_places(config: Path, folder: Path | None) -> StatePlaces:
-    """Give the places of a run file's state.
+    """The paths of a run file's state.
 
     Args:
         config: the run file.
         folder: for the copy on disk, where systemd gives none (STATE_DIRECTORY).
     """
     name = hashlib.sha256(str(config.resolve()).encode()).hexdigest()[:16]
-    # Not "rtec-": those are rings, and go with their owner.
+    # Not "rtec-": files of that prefix are rings, and are removed with their owner.
     memory = Path(_given("RUNTIME_DIRECTORY") or _SHM) / f"rtec.{os.geteuid()}.{name}.state"
     given = _given("STATE_DIRECTORY")
     kept = Path(given) if given else folder
@@ -62,20 +62,20 @@ def state_places(config: Path, folder: Path | None) -> StatePlaces:
 
 
 def _given(variable: str) -> str:
-    """What systemd says; the first of several folders."""
+    """First folder of a variable that systemd sets; "" where it is not set."""
     return os.environ.get(variable, "").split(":", maxsplit=1)[0]
 
 
 @contextmanager
 def state_memory(path: Path, clock: Clock) -> Iterator[NDArray[np.uint8]]:
-    """The image, mapped and locked; made where it is not there.
+    """The image, mapped and locked; created where it does not exist.
 
     Raises:
-        RtecError: another loop has it, it is somebody else's file, or there is no room.
+        RtecError: another loop has it, another user owns it, or there is no room.
     """
     fd = _locked(path, clock)
     try:
-        # Not closed by hand: it stays mapped until the last view of it is gone.
+        # Not closed here: it stays mapped until the last view of it is gone.
         yield np.frombuffer(mmap.mmap(fd, IMAGE_BYTES, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE), np.uint8)
     finally:
         _remove_empty(fd, path)
@@ -85,7 +85,7 @@ def state_memory(path: Path, clock: Clock) -> Iterator[NDArray[np.uint8]]:
 
 
 def _remove_empty(fd: int, path: Path) -> None:
-    """A start that failed before anything was kept leaves nothing behind; another loop's file is left alone."""
+    """Remove the file of a start that failed before anything was kept; never another loop's file."""
     with suppress(OSError):
         if newest(os.pread(fd, IMAGE_BYTES, 0)) is None and os.path.samestat(os.fstat(fd), path.stat()):
             path.unlink()
@@ -112,7 +112,7 @@ def _open(path: Path) -> int:
 
 
 def _locked(path: Path, clock: Clock) -> int:
-    """Open and lock; a loop that is just ending gets two seconds for it."""
+    """Open and lock; waits up to two seconds for a loop that is just ending."""
     for _ in range(_LOCK_TRIES):
         fd = _open(path)
         if _take(fd, path):
@@ -123,7 +123,7 @@ def _locked(path: Path, clock: Clock) -> int:
 
 
 def _take(fd: int, path: Path) -> bool:
-    """Take the lock of a file that still has its name."""
+    """Take the lock, if the file still has this name."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return os.path.samestat(os.fstat(fd), path.stat())
@@ -132,10 +132,10 @@ def _take(fd: int, path: Path) -> bool:
 
 
 class MemoryState:
-    """The loop's memory, as another process reads it while the loop writes; also where somebody deleted its file.
+    """The loop's state in memory, as another process reads it while the loop writes; works on a deleted file, too.
 
     Args:
-        path: the file; opened at the first reading that finds it.
+        path: the file; opened at the first read at which it exists.
     """
 
     def __init__(self, path: Path) -> None:
@@ -154,7 +154,7 @@ class MemoryState:
 
     @property
     def deleted(self) -> bool:
-        """Was the file deleted though the loop has it?"""
+        """Was the file deleted while the loop has it open?"""
         return self._fd >= 0 and not os.fstat(self._fd).st_nlink
 
     def remove(self) -> None:
@@ -168,7 +168,7 @@ class MemoryState:
                 os.close(fd)
 
     def close(self) -> None:
-        """Close the file; one in which nothing was ever kept, as after a start that failed, goes."""
+        """Close the file; remove one in which nothing was ever kept, as after a start that failed."""
         if self._fd >= 0:
             if os.fstat(self._fd).st_nlink and not any(os.pread(self._fd, IMAGE_BYTES, 0)):
                 self.path.unlink(missing_ok=True)
@@ -182,12 +182,12 @@ class MemoryState:
 
 
 class DiskState:
-    """The copy on disk: two slots in turns, each brought to the disk before the other is touched.
+    """The copy on disk: two slots in turns; one is on the disk before the other is written.
 
-    The file is locked as long as it is open: no two daemons write one, however each came to its name.
+    The file is locked while it is open: two daemons never write one file, whatever path they reach it by.
 
     Args:
-        path: the file; made by `lock`, or at the first `write`.
+        path: the file; created by `lock`, or at the first `write`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -197,12 +197,12 @@ class DiskState:
         register_after_fork(self, DiskState._let_go)  # a copy of this process that hangs would keep it locked
 
     def lock(self, clock: Clock) -> None:
-        """Take the file for this process; a daemon that is just ending gets two seconds for it.
+        """Take the file for this process; waits up to two seconds for a daemon that is just ending.
 
-        A disk that does not take the file is no fault here: `write` tells it, and tries again.
+        A disk that refuses the file is no error here: `write` raises it, and tries again.
 
         Raises:
-            RtecError: another daemon has it, or it is no file.
+            RtecError: another daemon has it, or it is not a file.
         """
         for _ in range(_LOCK_TRIES):
             try:
@@ -224,15 +224,15 @@ class DiskState:
         """Put a state on disk.
 
         Raises:
-            OSError: it cannot be written; what was there before is still there.
+            OSError: it cannot be written; the state on disk is then the one before.
         """
-        if self._fd >= 0 and not os.fstat(self._fd).st_nlink:  # somebody removed it: what is written there is lost
+        if self._fd >= 0 and not os.fstat(self._fd).st_nlink:  # a removed file: writes to it are lost
             self.close()
         if self._fd < 0:
             self._open()
         os.pwrite(self._fd, saved.words, self._next * SLOT_BYTES)
         os.fdatasync(self._fd)
-        if not self._marked:  # behind the first slot of this start, never before it
+        if not self._marked:  # after the first slot of this start, never before it
             os.pwrite(self._fd, boot_id(), SNAPSHOT * SLOT_BYTES)
             self._marked = True
         self._next = 1 - self._next
@@ -244,16 +244,16 @@ class DiskState:
             if not stat.S_ISREG(os.fstat(fd).st_mode):
                 raise OSError(errno.EINVAL, "is no ordinary file")
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not os.fstat(fd).st_nlink:  # its owner removed it while we waited: not the file of that name any more
+            if not os.fstat(fd).st_nlink:  # its owner removed it while we waited: it no longer has this name
                 raise BlockingIOError(errno.EAGAIN, "was removed")
-            os.posix_fallocate(fd, 0, IMAGE_BYTES)  # so that a full disk stops nothing later
+            os.posix_fallocate(fd, 0, IMAGE_BYTES)  # reserves the space, so a disk that fills up later stops nothing
         except OSError:
             os.close(fd)
             raise
         self._fd, self._next, self._marked = fd, _older(_bytes(self.path)), False
 
     def close(self) -> None:
-        """Close the file; one in which nothing was ever kept, as after a start that failed, goes."""
+        """Close the file; remove one in which nothing was ever kept, as after a start that failed."""
         if self._fd >= 0:
             if os.fstat(self._fd).st_nlink and not any(os.pread(self._fd, IMAGE_BYTES, 0)):
                 self.path.unlink(missing_ok=True)
@@ -266,33 +266,33 @@ class DiskState:
 
 
 def read_disk(path: Path) -> tuple[Saved | None, bool]:
-    """Give the newest state on disk, and whether this computer was started anew since: then no instant is of use."""
+    """The newest state on disk, and whether this computer has restarted since: then its instants are of no use."""
     image = _bytes(path)
     mark = boot_id()
     at = SNAPSHOT * SLOT_BYTES
     return newest(image), image[at : at + len(mark)] != mark
 
 
-def disk_is_spoilt(path: Path) -> bool:
+def disk_is_damaged(path: Path) -> bool:
     """Was a state kept on disk that cannot be read any more?"""
-    return is_spoilt(_bytes(path))
+    return is_damaged(_bytes(path))
 
 
 def boot_id() -> bytes:
-    """Changes with every start of the computer; zeros where the system does not say."""
+    """Changes with every start of the computer; zeros where the system does not give it."""
     with suppress(OSError):
         return _BOOT_ID.read_bytes().strip()[:36]
     return b"\0" * 36
 
 
 def _older(image: bytes) -> int:
-    """The slot to write next: one that is not whole, else the older."""
+    """The slot to write next: one that is not whole, else the older one."""
     sequences = [-1 if (saved := read_slot(image, k)) is None else saved.sequence for k in range(2)]
     return sequences.index(min(sequences))
 
 
 def _bytes(path: Path) -> bytes:
-    """What a state's file holds; nothing where there is none, or something that is no ordinary file."""
+    """Content of a state's file; empty where it does not exist or is no ordinary file."""
     fd = _open_to_read(path)
     if fd < 0:
         return b""
@@ -303,7 +303,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _open_to_read(path: Path) -> int:
-    """A descriptor of an ordinary file; -1 where there is none. Waits for nobody, as opening a FIFO would."""
+    """Descriptor of an ordinary file; -1 where there is none. Never blocks, as opening a FIFO would."""
     with suppress(OSError):
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         if stat.S_ISREG(os.fstat(fd).st_mode):

@@ -1,4 +1,4 @@
-"""What a loop did: times, in histograms of 1 µs (a week takes the memory of a minute), and troubles of its devices."""
+"""Times of a loop, in histograms of 1 µs (a week takes the memory of a minute), and failures of its devices."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import numpy as np
 from rtec.text import clean
 
 BINS = 20_000
-"""The last bin holds everything from 20 ms on; the largest time is kept beside."""
+"""The last bin holds everything from 20 ms on; the largest time is kept separately."""
 
 
 class Histogram:
@@ -25,7 +25,7 @@ class Histogram:
         self.largest_ns = max(self.largest_ns, duration_ns)
 
     def percentile_us(self, percent: float) -> float:
-        """Upper edge of the bin that holds this percentage, µs; 0 where nothing was counted."""
+        """Upper edge of the bin that holds this percentage, µs; 0 without any durations."""
         total = int(self.counts.sum())
         if not total:
             return 0.0
@@ -41,14 +41,14 @@ class Histogram:
 
 @dataclass(slots=True)
 class Trouble:
-    """What goes wrong with one thing that one device does.
+    """Failures of one role of one device.
 
     Attributes:
         device: its name.
         does: "counts", "temperatures", "spindle" or "output".
-        now: it failed the last time that it was asked.
-        times: cycles in which it failed.
-        reason: of the last time.
+        now: did the last call fail?
+        times: number of cycles in which it failed.
+        reason: reason of the last failure.
     """
 
     device: str
@@ -58,22 +58,22 @@ class Trouble:
     reason: str = ""
 
     def failed(self, reason: str) -> None:
-        """Note a failure."""
+        """Record a failure and its reason."""
         self.now, self.reason = True, clean(reason)
         self.times += 1
 
 
 @dataclass
 class LoopStats:
-    """What a loop did.
+    """Times and failures of a loop.
 
     Attributes:
         cycles: samples taken.
         misses: deadlines that had passed before their cycle could begin.
-        wake_up: from the deadline to the loop running.
-        compute: from there to the command sent.
-        troubles: what went wrong with the devices, one entry for everything that each of them does.
-        takeovers: orders to resume that were carried out.
+        wake_up: from the deadline to the start of the cycle.
+        compute: from there to the end of the command.
+        troubles: failures of the devices, one element for each role of each device.
+        takeovers: number of orders to resume that were carried out.
     """
 
     cycles: int
@@ -85,7 +85,7 @@ class LoopStats:
 
     @classmethod
     def empty(cls) -> "LoopStats":
-        """Before the first cycle."""
+        """Statistics before the first cycle."""
         return cls(0, 0, Histogram(), Histogram())
 
     @property
@@ -95,11 +95,11 @@ class LoopStats:
 
     @property
     def last_error(self) -> str:
-        """The last reason of every device that ever failed; empty where none did."""
+        """Last reason of every device that ever failed; empty where none did."""
         return "; ".join(dict.fromkeys(t.reason for t in self.troubles if t.reason))
 
     def reasons(self) -> dict[str, list[str]]:
-        """What is wrong now, by device; a reason that two of its doings share stands there once."""
+        """Present failures by device; a reason that two of its roles share is listed once."""
         out: dict[str, list[str]] = {}
         for trouble in self._now():
             texts = out.setdefault(trouble.device, [])
@@ -108,7 +108,7 @@ class LoopStats:
         return out
 
     def failures(self) -> dict[str, dict[str, object]]:
-        """What went wrong in the whole run, by device: how often, and the last reason of each of its doings."""
+        """Failures in the whole run, by device: their number, and the last reason of each of its roles."""
         out: dict[str, dict[str, object]] = {}
         for device in dict.fromkeys(t.device for t in self.troubles if t.times):
             mine = [t for t in self.troubles if t.device == device and t.times]

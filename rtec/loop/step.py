@@ -1,9 +1,9 @@
 """One step: `(state, sample) -> (state, command)`, the same for a live machine, a simulated one and a log.
 
-A step is made of a model and of what the run file says (`StepSettings`, `Inputs`). Its text is written for the machine
-and the structure of the model (`rtec.loop.step_source`); the numbers it works with are laid into arrays here, so that a
-reload of limits or coefficients changes numbers only. Where another model is taken up while the loop runs, its lags go
-on from those that remember the same (`lags_of`, `slots_to_carry`).
+A step is made of a model and of the run file's settings (`StepSettings`, `Inputs`). Its source is for the machine
+and the structure of the model (`rtec.loop.step_source`); this module puts its numbers into arrays, so that a reload of
+limits or coefficients changes numbers only. A model that replaces another while the loop runs takes over the lags of
+the same temperature (`lags_of`, `slots_to_carry`).
 """
 
 import math
@@ -37,11 +37,11 @@ Array = NDArray[Any]
 Lag = tuple[str, float]
 NS: Final = 1e9
 MOST_APART: Final = math.log(2.0)
-"""Time constants within a factor of two remember much the same."""
+"""Time constants within a factor of two remember nearly the same."""
 
 
 class Inputs(Strict):
-    """`[inputs]`: what holds during the whole run.
+    """`[inputs]`: quantities that are constant during the run.
 
     Attributes:
         load_kg: weight on the table, the channel `load_kg`.
@@ -57,14 +57,14 @@ class Inputs(Strict):
 
 @dataclass(frozen=True)
 class StepSettings:
-    """What a step is made of.
+    """Everything that a step is made of.
 
     Attributes:
         model: the model, with its machine.
-        limits: by axis name; every compensated axis must have them.
-        sinks: scale of the sink by axis name; pulses of one count where not given.
+        limits: by axis name; required for every compensated axis.
+        sinks: scale of the sink by axis name; an axis without one gets pulses of one count.
         guard: ages and fading.
-        longest_cycle_s: a longer gap between samples counts as this long, so that nothing jumps after a pause.
+        longest_cycle_s: a longer gap between samples counts as this, so that no correction jumps after a pause.
         inputs: load, force, and the filter that makes velocity from counts.
     """
 
@@ -79,7 +79,7 @@ class StepSettings:
 class Step:
     """The compiled step of one model and set of limits.
 
-    Holds a state of its own for the loop (`bind`, `run`); `advance` is the same as a pure function.
+    Holds a state of its own for the loop (`bind`, `run`); `advance` computes the same as a pure function.
     """
 
     def __init__(self, settings: StepSettings) -> None:
@@ -102,19 +102,19 @@ class Step:
         self.lags = lags_of(model)
 
     def fresh_state(self) -> StepState:
-        """Give the state before the first sample: no correction, no direction, no temperature history."""
+        """The state before the first sample: no correction, no direction, no temperature history."""
         return StepState(np.zeros(self.source.floats.size), np.zeros(self.source.ints.size, dtype=np.int64))
 
     def bind(self, samples: Samples, commands: Commands) -> Callable[[], None]:
-        """Give a call that reads these samples and writes these commands; it allocates nothing."""
+        """A call that reads these samples and writes these commands; the call allocates nothing."""
         return partial(self._step, *_arrays(samples, commands), *self._constants, self.state.floats, self.state.ints)
 
     def run(self, samples: Samples, into: Commands | None = None) -> Commands:
-        """Step through n samples from the state that the last call left; give their commands.
+        """Step through n samples, starting at the present state; give their commands.
 
         Args:
             samples: n rows.
-            into: memory for at least n commands, used again by the caller; new memory where not given.
+            into: memory for at least n commands, to be reused; None: new memory.
         """
         commands = Commands.empty(self.layout, len(samples)) if into is None else into.rows(0, len(samples))
         self.bind(samples, commands)()
@@ -131,7 +131,7 @@ class Step:
         return self._numbers, self._times
 
     def constants(self, name: str) -> Array:
-        """The numbers of that name that the step works with, one an axis or sensor (`rtec.loop.step_source`)."""
+        """The step's numbers of that name, one an axis or sensor (`rtec.loop.step_source`)."""
         return self._numbers[self.source.numbers.at[name]].copy()
 
     def output_of(self, state: StepState) -> NDArray[np.int64]:
@@ -139,9 +139,9 @@ class Step:
         return state.ints[self.source.ints.at["out"]]
 
     def units_in(self, span_s: float) -> NDArray[np.int64]:
-        """By how many units an output may move in so long a time, by axis: at its slew limit, in whole quanta.
+        """Largest change of each axis' output in this span, in the sink's units: at the slew limit, in whole quanta.
 
-        A sink that takes a new value less often moves by what has come together since.
+        A span shorter than the sink's period counts as that period.
         """
         span = np.maximum(span_s, self._times[self.source.times.at["period"]] / NS)
         quantum = self.constants("quantum")
@@ -150,12 +150,12 @@ class Step:
         return np.asarray(steps * quantum, np.int64)
 
     def resume(self, output: NDArray[np.int64]) -> None:
-        """Take over a ledger that the actuator already holds, so that starting again is no jump; from rest."""
+        """Take over the actuator's ledger and start from rest, so that the correction does not jump."""
         self.state.ints[self.source.ints.at["out"]] = output
         per_um = self._numbers[self.source.numbers.at["per_um"]]
         now = self.state.floats[self.source.floats.at["now"]]
         active = per_um != 0.0
-        now[active] = output[active] / per_um[active] + 0.0  # no -0, which a replay would tell from 0
+        now[active] = output[active] / per_um[active] + 0.0  # no -0: a replay compares bits
         self.state.floats[self.source.floats.at["speed"]] = 0.0
 
     def restore(self, state: StepState) -> None:
@@ -164,15 +164,15 @@ class Step:
         self.state.ints[:] = state.ints
 
     def rest(self) -> None:
-        """Stop where the correction is: after a pause it starts from rest."""
+        """Set all speeds to zero: after a pause the correction starts from rest."""
         self.state.floats[self.source.floats.at["speed"]] = 0.0
 
     def forget_directions(self, axes: NDArray[np.bool_], counts: NDArray[np.int64] | None) -> None:
-        """Of these axes nobody knows which way they came: as before their first motion.
+        """Make the direction of these axes unknown, as before their first motion.
 
         Args:
-            axes: which, (axes,).
-            counts: where they are now; None: wherever the next sample finds them.
+            axes: True for those axes, (axes,).
+            counts: their present counts; None: those of the next sample.
         """
         at, floats = self.source.floats.at, self.state.floats
         floats[at["d"]][axes] = 0.0
@@ -184,20 +184,20 @@ class Step:
             floats[at["extreme"]][axes] = counts[axes] / self.constants("counts_per_mm")[axes]
 
     def all_numbers(self) -> tuple[Array, Array]:
-        """Everything that a reload can change without another text: limits, coefficients, ranges; and ages, ns."""
+        """Everything that a reload can change without a new source: limits, coefficients, ranges; and ages, ns."""
         return self._numbers.copy(), self._times.copy()
 
     def take_numbers(self, numbers: Array, times: Array) -> None:
-        """Go on with `all_numbers` of a step of the same text; the memory stays."""
+        """Go on with `all_numbers` of a step of the same source; the memory stays."""
         self._numbers[:] = numbers
         self._times[:] = times
-        self.look_anew()
+        self.recompute_slow_part()
 
     def adopt(self, other: "Step", samples: Samples) -> None:
-        """Go on from where a step of another model is, on the same machine.
+        """Go on from the present state of a step of another model, on the same machine.
 
-        Ledger, correction and directions are the other's, and so is what lags of the same temperature remember; what
-        the other did not know begins as at a start, with this sample.
+        Ledger, correction and directions are those of the other step; so is the memory of lags of the same temperature.
+        Memory that the other step does not have begins as at a start, with this sample.
         """
         self.state.floats[:], self.state.ints[:] = 0.0, 0
         self.bind(samples, Commands.empty(self.layout, len(samples)))()
@@ -212,10 +212,10 @@ class Step:
             memory, before = self._memory, other._memory
             for source_at, at in pairs:
                 memory[at] = before[source_at]
-        self.look_anew()
+        self.recompute_slow_part()
 
-    def look_anew(self) -> None:
-        """Let the next cycle work out the slow part with the numbers of now, whether a temperature is new or not."""
+    def recompute_slow_part(self) -> None:
+        """Make the next cycle recompute the slow part with the present numbers, even without a new temperature."""
         floats, ints = self.source.floats.at, self.source.ints.at
         if self.sensors:
             self.state.ints[ints["degc_at"]] = -1
@@ -254,7 +254,7 @@ def check_limits(machine: Machine, limits: Mapping[str, Limits]) -> None:
 
 
 def loop_faults(model: Model) -> list[str]:
-    """Why the loop cannot run a model, one message an effect; empty where it can."""
+    """Reasons why the loop cannot run a model, one message an effect; empty where it can."""
     return [
         f"model {model.name!r}: effect {i + 1}, {fitted.label}, reads time_s. Such an effect can be found and its "
         "cause removed, but not corrected by the loop: time since the start of a measurement means nothing on another "
@@ -265,7 +265,7 @@ def loop_faults(model: Model) -> list[str]:
 
 
 def numbers_of(settings: StepSettings, source: StepSource, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Parameters, scales, limits and ranges, as `StepSource.numbers` lays them."""
+    """Parameters, scales, limits and ranges, in the places of `StepSource.numbers`."""
     machine = settings.model.machine
     out = np.zeros(source.numbers.size)
 
@@ -304,7 +304,7 @@ def numbers_of(settings: StepSettings, source: StepSource, values: NDArray[np.fl
 
 
 def times_of(settings: StepSettings, source: StepSource) -> NDArray[np.int64]:
-    """Ages and periods, ns, as `StepSource.times` lays them."""
+    """Ages and periods, ns, in the places of `StepSource.times`."""
     guards, machine = settings.guard, settings.model.machine
     sinks = [settings.sinks.get(a.name) or PulseSink().scale(a) for a in machine.axes]
     out = np.zeros(source.times.size, dtype=np.int64)
@@ -319,7 +319,7 @@ def times_of(settings: StepSettings, source: StepSource) -> NDArray[np.int64]:
 
 
 def lags_of(model: Model) -> list[Lag]:
-    """What each lag of a model lags, as text, and its time constant, s; in the order of the kernel's memory."""
+    """Input of each lag of a model, as text, and its time constant, s; in the order of the kernel's memory."""
     plan = plan_model(model)
     values = [float(v) for v in model.parameter_values()]
     out = []
@@ -332,7 +332,7 @@ def lags_of(model: Model) -> list[Lag]:
 
 
 def slots_to_carry(old: Sequence[Lag], new: Sequence[Lag]) -> list[tuple[int, int]]:
-    """Pairs (from, to) of places in the kernels' memories: of each new lag the old one of the same, nearest in time."""
+    """Places (from, to) in the memories: for each new lag, the old lag of the same input, nearest in time constant."""
     out = []
     for k, (what, tau_s) in enumerate(new):
         near = [(_apart(tau_s, other_s), i) for i, (other, other_s) in enumerate(old) if other == what]

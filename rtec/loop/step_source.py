@@ -1,11 +1,11 @@
 """Writes the source of one cycle: counts and temperatures in, correction out, for one machine and model structure.
 
-It is the model's kernel with guard and ledger behind it, in one function over n samples; the loop calls it with
-n = 1, replay with n = many, so that both are the same machine code. All numbers that a user can change (limits,
-coefficients, ranges) come in as arrays; only sizes and channel indices are written into the text.
+It is the model's kernel followed by guard and ledger, in one function over n samples. The loop calls it with n = 1,
+a replay with many, so both run the same machine code. All numbers that a user can change (limits, coefficients,
+ranges) come in as arrays; only sizes and channel indices are written into the source.
 
-The text decides nothing: whether and how far a correction may move, the functions of `rtec.correction.guard` say.
-In the pieces of it below, `{name}` lines are replaced by blocks of lines and `<name>` by words.
+The source decides nothing: the functions of `rtec.correction.guard` decide whether and how far a correction may move.
+In its templates below, `{name}` lines are replaced by blocks of lines and `<name>` by words.
 """
 
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ d[a], extreme[a], turn[a] = reversal_update(d[a], extreme[a], turn[a], q[a], dea
 since[a] = since_reversal(extreme[a], turn[a])
 """.splitlines()
 
-# By the stamps of the counts; a stamp that comes again leaves its motion to the next.
+# Counts with the same stamp bring no new motion.
 MOTION = """\
 gone_s = (counts_time_ns[n] - motion_at[0]) * 1e-9
 if first or gone_s > 0.0:
@@ -87,7 +87,7 @@ def step(
             why |= judge_range(q[a], q_low[a], q_high[a])
         {motion}
         {ranges}
-        # Temperatures are looked at when one has a new instant; what was found then stands until the next.
+        # Temperatures are judged when one has a new instant; the result holds until the next.
         changed = ready[0] == 0
         {news}
         if changed:
@@ -105,7 +105,7 @@ def step(
         {age}
         if ready[0] == 1:
             tip = fast_part(m, <arrays>)
-            {wanted}
+            {request}
             for a in <active>:
                 why |= judge_request(target[a], warning[a], stop[a])
 
@@ -132,7 +132,7 @@ def step(
 
 
 class Places:
-    """Names for parts of one array, laid one behind the other."""
+    """Names for consecutive parts of one array."""
 
     def __init__(self, **sizes: int) -> None:
         self.at: dict[str, slice] = {}
@@ -149,11 +149,11 @@ class Places:
 
 @dataclass(frozen=True)
 class StepSource:
-    """Text of the step, and where things lie in its arrays.
+    """Source of the step, and the places of its numbers in the arrays.
 
     Attributes:
         text: functions `slow_part`, `fast_part`, `step`.
-        memory: tells what the state means: the model's kernel, and what lies where.
+        memory: text that identifies the meaning of the state: the model's kernel, and the places.
         numbers: constants, floats: parameters, scales, limits, ranges.
         times: constants, integers: ages and periods in ns.
         floats, ints: the state.
@@ -202,11 +202,11 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
     constants = {machine.slow_channels.index(c): CONSTANT_CHANNELS.index(c) for c in kernel.constants}
     keep += [f"u[{at}] = constants[{i}]" for at, i in constants.items()]
     active = [i for i, axis in enumerate(machine.axes) if axis.compensate]
-    # Exclusive or: nothing but zeros means nothing new, in a handful of instructions for all sensors together.
+    # Exclusive or: the result is zero where no time has changed; a handful of instructions for all sensors together.
     differ = [f"(degc_time_ns[n, {s}] ^ degc_at[{s}])" for s in kernel.sensors]
     news = [f"changed |= ({' | '.join(differ)}) != 0"] if differ else []
     news += [f"changed |= spindle_rpm[n] != u[{spindle}]"] if kernel.uses_spindle else []
-    wanted = [f"target[{i}] = -tip[{'XYZ'.index(machine.axes[i].direction)}]" for i in active]
+    request = [f"target[{i}] = -tip[{'XYZ'.index(machine.axes[i].direction)}]" for i in active]
     blocks = {
         "names": names,
         "news": news,
@@ -219,7 +219,7 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
         # Only sensors age: a model without any would else hold for ever once its first cycle is old enough.
         "age": ["why |= judge_age(t, oldest[0], max_age[1])"] if kernel.sensors else [],
         "keep": keep,
-        "wanted": wanted,
+        "request": request,
     }
     words = {
         "axes": str(len(machine.axes)),
@@ -231,7 +231,7 @@ def _step_lines(machine: Machine, kernel: KernelSource, places: list[Places]) ->
 
 
 def _ranges(names: list[str]) -> list[str]:
-    """Lines that compare each of these arrays with the model's range, axis by axis; a NaN never gets in here."""
+    """Lines that compare each of these arrays with the model's range, axis by axis; none of these can be a NaN here."""
     lines = [f"    {RANGE.format(x=name)}" for name in names]
     return ["for a in range(<axes>):", *lines] if lines else []
 

@@ -1,6 +1,6 @@
-"""`[telemetry]` of a run file: what `rtec telemetry` publishes in the network of a shop, and to whom.
+"""`[telemetry]` of a run file: what `rtec telemetry` publishes in a shop's network, and to which peers.
 
-The daemon itself reads none of it: it checks the keys with the rest of its file, and stays off the network.
+The daemon checks these keys with the rest of its file, but does not use them: it is never on the network.
 """
 
 import re
@@ -23,24 +23,24 @@ def is_place(text: str) -> bool:
 
 
 def host_and_port(place: str) -> tuple[str, int]:
-    """Give both of them."""
+    """Split "host:port"."""
     host, _, port = place.rpartition(":")
     return host.strip("[]"), int(port)
 
 
 class MqttTable(Strict):
-    """`[telemetry.mqtt]`: the broker that values and events are sent to.
+    """`[telemetry.mqtt]`: the broker that gets values and events.
 
     Attributes:
         broker: "host:port" of the broker.
         topic: first part of every topic; not given: "rtec/NAME" with the run file's name.
         period_s: time from one message with values to the next.
-        tls: speak TLS, and check the broker's certificate.
-        ca_file: certificate that the broker's is checked against; not given: those that this computer trusts.
-        certificate_file: of this client, where the broker asks for one.
+        tls: use TLS, and check the broker's certificate.
+        ca_file: CA certificate for the broker's; not given: the certificates that this computer trusts.
+        certificate_file: certificate of this client, where the broker requires one.
         key_file: its private key.
-        user: name at the broker.
-        password_file: file with that user's password and nothing else.
+        user: user name at the broker.
+        password_file: file that holds that user's password and nothing else.
     """
 
     broker: str
@@ -73,11 +73,11 @@ class MqttTable(Strict):
 
 
 class MtconnectTable(Strict):
-    """`[telemetry.mtconnect]`: where an MTConnect agent finds the adapter.
+    """`[telemetry.mtconnect]`: the address at which an MTConnect agent connects to the adapter.
 
     Attributes:
         listen: "host:port" that the agent connects to; "*:7878": on every network of this computer.
-        period_s: time from one look at the daemon to the next; only what has changed is sent.
+        period_s: period of reading the daemon's status; only changed values are sent.
     """
 
     listen: str = "127.0.0.1:7878"
@@ -91,14 +91,14 @@ class MtconnectTable(Strict):
 
 
 class OpcuaTable(Strict):
-    """`[telemetry.opcua]`: an OPC UA server that can only be read; SignAndEncrypt, or nothing.
+    """`[telemetry.opcua]`: a read-only OPC UA server; it accepts SignAndEncrypt only.
 
     Attributes:
         listen: "host:port" that clients connect to; "*:4840": on every network of this computer.
-        period_s: time from one look at the daemon to the next.
+        period_s: period of reading the daemon's status.
         certificate_file: the server's certificate (PEM), with its application URI.
         key_file: its private key (PEM, not encrypted).
-        trusted_folder: certificates of the clients that may connect (PEM or DER), and nothing else.
+        trusted_folder: folder with the certificates of the clients that may connect (PEM or DER), and nothing else.
     """
 
     listen: str = "127.0.0.1:4840"
@@ -115,7 +115,7 @@ class OpcuaTable(Strict):
 
 
 class TelemetryTable(Strict):
-    """`[telemetry]`: what `rtec telemetry` publishes; nothing where it is not given. All of it is read-only.
+    """`[telemetry]`: what `rtec telemetry` publishes; not given: nothing. All of it is read-only.
 
     Attributes:
         mqtt: values and events to an MQTT broker.

@@ -1,4 +1,4 @@
-"""The kinematic chain: which lever arm each component error has at the tool tip.
+"""The kinematic chain: the lever arm of each component error at the tool tip.
 
 Equations [G 2.6-2.9, 2.22-2.28]. A link's real transform is its nominal translation times `E(ε, δ)`, a small
 rotation and displacement in the frame that the link carries. To first order the tip error is linear in the
@@ -14,7 +14,7 @@ Symbols: `q` axis positions, mm; `p` tool tip and `o` frame origin of a link, mm
 - fixed link, tool side: `e = δ + ε × (p - o)`; work side: `e = -(δ + ε × (p - o))`, because a fixed link's errors
   are its own displacement in machine coordinates ([G 2.24-2.26], `e = -p_E`).
 
-[XT eq. 1] prints `-EBX z` in e_x beside `-EBX x` in e_z, which no one rotation gives; this file follows `ε × p`.
+[XT eq. 1] prints `-EBX z` in e_x beside `-EBX x` in e_z, which no rotation gives; this file follows `ε × p`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ class Axis:
     """One moving link.
 
     Attributes:
-        name: as on the machine's panel, for example "X"; its position channel is the lower-case name.
+        name: name on the machine's panel, for example "X"; its position channel is the lower-case name.
         kind: "linear"; rotary axes will be another value.
         direction: machine coordinate that grows when the axis moves positive. For an axis on the work side this
             is the tool's motion relative to the workpiece (the slide itself moves the other way).
@@ -116,7 +116,7 @@ class Chain:
         components: names of the component errors; translations (`EXX`, µm) and rotations (`EAX`, µrad).
         terms: (3, components, 1 + axes): constant part and factor of each axis position; µm per µm, and
             µm per µrad (arms in m) for rotations.
-        turns: (3, components): how each component turns the tool relative to the workpiece, µrad per µrad.
+        turns: (3, components): rotation of the tool relative to the workpiece, µrad per µrad of each component.
         tip: (3, 1 + axes): the nominal tool tip, mm, affine in the axis positions.
     """
 
@@ -130,7 +130,7 @@ class Chain:
 
         Args:
             pose_mm: axis positions in the machine's axis order.
-            extra_tool_mm: where the point of interest sits beside the tool tip, for a beam or a probe.
+            extra_tool_mm: offset of the point of interest from the tool tip, for a beam or a probe.
         """
         pose = np.asarray(pose_mm, dtype=np.float64)
         affine = np.concatenate([np.ones((*pose.shape[:-1], 1)), pose], axis=-1)
@@ -156,7 +156,7 @@ def component_unit(component: str) -> str:
 def derive_chain(
     tool_chain: Sequence[str], work_chain: Sequence[str], axes: Sequence[Axis], links: Mapping[str, Link]
 ) -> Chain:
-    """Work out the lever arms of every component error from the two chains of a machine.
+    """The lever arms of every component error, from the two chains of a machine.
 
     Args:
         tool_chain: names of its links and axes from the base to the tool tip.

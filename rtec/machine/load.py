@@ -1,4 +1,4 @@
-"""Reads a machine from TOML (form in the documentation, `docs/files.md`)."""
+"""Reads a machine from TOML (`docs/files.md` describes the file)."""
 
 import re
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ class _MachineTable(Strict):
     """`[machine]`: name and kinematic chain.
 
     Attributes:
-        name: of the machine.
+        name: name of the machine.
         tool_chain: the links from the base to the tool tip: axes by their names, fixed links by names of your choice.
         work_chain: the links from the base to the cutting point.
     """
@@ -36,14 +36,14 @@ class _AxisTable(Strict):
     """`[axis.X]`: one axis.
 
     Attributes:
-        kind: how it moves.
+        kind: kind of motion.
         direction: machine coordinate that grows when the axis moves positive: of the tool relative to the workpiece.
         travel_mm: lowest and highest position.
-        counts_per_mm: encoder counts for a millimetre, after x4.
-        pitch_mm: of the screw or the scale; left out where there is none.
-        offset_mm: frame origin at position zero, relative to the link before it.
+        counts_per_mm: encoder counts per millimetre, after x4.
+        pitch_mm: pitch of the screw or the scale; not given where there is none.
+        offset_mm: frame origin at position zero, relative to the previous link.
         compensate: may rtec correct this axis?
-        dead_band_counts: motion back by at most this much is no reversal.
+        dead_band_counts: motion back by at most this much does not count as a reversal.
     """
 
     kind: Literal["linear"] = "linear"
@@ -57,10 +57,10 @@ class _AxisTable(Strict):
 
 
 class _LinkTable(Strict):
-    """`[link.NAME]`: a fixed link; one without a table sits on the link before it.
+    """`[link.NAME]`: a fixed link; one without a table is at the previous link.
 
     Attributes:
-        offset_mm: its origin, relative to the link before it.
+        offset_mm: its origin, relative to the previous link.
     """
 
     offset_mm: Vector = (0.0, 0.0, 0.0)
@@ -96,7 +96,7 @@ def load_machine(path: Path) -> Machine:
     """Read a machine file.
 
     Raises:
-        ConfigError: file, section, key and what is allowed; all faults of the file at once.
+        ConfigError: all faults of the file, with file, section, key and what is allowed.
     """
     return replace(machine_from(read_toml(path), str(path)), file=path)
 

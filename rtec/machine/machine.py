@@ -1,4 +1,4 @@
-"""Machine and sensors as plain data, and the names that follow from them."""
+"""Machine and sensors as plain data, and the names derived from them."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,7 +11,7 @@ from rtec.machine.chain import Axis, Chain, Link, derive_chain
 from rtec.tomlfile import digest, nearest
 
 CONSTANT_CHANNELS = ("load_kg", "force_n")
-"""Work-piece weight and force: columns of a measurement; in the loop constants from the run file."""
+"""Workpiece weight and force: columns of a measurement; in the loop, constants from the run file."""
 
 
 @dataclass(frozen=True)
@@ -24,14 +24,14 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine tool as rtec sees it.
+    """A machine tool.
 
     Attributes:
         tool_chain: link names from the base to the tool tip [G 2.22].
         work_chain: link names from the base to the cutting point [G 2.23].
-        axes, sensors: in the order of every count and temperature array.
+        axes, sensors: in the order of all count and temperature arrays.
         links: the fixed links by name.
-        file: where it was read; None where it was made in memory. No part of what the machine is.
+        file: path of its file; None for a machine made in memory. No part of the machine's identity.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Machine:
     file: Path | None = field(default=None, compare=False)
 
     def axis(self, name: str) -> Axis:
-        """Give the axis of that name; KeyError where there is none."""
+        """The axis of that name; KeyError where there is none."""
         for axis in self.axes:
             if axis.name == name:
                 return axis
@@ -60,10 +60,10 @@ class Machine:
         return tuple(s.name for s in self.sensors)
 
     def sensor_place(self, name: str) -> int:
-        """Place of a sensor in `sensors`.
+        """Index of a sensor in `sensors`.
 
         Raises:
-            ConfigError: there is none of that name.
+            ConfigError: no sensor has that name.
         """
         if name not in self.sensor_names:
             raise ConfigError(f"the machine has no sensor {name!r}{nearest(name, self.sensor_names)}")
@@ -86,7 +86,7 @@ class Machine:
 
     @cached_property
     def columns(self) -> Mapping[str, str]:
-        """Column of a measurement's table to channel, for every channel that the machine can have."""
+        """Channel of each column of a measurement's table, for every channel that the machine can have."""
         out = {name: name for name in ("spindle_rpm", "feed_mm_min", *CONSTANT_CHANNELS, "angle_deg")}
         for axis in self.axes:
             c = axis.channel
@@ -106,9 +106,9 @@ class Machine:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of everything that the machine file says, independent of its formatting."""
+        """SHA-256 of the machine file's content, independent of its formatting."""
         return digest(self.content())
 
     def content(self) -> dict[str, Any]:
-        """What the machine file says, as plain data; not where the file is."""
+        """The machine file's content as plain data, without the file's path."""
         return {name: value for name, value in asdict(self).items() if name != "file"}

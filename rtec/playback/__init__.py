@@ -1,1 +1,1 @@
-"""Logs and captures through the same step."""
+"""Replays logs and captures through the same step as a run."""

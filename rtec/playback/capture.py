@@ -23,20 +23,20 @@ from rtec.wholefile import write_text
 
 MOST_CYCLES: Final = 4_000_000
 EXPANSION: Final = 48
-"""Bytes of memory that a byte of the capture takes at worst, with an edge at every sample."""
+"""Largest memory, bytes, for a byte of the capture: with an edge at every sample."""
 Ints = NDArray[np.int64]
 Column = NDArray[np.float64] | Ints
 
 
 @dataclass(frozen=True)
 class CaptureAxisReport:
-    """What happened to one axis of a capture.
+    """Result for one axis of a capture.
 
     Attributes:
         raw_counts, inserted_counts, corrected_counts: at the end of the record; the first two sum to the third.
-        illegal: transitions of both lines at once in the capture; they pass as they are.
+        illegal: transitions of both lines at once in the capture; they pass unchanged.
         illegal_out: the same in the corrected stream.
-        waiting_counts: counts that found no room.
+        waiting_counts: counts that could not be inserted for lack of room.
     """
 
     raw_counts: int
@@ -49,14 +49,14 @@ class CaptureAxisReport:
 
 @dataclass(frozen=True)
 class CaptureReport:
-    """What a capture's replay came to.
+    """Result of a capture's replay.
 
     Attributes:
         samples, duration_s: of the capture.
-        cycles: of the step.
-        flags_seen: share of cycles that carried each flag, by the flag's name.
+        cycles: number of cycles of the step.
+        flags_seen: share of cycles with each flag, by the flag's name.
         axes: by name.
-        capture_out, table_out: what was written.
+        capture_out, table_out: paths of the written files.
     """
 
     samples: int
@@ -74,34 +74,34 @@ def replay_capture(
     """Run a capture through decoder, step and pulse insertion.
 
     Args:
-        setup: with a `[capture]` section that names the channels.
+        setup: setup with a `[capture]` section that names the channels.
         path: the capture.
-        out: corrected capture; every line but A and B of the named axes is as it was.
-        table: counts, corrections and flags cycle by cycle, CSV; where counts found no room the row has the flag
-            OUTPUT_SATURATED, and as applied what the inserted counts come to.
-        progress: told stages done and stages in all.
+        out: path of the corrected capture; every line but A and B of the named axes is unchanged.
+        table: path of a CSV with counts, corrections and flags of each cycle. A row in which counts lacked room has the
+            flag OUTPUT_SATURATED, and the inserted counts as its applied correction.
+        progress: called with the number of stages done, and of all.
 
     Raises:
-        ConfigError: no `[capture]` section, an axis' sink that does not insert pulses, or a name that is taken.
-        LogError: the capture cannot be read, has no such channels, or what comes of it cannot be written.
+        ConfigError: no `[capture]` section, an axis' sink that does not insert pulses, or a file that exists.
+        LogError: the capture cannot be read, lacks the channels, or a result cannot be written.
     """
     _check_names(path, out, table)
-    wanted = _wanted(setup)
+    section = _capture_section(setup)
     tell = progress or (lambda *_: None)
-    stages = 3 + len(wanted.axis)
+    stages = 3 + len(section.axis)
     capture = sigrok.read(path, min(sigrok.MAX_LOGIC_BYTES, most_bytes(EXPANSION)))
     _check_length(capture, setup)
     tell(1, stages)
-    edges = {name: decode_edges(*capture.pair(a.a, a.b)) for name, a in wanted.axis.items()}
+    edges = {name: decode_edges(*capture.pair(a.a, a.b)) for name, a in section.axis.items()}
     step = Step(setup.step_settings())
-    samples = _samples(setup, wanted, capture, edges, step.layout)
+    samples = _samples(setup, section, capture, edges, step.layout)
     commands = step.run(samples)
     tell(2, stages)
     at = _sample_index(setup, capture, len(samples))
     words = capture.samples.copy()
     reports: dict[str, CaptureAxisReport] = {}
     columns: dict[str, Column] = {"time_s": np.asarray(samples.time_ns * 1e-9, dtype=np.float64)}
-    for k, (name, lines) in enumerate(wanted.axis.items()):
+    for k, (name, lines) in enumerate(section.axis.items()):
         i = step.layout.axes.index(name)
         output = commands.output[:, i]
         axis_report, corrected = _correct(setup, name, lines, capture, at, output, words)
@@ -130,7 +130,7 @@ def replay_capture(
 
 
 def _check_length(capture: sigrok.Capture, setup: Setup) -> None:
-    """Refuse what has less than a sample a cycle, and what makes more cycles than memory holds."""
+    """Refuse captures with less than a sample a cycle, or with more cycles than fit into memory."""
     rate_hz = setup.file.run.rate_hz
     if capture.samplerate_hz < rate_hz:
         raise LogError(
@@ -151,7 +151,7 @@ def _sink(setup: Setup, name: str) -> PulseSink:
 
 
 def _short(output: Ints, inserted: Ints, sink: PulseSink) -> NDArray[np.bool_]:
-    """Cycles at whose end counts had found no room; a part of a whole cycle of lines waits for the rest of it."""
+    """Cycles that ended with counts that lacked room; a part of a whole cycle of lines waits for the rest of it."""
     rest = sink.quantum_counts // 2 if sink.quantum_counts > 1 else 0
     return np.asarray(np.abs(output - inserted) > rest)
 
@@ -169,7 +169,7 @@ def _check_names(path: Path, out: Path, table: Path) -> None:
             raise ConfigError(f"{new}: is the capture itself, which is never overwritten; choose another name")
 
 
-def _wanted(setup: Setup) -> CaptureTable:
+def _capture_section(setup: Setup) -> CaptureTable:
     if setup.file.capture is None:
         raise ConfigError(
             f"{setup.path}: a capture needs a [capture] section that names the channels, for example\n"
@@ -189,7 +189,7 @@ def _sample_index(setup: Setup, capture: sigrok.Capture, cycles: int) -> Ints:
 
 
 def _samples(
-    setup: Setup, wanted: CaptureTable, capture: sigrok.Capture, edges: dict[str, Edges], layout: Layout
+    setup: Setup, section: CaptureTable, capture: sigrok.Capture, edges: dict[str, Edges], layout: Layout
 ) -> Samples:
     machine = setup.machine
     duration_ns = len(capture.samples) * 1e9 / capture.samplerate_hz
@@ -198,13 +198,13 @@ def _samples(
     out.time_ns[:] = np.arange(cycles) * setup.period_ns
     out.counts_time_ns[:] = out.time_ns
     out.mode[:] = MODES_BY_NAME[setup.file.run.mode]
-    out.degc[:] = [wanted.degc.get(name, setup.model.reference_degc) for name in machine.sensor_names]
+    out.degc[:] = [section.degc.get(name, setup.model.reference_degc) for name in machine.sensor_names]
     out.degc_time_ns[:] = out.time_ns[:, None]
-    out.spindle_rpm[:] = wanted.spindle_rpm
+    out.spindle_rpm[:] = section.spindle_rpm
     at = _sample_index(setup, capture, cycles)
     for i, axis in enumerate(machine.axes):
         if axis.name in edges:
-            out.counts[:, i] = _start(axis, wanted.axis[axis.name]) + counts_at(edges[axis.name], at)
+            out.counts[:, i] = _start(axis, section.axis[axis.name]) + counts_at(edges[axis.name], at)
     return out
 
 

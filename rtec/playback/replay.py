@@ -1,7 +1,7 @@
-"""Replay: a log, or every log of a folder, through the same step as in the run, as fast as it goes.
+"""Replay: a log, or every log of a folder, through the same step as in the run, without waiting.
 
-Each log is replayed from its own beginning; memory does not grow with its length. What a log of an older version does
-not say, that version did: a gap between two cycles then counted as ten cycles at most, since then as one.
+Each log is replayed from its own beginning; memory does not grow with its length. For a log of an older version that
+lacks an entry, that version's behaviour holds: a gap between two cycles then counted as at most ten cycles, now as one.
 """
 
 import json
@@ -31,7 +31,7 @@ BLOCK_ROWS = 65_536
 
 @dataclass
 class Difference:
-    """One field of one row that came out otherwise than logged."""
+    """One field of one row that differs from the log."""
 
     row: int
     field: str
@@ -41,17 +41,17 @@ class Difference:
 
 @dataclass
 class ReplayReport:
-    """What a replay came to.
+    """Result of a replay.
 
     Attributes:
-        rows: rows stepped through.
-        different: rows that differ from the log in any field, when checked.
+        rows: number of replayed rows.
+        different: number of rows with a field that differs from the log, when checked.
         differences: the first few of them.
-        unchecked: rows that cannot be checked, since rows before them were lost: nobody knows what the step remembered.
-        notes: ways in which the run file is not the one that the log was made with.
-        torn_bytes: bytes behind the log's last whole batch.
-        unread: of a folder of logs, what could not be read, and why.
-        out: where the commands were written.
+        unchecked: rows that cannot be checked: rows before them were lost, so the step's memory is unknown.
+        notes: differences between the present run file and that of the log.
+        torn_bytes: bytes after the log's last whole batch.
+        unread: files of a folder that could not be read, and why.
+        out: path of the written commands.
     """
 
     rows: int = 0
@@ -74,14 +74,14 @@ def replay_log(
     """Step through a log.
 
     Args:
-        setup: whose model, limits and machine are used.
+        setup: setup with model, limits and machine.
         log: a log of `rtec run`.
-        out: a new log with the same samples and the commands of now.
+        out: path of a new log with the same samples and the recomputed commands.
         check: compare every field of every command, bit for bit.
-        progress: told rows done and rows in all.
+        progress: called with the number of rows done, and of all.
 
     Raises:
-        LogError: the log cannot be read, or is of a machine with other axes or sensors.
+        LogError: the log cannot be read, or its machine has other axes or sensors.
     """
     report = ReplayReport()
     with open_log(log) as reader:
@@ -113,7 +113,7 @@ def replay_log(
 
 
 def _stepped(step: Step, samples: Samples, logged: Commands, memory: Commands) -> Commands:
-    """Step through rows; where the run took over a ledger from the device, take over the one that it logged."""
+    """Step through rows; in a row in which the run took over a ledger from the device, take over the logged one."""
     commands = memory.rows(0, len(samples))
     taken_over = (samples.mode & ORDER_MASK) == MODE_TAKEN_OVER
     starts = [0, *np.flatnonzero(taken_over).tolist(), len(samples)]
@@ -127,7 +127,7 @@ def _stepped(step: Step, samples: Samples, logged: Commands, memory: Commands) -
 
 
 def _longest_cycle_s(header: dict[str, str], setup: Setup, log: Path) -> float:
-    """The longest time that a cycle of the run counted for, s."""
+    """Longest time that a cycle of the run counted as, s."""
     try:
         longest_s = float(header.get("longest_cycle_s", 10.0 / setup.file.run.rate_hz))
     except ValueError:
@@ -139,16 +139,16 @@ def _longest_cycle_s(header: dict[str, str], setup: Setup, log: Path) -> float:
 
 def _check_layout(reader: Log, layout: Layout, log: Path) -> None:
     for what in ("axes", "sensors"):
-        logged, wanted = getattr(reader.layout, what), getattr(layout, what)
-        if logged != wanted:
+        logged, expected = getattr(reader.layout, what), getattr(layout, what)
+        if logged != expected:
             raise LogError(
                 f"{log}: has {what} {', '.join(logged) or 'none'}; the machine of this run file has "
-                f"{', '.join(wanted) or 'none'}"
+                f"{', '.join(expected) or 'none'}"
             )
 
 
 def _notes(header: dict[str, str], setup: Setup) -> list[str]:
-    """In words, which of machine, model and run file changed since the log was written."""
+    """Which of machine, model and run file have changed since the log was written, in words."""
     now = setup.log_header()
     out = []
     if "rows_lost_before" in header:
@@ -165,25 +165,25 @@ def _notes(header: dict[str, str], setup: Setup) -> list[str]:
 
 
 def _begin_as(header: dict[str, str], step: Step, setup: Setup, log: Path) -> None:
-    """Put the step where it was before the log's first row: all of its memory, or at least its ledger.
+    """Restore the step's state before the log's first row: its whole memory, or at least its ledger.
 
-    Another version tells the structure of its step in other words; machine and model are then enough.
+    Another version describes its step's structure in other words; equal machine and model are then sufficient.
     """
     try:
-        told = json.loads(header.get("initial_state", "null"))
+        initial = json.loads(header.get("initial_state", "null"))
     except ValueError:
-        told = None
-    state = state_from_text(told, step.state)
+        initial = None
+    state = state_from_text(initial, step.state)
     now = setup.log_header()
     same_model = all(header.get(key) == now[key] for key in ("machine_sha256", "model_sha256"))
-    if state is not None and (same_model or told.get("structure") == structure_of(step).hex()):
+    if state is not None and (same_model or initial.get("structure") == structure_of(step).hex()):
         step.restore(state)
     else:
         step.resume(_initial_output(header, step.layout, log))
 
 
 def _initial_output(header: dict[str, str], layout: Layout, log: Path) -> NDArray[np.int64]:
-    """The ledger that the run began with; nothing where the log does not say."""
+    """The ledger at the run's beginning; zeros where the log does not have it."""
     try:
         values = json.loads(header.get("initial_output", "[]")) or [0] * len(layout.axes)
         out = np.array(values, dtype=np.int64)
@@ -202,8 +202,8 @@ def _compare(report: ReplayReport, logged: Commands, replayed: Commands) -> None
             continue
         rows = (_bits(ours) != _bits(theirs)).reshape(len(ours), -1).any(axis=1)
         for row in np.flatnonzero(rows)[: MOST_DIFFERENCES - len(report.differences)]:
-            found = Difference(report.rows + int(row), name, str(theirs[row].tolist()), str(ours[row].tolist()))
-            report.differences.append(found)
+            difference = Difference(report.rows + int(row), name, str(theirs[row].tolist()), str(ours[row].tolist()))
+            report.differences.append(difference)
         wrong |= rows
     report.different += int(np.count_nonzero(wrong))
 
@@ -223,14 +223,14 @@ def replay_logs(
     """Step through a log, or through all logs of a folder.
 
     Args:
-        setup: whose model, limits and machine are used.
+        setup: setup with model, limits and machine.
         path: log or folder.
         out: as for `rtec.playback.replay.replay_log`; not for a folder.
         check: compare with the commands in the log; for a folder always.
-        progress: told rows (of a folder: files) done, and in all.
+        progress: called with the number of rows (of a folder: files) done, and of all.
 
     Returns:
-        for a folder the sum; rows are numbered through, notes name their file.
+        for a folder the sum; rows are numbered over all files, notes name their file.
 
     Raises:
         LogError: the log cannot be read, the folder has none, or `out` was given for a folder.

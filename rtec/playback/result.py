@@ -1,4 +1,4 @@
-"""A replay as one result, whether of a log, of a folder of logs, or of a capture."""
+"""A replay as one result, for a log, a folder of logs, or a capture."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,11 +14,11 @@ from rtec.result import Result
 
 @dataclass(frozen=True)
 class Replayed(Result):
-    """What a replay gave.
+    """Result of a replay.
 
     Attributes:
-        report: of the log, or of the capture.
-        checked: whether the commands were compared with the logged ones.
+        report: report on the log, or on the capture.
+        checked: were the commands compared with the logged ones?
     """
 
     page_maker: ClassVar[str] = "rtec.report.playback:replay_page"
@@ -28,7 +28,7 @@ class Replayed(Result):
 
     @property
     def identical(self) -> bool:
-        """Whether all was read, and no command that was compared differs from the logged one."""
+        """Was everything read, and is every compared command identical to the logged one?"""
         return isinstance(self.report, CaptureReport) or not (self.report.different or self.report.unread)
 
     def facts(self) -> dict[str, Any]:
@@ -39,7 +39,7 @@ class Replayed(Result):
         return asdict(r) | {"out": str(r.out) if r.out else None, "checked": self.checked}
 
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """Of a log the first differences, of a capture its axes."""
+        """For a log the first differences, for a capture its axes."""
         if isinstance(self.report, CaptureReport):
             return [{"axis": name, **asdict(axis)} for name, axis in self.report.axes.items()]
         return [asdict(d) for d in self.report.differences]

@@ -20,7 +20,7 @@ from rtec.errors import LogError
 from rtec.wholefile import whole
 
 MAX_LOGIC_BYTES = 1 << 30
-"""Largest capture that `read` unpacks unless told otherwise, bytes."""
+"""Default limit of the unpacked samples for `read`, bytes."""
 MAX_TEXT_BYTES = 1 << 20
 PART_BYTES = 4 << 20
 """Largest part that `write` makes, bytes of samples."""
@@ -36,7 +36,7 @@ class Capture:
 
     Attributes:
         samplerate_hz: samples a second.
-        channels: name of each bit, lowest bit first; "" where the bit was not recorded.
+        channels: name of each bit, lowest bit first; "" for a bit that was not recorded.
         samples: one unsigned integer a sample, 1, 2, 4 or 8 bytes wide, (n,).
         source: the file's name, for messages.
     """
@@ -47,10 +47,10 @@ class Capture:
     source: str = "capture"
 
     def bit(self, name: str) -> int:
-        """Bit that a channel is recorded in.
+        """Bit of a channel.
 
         Raises:
-            LogError: no such channel, or two; names the ones that are there.
+            LogError: no channel, or two, have that name; the message lists the channels.
         """
         places = [bit for bit, channel in enumerate(self.channels) if channel == name and name]
         if len(places) != 1:
@@ -66,9 +66,9 @@ class Capture:
         return line
 
     def pair(self, a: str, b: str) -> tuple[NDArray[np.uint8], int, int]:
-        """Two channels as the decoder takes them: one-byte samples and the bits of A and B; raises as `bit` does.
+        """Two channels for the decoder: one-byte samples and the bits of A and B; raises as `bit` does.
 
-        One-byte captures are handed on as they are, without a copy.
+        One-byte captures are not copied.
         """
         if self.samples.dtype == np.uint8:
             return self.samples, self.bit(a), self.bit(b)
@@ -81,10 +81,10 @@ def read(path: Path, max_logic_bytes: int = MAX_LOGIC_BYTES) -> Capture:
 
     Args:
         path: the `.sr` file.
-        max_logic_bytes: refuse a capture that unpacks to more than this.
+        max_logic_bytes: largest allowed size of the unpacked samples.
 
     Raises:
-        LogError: the file cannot be read, is not a capture, is cut short, or is too large.
+        LogError: the file cannot be read, is no capture, is truncated, or is too large.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -98,10 +98,10 @@ def read(path: Path, max_logic_bytes: int = MAX_LOGIC_BYTES) -> Capture:
 def write(path: Path, capture: Capture) -> None:
     """Write a capture as a version 2 file that sigrok opens; the same capture gives the same bytes.
 
-    The file appears under its name only when it is complete.
+    The file appears only when it is complete.
 
     Raises:
-        LogError: a channel name cannot be written, there are more names than bits, or the disk refuses.
+        LogError: a channel name cannot be written, there are more names than bits, or the disk fails.
     """
     width = capture.samples.dtype.itemsize
     if len(capture.channels) > 8 * width or capture.samples.dtype.kind != "u":
@@ -131,13 +131,13 @@ def _read_archive(archive: zipfile.ZipFile, source: str, max_logic_bytes: int) -
 
 
 def _unpack(archive: zipfile.ZipFile, info: zipfile.ZipInfo, source: str, limit: int) -> bytes:
-    """Unpack one entry, if its header says a length within the limit; what is longer fails by its checksum."""
+    """Unpack one entry, if its header's length is within the limit; a longer entry fails by its checksum."""
     if info.compress_type not in _PACKED:
         raise LogError(f"{source}: {info.filename} is packed in a way that sigrok does not use")
     if info.file_size > limit:
         raise LogError(f"{source}: {info.filename} unpacks to {info.file_size} bytes; the limit is {limit}")
     with archive.open(info) as stream:
-        data = stream.read(max(1, info.file_size))  # never more than the header says, whatever is packed
+        data = stream.read(max(1, info.file_size))  # never more than the header's length, whatever is packed
     if len(data) != info.file_size:
         raise LogError(f"{source}: {info.filename}: {len(data)} of {info.file_size} bytes: cut short")
     return data
@@ -209,7 +209,7 @@ def _logic(archive: zipfile.ZipFile, stem: str, source: str, limit: int) -> byte
 
 
 def _widened(data: bytes, unit: int) -> NDArray[Any]:
-    """Samples as integers of the next width that a machine has."""
+    """Samples as integers of the next larger standard width."""
     width = next(width for width in (1, 2, 4, 8) if width >= unit)
     if width != unit:
         wide = np.zeros((len(data) // unit, width), np.uint8)

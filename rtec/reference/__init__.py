@@ -1,1 +1,1 @@
-"""Every key of every file that people write, read off the models that check them."""
+"""Every key of every file that people write, derived from the models that check them."""

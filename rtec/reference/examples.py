@@ -1,4 +1,4 @@
-"""Examples of keys for which neither a shipped file, nor a driver's own example, nor the default is one."""
+"""Examples of keys that have none in a shipped file, in a driver's own example, or in the default."""
 
 from collections.abc import Mapping
 from typing import Final

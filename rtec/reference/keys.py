@@ -1,6 +1,6 @@
 """All keys of machine, run, model, measurement and map files, of answers for `rtec init`, and of every driver.
 
-Read off the pydantic models that check the files: a key that is checked is a key that is explained.
+Derived from the pydantic models that check the files: every key that is checked is also explained.
 """
 
 import difflib
@@ -73,10 +73,10 @@ class Key:
 
     Attributes:
         file: kind of file.
-        table: that it is in, with dots; NAME stands for a name of the user's choice. "" for the top of the file.
-        when: what its table must say for it to be a key: `driver = "modbus"`; or "".
+        table: path of its table, with dots; NAME is a name of the user's choice. "" for the top of the file.
+        when: condition in its table for the key to exist, such as `driver = "modbus"`; or "".
         option: name, value, default, meaning.
-        unit: of its number; "" where it has none.
+        unit: unit of its number; "" without one.
         example: a line of TOML.
     """
 
@@ -89,12 +89,12 @@ class Key:
 
     @property
     def name(self) -> str:
-        """The key itself."""
+        """Name without its table."""
         return self.option.name.rpartition(".")[2]
 
     @property
     def path(self) -> str:
-        """Table and key."""
+        """Table and name."""
         return f"{self.table}.{self.name}" if self.table else self.name
 
 
@@ -110,29 +110,29 @@ def _sorted(keys: Sequence[Key]) -> list[Key]:
     return sorted(keys, key=lambda key: (tops.index((key.table.split(".")[0], key.when)), key.table))
 
 
-def matching(wanted: str) -> list[Key]:
-    """The keys that somebody means: by their whole path, a table with all its keys, or the end of a path.
+def matching(path: str) -> list[Key]:
+    """The keys that a text matches: a whole path, a table with all its keys, or the end of a path.
 
     Raises:
-        ConfigError: there is none; the message names the nearest.
+        ConfigError: none matches; the message names the nearest.
     """
     keys = all_keys()
-    parts = _parts(wanted)
+    parts = _parts(path)
     whole = [key for key in keys if _is(_parts(key.path), parts)]
-    tables = [key for key in keys if _is(_parts(key.table), parts) or (wanted in FILES and key.file == wanted)]
+    tables = [key for key in keys if _is(_parts(key.table), parts) or (path in FILES and key.file == path)]
     by_driver = [key for key in keys if _is([key.when.split('"')[-2:-1][0], key.name] if key.when else [], parts)]
     ends = [key for key in keys if _is(_parts(key.path)[-len(parts) :], parts)]
-    found = whole or tables or by_driver or ends
-    if not found:
+    matches = whole or tables or by_driver or ends
+    if not matches:
         names = sorted({key.name for key in keys} | {key.path for key in keys})
-        close = difflib.get_close_matches(wanted, names, n=1, cutoff=NEAR)
+        close = difflib.get_close_matches(path, names, n=1, cutoff=NEAR)
         way = f"did you mean {close[0]!r}?" if close else "`rtec explain` lists the tables"
-        raise ConfigError(f"rtec explain: no key {wanted!r}; {way}")
-    return found
+        raise ConfigError(f"rtec explain: no key {path!r}; {way}")
+    return matches
 
 
 def tables() -> list[tuple[str, str, str, int]]:
-    """File, table, what it must say, and how many keys it has."""
+    """File, table, its condition, and its number of keys."""
     out: dict[tuple[str, str, str], int] = {}
     for key in all_keys():
         place = (key.file, key.table, key.when)
@@ -171,7 +171,7 @@ def _device_keys() -> Iterator[Key]:
 
 
 def _has_keys(option: Option) -> bool:
-    """A table whose own keys are listed behind it."""
+    """Is it a table whose own keys are listed after it?"""
     return option.kind in ("table", "tables by name")
 
 
@@ -181,14 +181,14 @@ def _key(file: str, option: Option, when: str, example: Mapping[str, Any] | None
 
 
 def unit_of(name: str, option: Option) -> str:
-    """The unit that a key's name ends with."""
+    """The unit at the end of a key's name."""
     if "number" not in option.kind:
         return ""
     return next((unit for end, unit in UNITS.items() if name == end or name.endswith(f"_{end}")), "")
 
 
 def _example(file: str, option: Option, when: str, table: Mapping[str, Any]) -> str:
-    """A line of TOML: one written for it, the driver's own, one of a shipped file, the default, or the first choice."""
+    """A line of TOML, from the first of: written examples, the driver's own, a shipped file, the default, a choice."""
     name = option.name.rpartition(".")[2]
     kind = when.partition('"')[2].rstrip('"')
     for written in (f"{kind}.{name}", f"{file}.{option.name}", ".".join(option.name.split(".")[-2:]), name):
@@ -225,7 +225,7 @@ def _first_table(text: str) -> dict[str, Any]:
 
 
 def _at(value: Any, path: Sequence[str]) -> Any:
-    """What is at a place; under NAME the first that has it."""
+    """The value at a place; for NAME, the first one that has the rest of the path."""
     if not path:
         return None if isinstance(value, Mapping) else value
     if not isinstance(value, Mapping):
@@ -238,6 +238,6 @@ def _parts(path: str) -> list[str]:
     return [part.strip("[] \"'") for part in path.split(".") if part.strip("[] ")]
 
 
-def _is(parts: Sequence[str], wanted: Sequence[str]) -> bool:
-    """Is this place the one meant? NAME is any name, except at the end of what is meant."""
-    return len(parts) == len(wanted) > 0 and all(a in (b, "NAME") for a, b in zip(parts, wanted, strict=True))
+def _is(parts: Sequence[str], path: Sequence[str]) -> bool:
+    """Does this place match? NAME matches any name, except at the end of `path`."""
+    return len(parts) == len(path) > 0 and all(a in (b, "NAME") for a, b in zip(parts, path, strict=True))

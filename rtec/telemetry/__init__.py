@@ -1,1 +1,1 @@
-"""The status of a running daemon in the network of a shop: processes that only read it, one a protocol."""
+"""Publishes the status of a running daemon in a shop's network: read-only processes, one a protocol."""

@@ -1,4 +1,4 @@
-"""Follows a daemon by the local socket that only shows the status, and keeps the newest one."""
+"""Follows a daemon by the local socket that only reads the status, and keeps the newest status."""
 
 import asyncio
 from collections.abc import Mapping
@@ -12,38 +12,38 @@ from rtec.telemetry.values import stands
 
 LARGEST_STATUS: Final = 4 * 1024 * 1024
 SILENT_S: Final = 15.0
-"""A daemon that sends no status for so long is lost; `status_hz` is 0.1 at least."""
+"""A daemon that sends no status for this time, s, is lost; `status_hz` is at least 0.1."""
 AGAIN_S: Final = 0.5
-"""Rest before the next attempt to reach a daemon that does not run."""
+"""Wait, s, before the next attempt to reach a daemon that does not run."""
 
 
 class Follower:
     """Keeps the newest status while `follow` runs.
 
     Args:
-        config: the run file of the daemon.
-        name: of the protocol, as the daemon's events show it.
+        config: run file of the daemon.
+        name: name of the protocol in the daemon's events.
 
     Attributes:
-        found: the newest status; None where no daemon answers.
+        report: newest status; None where no daemon answers.
     """
 
     def __init__(self, config: Path, name: str) -> None:
         self._config, self._name = config, name
-        self.found: Mapping[str, Any] | None = None
+        self.report: Mapping[str, Any] | None = None
 
     @property
     def live(self) -> Mapping[str, Any] | None:
-        """The newest status if its values are those of now; else None."""
-        return None if self.found is None or stands(self.found) else self.found
+        """The newest status if its values are current; else None."""
+        return None if self.report is None or stands(self.report) else self.report
 
     @property
     def state(self) -> str:
-        """In words: "running", "loop stands" or "no daemon"."""
-        return "no daemon" if self.found is None else "running" if self.live else "loop stands"
+        """State in words: "running", "loop stands" or "no daemon"."""
+        return "no daemon" if self.report is None else "running" if self.live else "loop stands"
 
     async def follow(self) -> None:
-        """Follow until cancelled, over restarts of the daemon."""
+        """Follow until cancelled, through restarts of the daemon."""
         while True:
             for path in status_of_config(self._config):
                 try:
@@ -51,7 +51,7 @@ class Follower:
                 except (OSError, RequestError, RtecError, EOFError, TimeoutError, asyncio.LimitOverrunError):
                     continue
                 finally:
-                    self.found = None
+                    self.report = None
             await asyncio.sleep(AGAIN_S)
 
     async def _read(self, path: Path) -> None:
@@ -64,6 +64,6 @@ class Follower:
                 if "error" in answer or "refused" in answer:
                     raise RtecError(str(answer))
                 if "status" in answer:
-                    self.found = answer
+                    self.report = answer
         finally:
             writer.close()

@@ -15,13 +15,13 @@ from rtec.telemetry.values import OF_AXIS, OF_MACHINE, OF_SENSOR, axes, conditio
 
 SCHEMA: Final = 1
 PATIENCE_S: Final = 10.0
-"""A broker that does not confirm a message within this time is left, and looked for again."""
+"""A broker that does not confirm a message within this time, s, is disconnected and reconnected."""
 KEEPALIVE_S: Final = 15
-"""Half as long again without a sign of life, and the broker sends the last will."""
+"""s; after one and a half times this without a sign of life, the broker sends the last will."""
 FIRST_WAIT_S: Final = 1.0
 LONGEST_WAIT_S: Final = 30.0
 AGAIN_S: Final = 60.0
-"""So often the retained state is sent though it has not changed: a broker can have lost it."""
+"""Period, s, of repeating an unchanged retained state, which a broker may have lost."""
 LONGEST_PASSWORD: Final = 4096
 _TOPIC_LEVEL: Final = re.compile(r"[\s+#/$]")
 
@@ -29,22 +29,22 @@ Say = Callable[[str], None]
 
 
 def prepare(table: MqttTable, base: Path) -> dict[str, Any]:
-    """Give what a connection needs beside its will.
+    """Options of a connection, without its will.
 
     Args:
-        table: of the run file.
-        base: its folder.
+        table: table of the run file.
+        base: the run file's folder.
 
     Raises:
         ConfigError: a file cannot be used, or `aiomqtt` is not installed.
     """
     try:
-        import aiomqtt  # noqa: F401 (is it there?)
+        import aiomqtt  # noqa: F401 (is it installed?)
     except ImportError as error:
         raise ConfigError("[telemetry.mqtt] needs the package aiomqtt: pip install 'rtec[mqtt]'") from error
     host, port = host_and_port(table.broker)
     options: dict[str, Any] = {"hostname": host, "port": port, "keepalive": KEEPALIVE_S, "timeout": PATIENCE_S}
-    options["max_queued_incoming_messages"] = 1  # what nobody asked for is thrown away
+    options["max_queued_incoming_messages"] = 1  # unrequested messages are dropped
     if table.tls:
         options["tls_context"] = _tls(table, base)
     if table.user is not None and table.password_file is not None:
@@ -81,41 +81,41 @@ def units() -> dict[str, str]:
 
 
 def state(follower: Follower) -> dict[str, Any]:
-    """The retained state: what runs, and the units of the values."""
+    """The retained state: the daemon's state, and the units of the values."""
     content: dict[str, Any] = {"schema": SCHEMA, "state": follower.state}
-    if (found := follower.found) is not None:
-        content |= {key: found[key] for key in ("machine", "model", "rtec_version", "axes", "sensors", "started")}
+    if (report := follower.report) is not None:
+        content |= {key: report[key] for key in ("machine", "model", "rtec_version", "axes", "sensors", "started")}
     return {**content, "units": units()}
 
 
-def values(found: Mapping[str, Any]) -> dict[str, Any]:
-    """One message with everything that changes."""
+def values(report: Mapping[str, Any]) -> dict[str, Any]:
+    """One message with all values that change."""
     return {
         "schema": SCHEMA,
-        "utc": instant(found),
-        **machine(found),
-        "axes": axes(found),
-        "temperatures": sensors(found),
-        "conditions": [vars(condition) for condition in conditions(found)],
+        "utc": instant(report),
+        **machine(report),
+        "axes": axes(report),
+        "temperatures": sensors(report),
+        "conditions": [vars(condition) for condition in conditions(report)],
     }
 
 
 def server(task: Any, say: Say) -> "Publisher":
-    """Give what serves a task of `rtec.telemetry.processes`."""
+    """The publisher of a task of `rtec.telemetry.processes`."""
     topic = task.table.topic or f"rtec/{_TOPIC_LEVEL.sub('-', task.config.stem)}"
     return Publisher(task.table, task.config.parent, topic, say)
 
 
 class Publisher:
-    """Publishes what a follower reads, and looks for the broker again and again.
+    """Publishes what a follower reads, and reconnects to the broker whenever needed.
 
-    One message is under way at a time, until the broker confirms it: a slow one gets fewer, and none that are old.
+    One message at a time is in flight, until the broker confirms it: a slow broker gets fewer, but no old ones.
 
     Args:
-        table: of the run file.
-        base: its folder.
+        table: table of the run file.
+        base: the run file's folder.
         topic: first part of the topics.
-        say: for people.
+        say: reports a line to people.
     """
 
     def __init__(self, table: MqttTable, base: Path, topic: str, say: Say) -> None:
@@ -149,7 +149,7 @@ class Publisher:
             listening = asyncio.create_task(self._listen(client))
             try:
                 await self._publish(client, follower)
-            except asyncio.CancelledError:  # in order: the will is not for this
+            except asyncio.CancelledError:  # an orderly end: the will is not for this
                 offline = _text({"schema": SCHEMA, "state": "offline"})
                 await client.publish(f"{self._topic}/state", offline, qos=1, retain=True, timeout=1.0)
                 raise
@@ -157,37 +157,37 @@ class Publisher:
                 listening.cancel()
 
     async def _publish(self, client: Any, follower: Follower) -> None:
-        said, now, since_s = "", asyncio.get_running_loop().time, 0.0
+        published, now, since_s = "", asyncio.get_running_loop().time, 0.0
         while True:
             text = _text(state(follower))
-            if text != said or self._heard != said or now() - since_s > AGAIN_S:
-                self._heard = said = text
+            if text != published or self._heard != published or now() - since_s > AGAIN_S:
+                self._heard = published = text
                 await client.publish(f"{self._topic}/state", text, qos=1, retain=True)
                 since_s, self._wait_s = now(), FIRST_WAIT_S
-            if (found := follower.live) is not None:
-                await client.publish(f"{self._topic}/values", _text(values(found)), qos=1)
-            if (found := follower.found) is not None:
-                await self._send_events(client, found)
+            if (report := follower.live) is not None:
+                await client.publish(f"{self._topic}/values", _text(values(report)), qos=1)
+            if (report := follower.report) is not None:
+                await self._send_events(client, report)
             await asyncio.sleep(self._table.period_s)
 
     async def _listen(self, client: Any) -> None:
-        """Hear what is retained as state: a broker that stood still can send an old will behind the new state."""
+        """Read the retained state: a broker that was stopped may send an old will after the new state."""
         async for message in client.messages:
             if message.topic.value == f"{self._topic}/state":
                 self._heard = bytes(message.payload).decode(errors="replace")
 
-    async def _send_events(self, client: Any, found: Mapping[str, Any]) -> None:
-        for event in self._new_events(found):
+    async def _send_events(self, client: Any, report: Mapping[str, Any]) -> None:
+        for event in self._new_events(report):
             await client.publish(f"{self._topic}/events", _text({"schema": SCHEMA, **event}), qos=1)
-        self._events = (found["pid"], found["events_total"])
+        self._events = (report["pid"], report["events_total"])
 
-    def _new_events(self, found: Mapping[str, Any]) -> list[dict[str, Any]]:
-        """Those since the last message; of a daemon that was not followed before, none that are old."""
+    def _new_events(self, report: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Events since the last message; no old ones of a daemon that was not followed before."""
         if self._events is None:
             return []
         pid, total = self._events
-        new = found["events_total"] - (total if pid == found["pid"] else 0)
-        events: list[dict[str, Any]] = found["events"]
+        new = report["events_total"] - (total if pid == report["pid"] else 0)
+        events: list[dict[str, Any]] = report["events"]
         return events[-new:] if new > 0 else []
 
 

@@ -1,8 +1,9 @@
 """MTConnect: the adapter that an agent reads (SHDR over TCP), and the device file for the agent (`docs/mtconnect.md`).
 
-The agent connects to us. A line is `time|key|value`, with more pairs behind it; a message is `time|key|code|text`; a
-condition is `time|key|level|code|severity|qualifier|text`, where NORMAL with a code ends the condition of that code,
-and NORMAL alone ends all. A newly connected agent gets everything, then what has changed. `* PING` is answered.
+The agent connects to the adapter. A line is `time|key|value`, followed by more pairs; a message is
+`time|key|code|text`; a condition is `time|key|level|code|severity|qualifier|text`. NORMAL with a code ends the
+condition of that code, and NORMAL alone ends all. A newly connected agent gets everything, then changes only.
+`* PING` is answered.
 """
 
 import asyncio
@@ -24,14 +25,14 @@ from rtec.telemetry.follower import Follower
 from rtec.telemetry.values import StatusCondition, axes, conditions, instant, machine, sensors
 
 HEARTBEAT_MS: Final = 10_000
-"""Told to the agent: it asks at least so often, or takes us for dead; and we take it for dead after twice that."""
+"""Period, ms, that the agent is given: it asks at least this often. Each side gives up the other after twice that."""
 MOST_AGENTS: Final = 16
-"""One more, and the one that came first is closed."""
+"""One more closes the oldest connection."""
 LARGEST_BUFFER: Final = 32768
-"""Bytes that wait for an agent that does not read: it gets nothing newer until it has read them."""
+"""Bytes that may wait for an agent that does not read: it gets nothing newer until it has read them."""
 LONGEST_LINE: Final = 256
 REST_S: Final = 0.01
-"""After each line that an agent sends: a flood of them costs a hundred answers a second."""
+"""Wait, s, after each line that an agent sends: a flood of lines gets at most a hundred answers a second."""
 UNAVAILABLE: Final = "UNAVAILABLE"
 SCHEMA: Final = "urn:mtconnect.org:MTConnectDevices:1.4"
 KINDS: Final = ("SYSTEM", "HARDWARE", "COMMUNICATIONS", "ACTUATOR")
@@ -46,16 +47,16 @@ _KIND_OF: Final = {
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_.-]")
 
 Values = dict[str, tuple[str, ...]]
-"""By key of a data item, the fields behind it."""
+"""The fields after each data item's key."""
 
 
 def prepare(table: MtconnectTable, base: Path) -> None:
-    """Check nothing: it needs no file and no package."""
+    """Do nothing: it needs no file and no package."""
     del table, base
 
 
 def server(task: Any, say: Callable[[str], None]) -> "Adapter":
-    """Give what serves a task of `rtec.telemetry.processes`."""
+    """The adapter of a task of `rtec.telemetry.processes`."""
     return Adapter(task.table, say)
 
 
@@ -70,16 +71,16 @@ def known_keys(axis_names: Sequence[str], sensor_names: Sequence[str]) -> list[s
     return [*of_axes, *(key_of(name, "temperature") for name in sensor_names), "spindle", "mode"]
 
 
-def values(found: Mapping[str, Any]) -> Values:
-    """Of a status, by key; lengths in millimetres, as the standard has them."""
+def values(report: Mapping[str, Any]) -> Values:
+    """Values of a status, by key; lengths in millimetres, as in the standard."""
     out: Values = {}
-    for axis, of in axes(found).items():
+    for axis, of in axes(report).items():
         out[key_of(axis, "position")] = (_number(of["position_mm"], 1.0),)
         for what in ("requested", "applied", "residual"):
             out[key_of(axis, what)] = (_number(of[f"{what}_um"], 1e-3),)
-    for name, of in sensors(found).items():
+    for name, of in sensors(report).items():
         out[key_of(name, "temperature")] = (_number(of["temperature_degc"], 1.0),)
-    whole = machine(found)
+    whole = machine(report)
     out["spindle"] = (_number(whole["spindle_rpm"], 1.0),)
     mode = whole["mode"]
     out["mode"] = (UNAVAILABLE,) if mode is None else (str(mode), f"the correction is ordered to be {mode}")
@@ -95,34 +96,34 @@ def _number(value: Any, scale: float) -> str:
 
 
 def kind_of(condition: StatusCondition) -> str:
-    """Its type in the standard."""
+    """Type of the condition in the standard."""
     return "HARDWARE" if condition.code.startswith("device ") else _KIND_OF.get(condition.code, "SYSTEM")
 
 
 def _text(text: str) -> str:
-    """A field: SHDR has no word for its own separator."""
+    """Text of a field: SHDR cannot escape its own separator."""
     return text.replace("|", "/").strip()
 
 
 @dataclass
 class SentToAgent:
-    """What one agent has been sent."""
+    """Values that one agent has been sent."""
 
     available: bool | None = None
     values: Values = field(default_factory=dict)
     conditions: dict[str, StatusCondition] = field(default_factory=dict)
 
-    def lines(self, found: Mapping[str, Any] | None, everything: Sequence[str]) -> Iterator[str]:
-        """What has changed, as lines; it counts as sent.
+    def lines(self, report: Mapping[str, Any] | None, everything: Sequence[str]) -> Iterator[str]:
+        """Changes, as lines; they then count as sent.
 
         Args:
-            found: the newest status; None where there are no values of now.
+            found: newest status; None where there are no current values.
             everything: keys of all values.
         """
-        at, available = instant(found), found is not None
+        at, available = instant(report), report is not None
         lost: tuple[str, ...] = (UNAVAILABLE,)
-        new = values(found) if found is not None else dict.fromkeys(everything, lost)
-        active = {c.code: c for c in conditions(found)} if found is not None else {}
+        new = values(report) if report is not None else dict.fromkeys(everything, lost)
+        active = {c.code: c for c in conditions(report)} if report is not None else {}
         began = available is not self.available
         if began:
             yield f"{at}|avail|{'AVAILABLE' if available else UNAVAILABLE}"
@@ -159,8 +160,8 @@ class Adapter:
     """Serves agents.
 
     Args:
-        table: of the run file.
-        say: for people.
+        table: table of the run file.
+        say: reports a line to people.
     """
 
     def __init__(self, table: MtconnectTable, say: Callable[[str], None]) -> None:
@@ -186,16 +187,16 @@ class Adapter:
                     agent.writer.transport.abort()
 
     def _publish(self, follower: Follower) -> None:
-        found = follower.live
-        if found is not None:
-            self._keys = known_keys(found["axes"], found["sensors"])
+        report = follower.live
+        if report is not None:
+            self._keys = known_keys(report["axes"], report["sensors"])
         now_s = asyncio.get_running_loop().time()
         for agent in [*self._agents]:
             if agent.pings and now_s - agent.heard_s > 2e-3 * HEARTBEAT_MS:
                 self._say("an agent that asked before is silent now: its connection is closed")
                 agent.writer.transport.abort()
             elif agent.writer.transport.get_write_buffer_size() < LARGEST_BUFFER:
-                agent.writer.write("".join(f"{line}\n" for line in agent.shown.lines(found, self._keys)).encode())
+                agent.writer.write("".join(f"{line}\n" for line in agent.shown.lines(report, self._keys)).encode())
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         agent = _Agent(writer, asyncio.get_running_loop().time())
@@ -213,7 +214,7 @@ class Adapter:
                     writer.write(f"* PONG {HEARTBEAT_MS}\n".encode())
                     await writer.drain()
                 await asyncio.sleep(REST_S)
-        except (OSError, ValueError):  # it hung up, or sent a line without an end
+        except (OSError, ValueError):  # the agent has closed, or sent a line without an end
             return
         finally:
             with suppress(ValueError):
@@ -222,12 +223,12 @@ class Adapter:
 
 
 def device_file(name: str, axis_names: Sequence[str], sensor_names: Sequence[str], identity: str) -> str:
-    """The device file of an agent: every data item that the adapter sends, and no other.
+    """The device file of an agent: all data items of the adapter, and no other.
 
     Args:
-        name: of the machine.
-        axis_names, sensor_names: of the machine.
-        identity: of the device, the same for ever; its UUID is made of it.
+        name: name of the machine.
+        axis_names, sensor_names: those of the machine.
+        identity: constant name of the device, which gives its UUID.
     """
     ET.register_namespace("", SCHEMA)
     numbers, uuid = itertools.count(1), str(uuid5(NAMESPACE_URL, f"urn:rtec:{identity}"))
@@ -237,7 +238,7 @@ def device_file(name: str, axis_names: Sequence[str], sensor_names: Sequence[str
         ET.SubElement(under, f"{{{SCHEMA}}}DataItem", content)
 
     def part(under: ET.Element, kind: str, name: str, items: bool = True) -> ET.Element:
-        """A component; gives where its data items go, or its components."""
+        """Add a component; give the element for its data items, or for its components."""
         made = ET.SubElement(under, f"{{{SCHEMA}}}{kind}", {"id": f"c{next(numbers)}", "name": name})
         return ET.SubElement(made, f"{{{SCHEMA}}}{'DataItems' if items else 'Components'}")
 

@@ -1,4 +1,4 @@
-"""OPC UA: a server that can only be read, SignAndEncrypt with certificates and nothing less (`docs/opcua.md`)."""
+"""OPC UA: a read-only server that accepts SignAndEncrypt with certificates only (`docs/opcua.md`)."""
 
 import asyncio
 import socket
@@ -21,7 +21,7 @@ OURS: Final = "urn:rtec:telemetry:1"
 DI: Final = "http://opcfoundation.org/UA/DI/"
 MACHINERY: Final = "http://opcfoundation.org/UA/Machinery/"
 MACHINE_TOOL: Final = "http://opcfoundation.org/UA/MachineTool/"
-"""Of OPC 10000-100, 40001-1 and 40501-1: we use their names, where they have one, not their types."""
+"""OPC 10000-100, 40001-1 and 40501-1: rtec uses their names, where there is one, but not their types."""
 UNITS: Final = {
     "mm": ("MMT", "mm"),
     "um": ("4H", "µm"),
@@ -29,20 +29,20 @@ UNITS: Final = {
     "s": ("SEC", "s"),
     "rpm": ("RPM", "r/min"),
 }
-"""Code of UN/CEFACT and sign, by our unit."""
+"""UN/CEFACT code and sign, by rtec's unit."""
 NORMAL, FAILURE, OFF_SPEC = 0, 1, 3
-"""Of DeviceHealth, OPC 10000-100."""
+"""Values of DeviceHealth, OPC 10000-100."""
 MOST_CONNECTIONS: Final = 32
 ACTIVATION_S: Final = 5.0
-"""A connection that has no session for so long is closed."""
+"""A connection without a session for this time, s, is closed."""
 SHORTEST_SESSION_S: Final = 5.0
 LONGEST_SESSION_S: Final = 120.0
-"""A client asks how long it may be silent, within these; then its session ends."""
+"""Limits, s, of the silence that a client may request; after that its session ends."""
 LARGEST_MESSAGE: Final = 1 << 20
 LARGEST_BUFFER: Final = 1 << 20
-"""Bytes that may wait for a client; one that asks and does not read is cut off beyond that."""
+"""Bytes that may wait for a client; a client that requests more without reading is cut off."""
 SLOW_S: Final = 10.0
-"""So is one that reads nothing for so long while something waits for it."""
+"""A client that reads nothing for this time, s, while data wait for it, is cut off, too."""
 LOOK_S: Final = 0.1
 ANALOG_UNIT_TYPE: Final = 17497
 BASE_VARIABLE_TYPE: Final = 63
@@ -51,13 +51,13 @@ Values = dict[str, Any]
 
 
 def prepare(table: OpcuaTable, base: Path) -> tuple["Certificate", str]:
-    """Give the server's certificate and the application URI in it.
+    """The server's certificate and the application URI in it.
 
     Raises:
         ConfigError: `asyncua` is not installed, or a file cannot be used.
     """
     try:
-        import asyncua  # noqa: F401 (is it there?)
+        import asyncua  # noqa: F401 (is it installed?)
         from cryptography import x509
         from cryptography.hazmat.primitives.serialization import load_pem_private_key
     except ImportError as error:
@@ -81,37 +81,37 @@ def prepare(table: OpcuaTable, base: Path) -> tuple["Certificate", str]:
 
 
 def server(task: Any, say: Callable[[str], None]) -> "UaPublisher":
-    """Give what serves a task of `rtec.telemetry.processes`."""
+    """The publisher of a task of `rtec.telemetry.processes`."""
     return UaPublisher(task.table, task.config.parent, task.machine, say)
 
 
-def values(found: Mapping[str, Any]) -> Values:
-    """Of a status, by node: `Axes.X.position_mm`; None is not known."""
-    out: Values = {f"Axes.{axis}.{key}": v for axis, of in axes(found).items() for key, v in of.items()}
-    out |= {f"Temperatures.{name}.{key}": v for name, of in sensors(found).items() for key, v in of.items()}
-    out |= machine(found)
-    active = list(conditions(found))
+def values(report: Mapping[str, Any]) -> Values:
+    """Values of a status, by node such as `Axes.X.position_mm`; None where unknown."""
+    out: Values = {f"Axes.{axis}.{key}": v for axis, of in axes(report).items() for key, v in of.items()}
+    out |= {f"Temperatures.{name}.{key}": v for name, of in sensors(report).items() for key, v in of.items()}
+    out |= machine(report)
+    active = list(conditions(report))
     out["Conditions"] = [f"{c.level}: {c.code}: {c.text}" for c in active]
     out["DeviceHealth"] = FAILURE if any(c.level == "fault" for c in active) else OFF_SPEC if active else NORMAL
-    out["SoftwareRevision"] = found["rtec_version"]
-    out["ErrorModel"] = found["model"]
+    out["SoftwareRevision"] = report["rtec_version"]
+    out["ErrorModel"] = report["model"]
     return out
 
 
 def name_of(quantity: Quantity) -> str:
-    """Browse name: `applied_um` is Applied."""
+    """Browse name; that of `applied_um` is Applied."""
     key = quantity.key.removesuffix(f"_{quantity.unit}") if quantity.unit else quantity.key
     return "".join(part.capitalize() for part in key.split("_"))
 
 
 @dataclass(frozen=True)
 class _Trusted:
-    """Certificates of clients, by the files of a folder; a new file needs no restart."""
+    """Certificates of trusted clients, from the files of a folder; a new file needs no restart."""
 
     folder: Path
 
     async def validate(self, certificate: "Certificate", description: Any) -> None:
-        """Refuse one that has no file there, is out of its time, or is another application's."""
+        """Refuse a certificate that is not in the folder, not valid at this date, or of another application."""
         from asyncua import ua
         from asyncua.common.utils import ServiceError
         from asyncua.crypto.validator import CertificateValidator
@@ -134,10 +134,10 @@ class UaPublisher:
     """Serves clients.
 
     Args:
-        table: of the run file.
-        base: its folder.
+        table: table of the run file.
+        base: the run file's folder.
         machine: name of the machine.
-        say: for people.
+        say: reports a line to people.
     """
 
     def __init__(self, table: OpcuaTable, base: Path, machine: str, say: Callable[[str], None]) -> None:
@@ -146,7 +146,7 @@ class UaPublisher:
         self._written: Values = {}
 
     async def serve(self, follower: Follower) -> None:
-        """Serve until cancelled; the address space is made when the daemon is known for the first time."""
+        """Serve until cancelled; the address space is made when the daemon first answers."""
         served = await self._server()
         try:
             async with served:
@@ -161,14 +161,14 @@ class UaPublisher:
 
     async def _publish(self, served: Any, follower: Follower) -> None:
         while True:
-            found = follower.live
-            if found is not None and not self._nodes:
-                await self._make(served, found)
-            await self._write(found)
+            report = follower.live
+            if report is not None and not self._nodes:
+                await self._make(served, report)
+            await self._write(report)
             await asyncio.sleep(self._table.period_s)
 
     async def _cut_off(self, transports: Sequence[asyncio.WriteTransport]) -> None:
-        """Cut clients off that do not read: the library lets their answers wait in memory without an end."""
+        """Cut off clients that do not read: the library queues their answers in memory without a limit."""
         waits: dict[asyncio.WriteTransport, tuple[int, float]] = {}
         now = asyncio.get_running_loop().time
         while True:
@@ -188,7 +188,7 @@ class UaPublisher:
         from asyncua.server.user_managers import UserManager
 
         class Reader(UserManager):  # type: ignore[misc]
-            """Whoever has a trusted certificate is a user; nobody is an administrator, whatever name they give."""
+            """Every client with a trusted certificate is a user; none is an administrator, whatever name it gives."""
 
             def get_user(self, *_arguments: Any, **_keys: Any) -> User:
                 return User(role=UserRole.User)
@@ -212,14 +212,14 @@ class UaPublisher:
         served.set_certificate_validator(_Trusted(self._base / self._table.trusted_folder).validate)
         limits = served.iserver
         limits.max_connections, limits.max_subscriptions = MOST_CONNECTIONS, 4 * MOST_CONNECTIONS
-        limits.max_pending_activation_seconds = 0  # `_close_idle` does it
+        limits.max_pending_activation_seconds = 0  # `_close_idle` does that
         limits.min_session_timeout_ms, limits.max_session_timeout_ms = 1e3 * SHORTEST_SESSION_S, 1e3 * LONGEST_SESSION_S
         limits.max_unacked_messages_per_subscription, limits.max_monitored_item_queue_size = 50, 100
         limits.max_pending_messages_per_connection = 50
         served.limits.max_message_size, served.limits.max_chunk_count = LARGEST_MESSAGE, 17
         return served
 
-    async def _make(self, served: Any, found: Mapping[str, Any]) -> None:
+    async def _make(self, served: Any, report: Mapping[str, Any]) -> None:
         from asyncua import ua
 
         number = {uri: await served.register_namespace(uri) for uri in (OURS, DI, MACHINERY, MACHINE_TOOL)}
@@ -256,8 +256,8 @@ class UaPublisher:
             kind = whole.get(quantity.key, kinds.Double if quantity.unit else kinds.Int64)
             await variable(monitoring, quantity.key, name_of(quantity), kind, unit=quantity.unit)
         for group, names, quantities in (
-            ("Axes", found["axes"], OF_AXIS),
-            ("Temperatures", found["sensors"], OF_SENSOR),
+            ("Axes", report["axes"], OF_AXIS),
+            ("Temperatures", report["sensors"], OF_SENSOR),
         ):
             folder = await part(monitoring, group, group)
             for name in names:
@@ -265,12 +265,12 @@ class UaPublisher:
                 for q in quantities:
                     await variable(one, f"{group}.{name}.{q.key}", name_of(q), kinds.Double, unit=q.unit)
 
-    async def _write(self, found: Mapping[str, Any] | None) -> None:
+    async def _write(self, report: Mapping[str, Any] | None) -> None:
         from asyncua import ua
 
-        new = {} if found is None else values(found)
-        missing = ua.StatusCodes.BadNoCommunication if found is None else ua.StatusCodes.BadDataUnavailable
-        at = datetime.fromisoformat(instant(found))
+        new = {} if report is None else values(report)
+        missing = ua.StatusCodes.BadNoCommunication if report is None else ua.StatusCodes.BadDataUnavailable
+        at = datetime.fromisoformat(instant(report))
         for node, made in self._nodes.items():
             value = new.get(node)
             state = (value, missing if value is None else 0)
@@ -283,7 +283,7 @@ class UaPublisher:
 
 
 async def _close_idle(clients: Sequence[Any]) -> None:
-    """Close connections that have no session: the library ends that of a silent client, and leaves the connection."""
+    """Close connections without a session: the library ends a silent client's session, but keeps its connection."""
     since_s: dict[Any, float] = {}
     while True:
         since_s = _idle(clients, since_s, asyncio.get_running_loop().time())
@@ -292,14 +292,14 @@ async def _close_idle(clients: Sequence[Any]) -> None:
 
 
 def _cut_endless(clients: Sequence[Any]) -> None:
-    """Close connections whose message does not end: the library takes in whatever length its first bytes give."""
+    """Close connections with an endless message: the library accepts any length that the first bytes give."""
     for one in list(clients):
         if len(one._buffer) > LARGEST_MESSAGE:
             one.transport.abort()
 
 
 def _idle(clients: Sequence[Any], before_s: dict[Any, float], now_s: float) -> dict[Any, float]:
-    """Those that have no session, and since when; close them where that is too long ago."""
+    """Connections without a session, each with its begin; closes those of too long ago."""
     idle = [one for one in clients if not (one.processor.session and one.processor.session.is_activated())]
     since_s = {one: before_s.get(one, now_s) for one in idle}
     for one, began_s in since_s.items():
@@ -309,7 +309,7 @@ def _idle(clients: Sequence[Any], before_s: dict[Any, float], now_s: float) -> d
 
 
 def _unit(unit: str) -> Any:
-    """The unit as OPC UA has it: the number is the letters of UN/CEFACT's code."""
+    """The unit in OPC UA: its number is made of the letters of UN/CEFACT's code."""
     from asyncua import ua
 
     code, sign = UNITS[unit]

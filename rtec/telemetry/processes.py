@@ -1,7 +1,7 @@
-"""The processes of `rtec telemetry`: one a protocol, started, watched, started again.
+"""The processes of `rtec telemetry`: one a protocol, started, watched, restarted.
 
-Their parent is no child of the daemon, and the daemon knows of none of them but as readers of its local socket. So one
-that hangs, dies, fills its memory or is broken into from the network costs the loop nothing.
+Their parent is no child of the daemon, and the daemon knows them only as readers of its local socket. So a process that
+hangs, dies, fills its memory or is broken into from the network costs the loop nothing.
 """
 
 import asyncio
@@ -32,22 +32,22 @@ if TYPE_CHECKING:
 
 PR_SET_PDEATHSIG: Final = 1
 NICE: Final = 10
-"""Below everything of the daemon."""
+"""Nice value, below everything of the daemon."""
 ALIVE_S: Final = 0.5
 SILENT_NS: Final = 30_000_000_000
-"""A process that has shown no life for so long hangs, and is ended and begun again."""
+"""A process without a sign of life for this time, ns, hangs; it is ended and restarted."""
 LOOK_NS: Final = 50_000_000
 END_S: Final = 3.0
 
 
 @dataclass(frozen=True)
 class Task:
-    """What one process does; goes to it as it stands.
+    """A process' task, as it is sent to the process.
 
     Attributes:
-        protocol: module of this package that speaks it, and its table's name.
-        table: of the run file.
-        config: the run file.
+        protocol: module of this package with the protocol; also the name of its table.
+        table: table of the run file.
+        config: path of the run file.
         machine: name of the machine.
     """
 
@@ -58,23 +58,23 @@ class Task:
 
 
 def tasks(setup: "Setup") -> list[Task]:
-    """What the run file asks for, checked as far as it can be without the network.
+    """The tasks of the run file, checked as far as possible without the network.
 
     Raises:
-        ConfigError: it asks for nothing, a file cannot be used, or a package is not installed.
+        ConfigError: it has none, a file cannot be used, or a package is not installed.
     """
     table = setup.file.telemetry
-    wanted = {name: getattr(table, name) for name in TelemetryTable.model_fields if getattr(table, name) is not None}
-    if not wanted:
+    chosen = {name: getattr(table, name) for name in TelemetryTable.model_fields if getattr(table, name) is not None}
+    if not chosen:
         known = ", ".join(f"[telemetry.{name}]" for name in TelemetryTable.model_fields)
         raise ConfigError(f"{setup.path}: asks for no telemetry: it has none of {known}; see docs/telemetry.md")
-    found = [Task(name, one, setup.path, setup.machine.name) for name, one in wanted.items()]
-    for task in found:
+    tasks = [Task(name, one, setup.path, setup.machine.name) for name, one in chosen.items()]
+    for task in tasks:
         try:
             _module(task).prepare(task.table, setup.base)
         except ConfigError as error:
             raise ConfigError(f"{setup.path}: {error}") from error
-    return found
+    return tasks
 
 
 def _module(task: Task) -> Any:
@@ -82,14 +82,14 @@ def _module(task: Task) -> Any:
 
 
 def say(protocol: str, text: str) -> None:
-    """Report, in one line on standard error."""
+    """Print one line on standard error."""
     with suppress(OSError, ValueError):
         sys.stderr.write(f"{protocol}: {clean(text)}\n")
         sys.stderr.flush()
 
 
 def work(task: Task, alive: Any) -> None:
-    """Be the process, until the parent ends it or is gone."""
+    """Be the process, until the parent ends it or has ended itself."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
@@ -97,10 +97,10 @@ def work(task: Task, alive: Any) -> None:
     if os.getppid() != starter():
         return
     os.nice(NICE)
-    logging.getLogger().addHandler(logging.NullHandler())  # libraries speak here as they like; `say` reports
+    logging.getLogger().addHandler(logging.NullHandler())  # silences libraries; `say` reports
     try:
         asyncio.run(_serve(task, alive))
-    except Exception as error:  # noqa: BLE001 (the parent reports the end, and begins it again)
+    except Exception as error:  # noqa: BLE001 (the parent reports the end, and restarts it)
         say(task.protocol, fault(error))
         sys.exit(1)
 
@@ -112,14 +112,14 @@ async def _serve(task: Task, alive: Any) -> None:
 
 
 async def serve(task: Task, say: Callable[[str], None], *others: Coroutine[Any, Any, Any]) -> None:
-    """Follow the daemon, speak the protocol, do what else is to be done; the first that ends is the end of all."""
+    """Follow the daemon, serve the protocol, run the others; the first that ends ends all."""
     follower = Follower(task.config, task.protocol)
     speaker = _module(task).server(task, say)
     jobs = [asyncio.create_task(job) for job in (follower.follow(), speaker.serve(follower), *others)]
-    done, left = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
-    for job in left:
+    done, unfinished = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
+    for job in unfinished:
         job.cancel()
-    await asyncio.wait(left, timeout=END_S / 2)
+    await asyncio.wait(unfinished, timeout=END_S / 2)
     for job in done:
         job.result()
 
@@ -137,22 +137,22 @@ class KeptProcess:
         self._task, self._clock, self._part = task, clock, part
         self._context = multiprocessing.get_context("spawn")
         self._alive: Any = self._context.Value("q", 0, lock=False)
-        self._seen, self._seen_ns = 0, 0
+        self._last_value, self._last_change_ns = 0, 0
         self.process: Any = None
 
     def start(self) -> None:
-        """Start it."""
+        """Start the process."""
         name = f"rtec-{self._task.protocol}"
         self.process = self._context.Process(target=work, args=(self._task, self._alive), name=name, daemon=True)
-        self._seen_ns = self._clock.now_ns()
+        self._last_change_ns = self._clock.now_ns()
         with signals_wait():
             self.process.start()
 
     def look(self) -> None:
-        """See how it does; start it again when its time has come."""
+        """Check it; restart it when that is due."""
         now_ns = self._clock.now_ns()
-        if self._alive.value != self._seen:
-            self._seen, self._seen_ns = self._alive.value, now_ns
+        if self._alive.value != self._last_value:
+            self._last_value, self._last_change_ns = self._alive.value, now_ns
         if self.process is None:
             if self._part.due:
                 self.start()
@@ -160,11 +160,11 @@ class KeptProcess:
             self.process.join()
             self._part.failed(f"its process ended (exit code {self.process.exitcode})", "a new one is started")
             self.process = None
-        elif now_ns - self._seen_ns > SILENT_NS:
+        elif now_ns - self._last_change_ns > SILENT_NS:
             self.process.kill()
 
     def end(self) -> None:
-        """End it in order, or at once where it does not."""
+        """End it in order, or kill it where it does not end."""
         process, self.process = self.process, None
         if process is not None:
             process.join(END_S)
@@ -174,17 +174,17 @@ class KeptProcess:
 
 
 class Processes:
-    """All of them: starts them on entry, ends them on exit.
+    """All processes: starts them on entry, ends them on exit.
 
     Args:
-        wanted: what each does.
+        tasks: the task of each.
         clock: monotonic.
     """
 
-    def __init__(self, wanted: list[Task], clock: Clock) -> None:
+    def __init__(self, tasks: list[Task], clock: Clock) -> None:
         self._clock = clock
         parts = DaemonParts(clock, lambda _what, text: say("telemetry", text))
-        self.kept = [KeptProcess(task, clock, parts.add(task.protocol)) for task in wanted]
+        self.kept = [KeptProcess(task, clock, parts.add(task.protocol)) for task in tasks]
         self._ended = False
 
     def __enter__(self) -> Self:
@@ -200,7 +200,7 @@ class Processes:
             kept.end()
 
     def run(self) -> None:
-        """Watch over them until a signal."""
+        """Check and restart them until a signal."""
         with signals(self._on_signal):
             while not self._ended:
                 for kept in self.kept:

@@ -1,4 +1,4 @@
-"""What is published, whatever the protocol: quantities with units, and the reasons of the guard as conditions."""
+"""The published values of all protocols: quantities with units, and the reasons of the guard as conditions."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -9,8 +9,8 @@ from rtec.correction.flags import HOLD_REASONS, REASONS, Flag
 from rtec.loop.clock import wall_clock_ns
 from rtec.text import clean
 
-STANDS_S: Final = 1.0
-"""A newest row that is older: the loop stands, and nothing that it said is a value of now."""
+STALLED_S: Final = 1.0
+"""Age, s, of the newest row above which the loop counts as stalled, and its values as outdated."""
 ORDERED: Final = Flag.ORDERED_HOLD | Flag.ORDERED_OFF
 Level = Literal["fault", "warning"]
 
@@ -20,9 +20,9 @@ class Quantity:
     """One kind of value.
 
     Attributes:
-        key: its name; ends with the unit where it has one.
-        unit: "mm", "um", "degc", "s", "rpm"; "" where it has none.
-        words: what it is, for people.
+        key: its name; ends with the unit if it has one.
+        unit: "mm", "um", "degc", "s", "rpm"; "" without one.
+        words: description, for people.
     """
 
     key: str
@@ -50,12 +50,12 @@ OF_MACHINE: Final = (
 
 @dataclass(frozen=True)
 class StatusCondition:
-    """Something that keeps the correction from being the requested one, or a part that does not work.
+    """A reason for which the applied correction is not the requested one, or a part that does not work.
 
     Attributes:
-        code: stays the same while it lasts: name of a flag, "device NAME" or "part NAME".
+        code: constant while it lasts: name of a flag, "device NAME" or "part NAME".
         level: "fault": the correction is held, or a device or part is in trouble; else "warning".
-        text: in words.
+        text: description in words.
     """
 
     code: str
@@ -63,9 +63,9 @@ class StatusCondition:
     text: str
 
 
-def axes(found: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
-    """The values of each axis, by `OF_AXIS`; None is not known."""
-    status, residual = found["status"], found["left"]["axes"]
+def axes(report: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
+    """The values of each axis, by `OF_AXIS`; None where unknown."""
+    status, residual = report["status"], report["left"]["axes"]
     return {
         axis: {
             "position_mm": status["position_mm"].get(axis),
@@ -73,26 +73,26 @@ def axes(found: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
             "applied_um": status["applied_um"].get(axis),
             "residual_um": residual.get(axis, {}).get("rms_um"),
         }
-        for axis in found["axes"]
+        for axis in report["axes"]
     }
 
 
-def sensors(found: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
+def sensors(report: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
     """The values of each temperature sensor, by `OF_SENSOR`."""
-    status = found["status"]
+    status = report["status"]
     degc, age_s = status["degc"], status["degc_age_s"]
     return {
         name: {
             "temperature_degc": degc.get(name),
             "age_s": None if degc.get(name) is None else age_s.get(name),
         }
-        for name in found["sensors"]
+        for name in report["sensors"]
     }
 
 
-def machine(found: Mapping[str, Any]) -> dict[str, float | str | None]:
+def machine(report: Mapping[str, Any]) -> dict[str, float | str | None]:
     """The values of the whole machine, by `OF_MACHINE`."""
-    status = found["status"]
+    status = report["status"]
     return {
         "spindle_rpm": status["spindle_rpm"],
         "mode": status["mode"] or None,
@@ -101,9 +101,9 @@ def machine(found: Mapping[str, Any]) -> dict[str, float | str | None]:
     }
 
 
-def conditions(found: Mapping[str, Any]) -> Iterator[StatusCondition]:
-    """Everything that is wrong now, or that somebody ordered."""
-    status = found["status"]
+def conditions(report: Mapping[str, Any]) -> Iterator[StatusCondition]:
+    """All present faults and orders."""
+    status = report["status"]
     for flag, text in REASONS.items():
         if flag.name in status["flags"]:
             held = int(flag) & HOLD_REASONS and not flag & ORDERED
@@ -116,14 +116,14 @@ def conditions(found: Mapping[str, Any]) -> Iterator[StatusCondition]:
         yield StatusCondition("log", "warning", clean(status["log"]))
 
 
-def stands(found: Mapping[str, Any]) -> bool:
-    """Does the loop stand still, or has it not begun? Then a status has no values of now."""
-    age_s = found["status_age_s"]
-    return age_s is None or age_s > STANDS_S
+def stands(report: Mapping[str, Any]) -> bool:
+    """Is the loop stalled, or not started? Then a status has no current values."""
+    age_s = report["status_age_s"]
+    return age_s is None or age_s > STALLED_S
 
 
-def instant(found: Mapping[str, Any] | None = None) -> str:
+def instant(report: Mapping[str, Any] | None = None) -> str:
     """Date and time of a status' newest row, or of now: UTC, ISO 8601 with milliseconds."""
-    age_s = 0.0 if found is None else found["status_age_s"] or 0.0
+    age_s = 0.0 if report is None else report["status_age_s"] or 0.0
     at = datetime.fromtimestamp(wall_clock_ns() * 1e-9 - age_s, UTC)
     return at.strftime("%Y-%m-%dT%H:%M:%S.") + f"{at.microsecond // 1000:03d}Z"

@@ -61,8 +61,8 @@ def test_the_bench_runs_on_the_gateware(tmp_path: Path) -> None:
     checks = {check.name: check for check in checks_of("on", run, (), judged=False)}
     assert checks.keys() >= {"on: ledger exact", "on: no jump", "on: log complete and replayed bit by bit"}
     assert [check for check in checks.values() if not check.good] == []
-    assert run.found["machine"]["commands"] > 100
-    assert any(run.found["machine"]["inserted"])
+    assert run.far_counts["machine"]["commands"] > 100
+    assert any(run.far_counts["machine"]["inserted"])
 
 
 def test_gateware_that_does_not_fit_is_refused(tmp_path: Path) -> None:

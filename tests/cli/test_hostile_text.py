@@ -108,7 +108,7 @@ def test_a_fault_of_a_device_on_its_way_through_the_loop(tmp_path: Path) -> None
 def test_what_a_peer_refuses_with() -> None:
     """The ZeroMQ link's answer, as JSON carries half a surrogate."""
     account = CommandAccount(("X",), 10, 1.0)
-    account.told("b", {"X": 0})
+    account.reported("b", {"X": 0})
     account.next_command([1])
     account.answered(read_answer(json.dumps({"schema": 1, "boot": "b", "seq": 1, "refused": HOSTILE}).encode()))
     with pytest.raises(errors.DriverFault) as told:

@@ -139,7 +139,7 @@ def test_a_manager_that_does_not_listen_holds_nobody_up(address: str) -> None:
 )
 def test_what_is_asked_for_in_the_environment(environment: dict[str, str], asked: bool, watched: bool) -> None:
     told = Notifier.from_environment(environment, VirtualClock())
-    assert (told.asked, told._period_ns > 0) == (asked, watched)
+    assert (told.listens, told._period_ns > 0) == (asked, watched)
     told.look(status(1))
     told.stopping()
 

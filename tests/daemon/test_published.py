@@ -110,7 +110,7 @@ def test_the_port_fills_its_own_sensors_and_tells_as_the_driver_did() -> None:
         assert (degc.tolist(), time_ns.tolist()) == ([1.0, 20.0, 3.0], [1, 900, 3])
         assert port.read_spindle() == 50.0
 
-        memory.told.write({"temperatures": ["DriverFault", "sensor broken"], "resume": ["lost"]})
+        memory.device_note.write({"temperatures": ["DriverFault", "sensor broken"], "resume": ["lost"]})
         memory.publish(np.array([np.nan, 21.0, np.nan]), np.array([NEVER, 950, NEVER]), 51.0)
         with pytest.raises(DriverFault, match="sensor broken"):
             port.read_temperatures(degc, time_ns)
@@ -123,7 +123,7 @@ def test_the_port_fills_its_own_sensors_and_tells_as_the_driver_did() -> None:
         clock.sleep_until_ns(clock.now_ns() + 3 * 10**9)
         with pytest.raises(DriverTimeout, match="no life for 3 s"):
             port.read_spindle()
-        memory.said.write({"worker": ["it ended"]})
+        memory.worker_note.write({"worker": ["it ended"]})
         with pytest.raises(DriverUnavailable, match="it ended"):
             port.read_temperatures(degc, time_ns)
 
@@ -132,7 +132,7 @@ def test_a_new_worker_inherits_no_words_and_no_readings() -> None:
     memory, port = _port(VirtualClock())
     degc, time_ns = np.array([1.0, 2.0, 3.0]), np.array([1, 2, 3])
     memory.publish(np.full(3, 20.0), np.full(3, 900), 50.0)
-    memory.told.write({"temperatures": ["DriverFault", "of the old one"]})
+    memory.device_note.write({"temperatures": ["DriverFault", "of the old one"]})
     memory._words[10] += 1  # killed while it wrote words
     memory.forget()
     port.read_temperatures(degc, time_ns)
@@ -143,7 +143,7 @@ def test_a_new_worker_inherits_no_words_and_no_readings() -> None:
 @pytest.mark.parametrize(("state", "told"), [(FAILED, {"open": ["no such port"]}), (0, {})])
 def test_what_was_not_opened_is_refused(state: int, told: dict[str, list[str]]) -> None:
     memory, port = _port(VirtualClock())
-    memory.told.write(told)
+    memory.device_note.write(told)
     memory.state = state
     with pytest.raises(DriverUnavailable, match="no such port" if told else "does not say"):
         port.__enter__()

@@ -329,7 +329,7 @@ def test_a_turned_sign_is_asked_about_with_its_numbers(setup: Setup, names: tupl
     rewrite_model(alone, times(-1.0, *names))
     with pytest.raises(OrderRefused, match=rf"axis {axis}: .*\(correlation -1\.00; .*rtec ctl reload --yes"):
         read_again(alone, now(alone))
-    assert read_again(alone, now(alone), sure=True).changed == ["model"]
+    assert read_again(alone, now(alone), accepts_doubts=True).changed == ["model"]
     rewrite_model(alone, times(1.05, *names))
     assert read_again(alone, now(alone)).changed == ["model"]
 

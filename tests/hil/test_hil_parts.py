@@ -351,9 +351,9 @@ def test_the_watch_orders_to_resume_and_puts_words_down_to_their_bus() -> None:
         clock.sleep_until_ns(10 * NS + tenth * NS // 10)
         watch.look(Status(devices={"tc": ["slave 1: no answer"]} if tenth >= 25 else {}))
     assert orders == [pytest.approx(3.0 + AFTER_S, abs=0.11)]
-    assert watch.told[0].texts == {}
-    assert watch.told[1].texts == {"tc": "slave 1: no answer"}
-    assert watch.told[1].noticed_s == pytest.approx(0.5)
+    assert watch.reports[0].texts == {}
+    assert watch.reports[1].texts == {"tc": "slave 1: no answer"}
+    assert watch.reports[1].noticed_s == pytest.approx(0.5)
     assert watch.unasked == {}
 
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_OFF, MODE_ON
-from rtec.daemon.recover import Found, recover
+from rtec.daemon.recover import AtStart, recover
 from rtec.errors import RtecError
 from rtec.loop.clock import VirtualClock
 from rtec.loop.records import Samples
@@ -21,13 +21,13 @@ from rtec.loop.state import (
     SLOT_BYTES,
     Saved,
     StateWriter,
-    is_spoilt,
+    is_damaged,
     newest,
     read_slot,
     state_from_text,
     state_text,
 )
-from rtec.loop.state_files import DiskState, MemoryState, disk_is_spoilt, read_disk, state_memory, state_places
+from rtec.loop.state_files import DiskState, MemoryState, disk_is_damaged, read_disk, state_memory, state_places
 from rtec.loop.step import Step
 from tests.support import setups
 
@@ -196,7 +196,7 @@ def test_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (places.memory.parent, places.disk) == (Path("/run/rtec"), Path("/var/lib/rtec/run.state"))
 
 
-def found(saved: Saved | None, **more: object) -> Found:
+def found(saved: Saved | None, **more: object) -> AtStart:
     told: dict[str, object] = {
         "saved": saved,
         "new_boot": False,
@@ -205,7 +205,7 @@ def found(saved: Saved | None, **more: object) -> Found:
         "counts": np.array([5000, -5000]),
         "start_mode": MODE_ON,
     }
-    return Found(**{**told, **more})  # type: ignore[arg-type]
+    return AtStart(**{**told, **more})  # type: ignore[arg-type]
 
 
 def saved_of(step: Step, **more: object) -> Saved:
@@ -305,14 +305,14 @@ def test_a_register_whose_units_changed_is_not_begun_from_nothing(step: Step) ->
     assert (box.waits, box.output.tolist(), len(box.notes)) == ("", [5, -5], 1)
 
 
-def test_spoilt_is_what_was_written_and_is_not_whole(step: Step) -> None:
-    assert not is_spoilt(b"")
-    assert not is_spoilt(bytes(IMAGE_BYTES))
+def test_damaged_is_what_was_written_and_is_not_whole(step: Step) -> None:
+    assert not is_damaged(b"")
+    assert not is_damaged(bytes(IMAGE_BYTES))
     image = bytearray(kept(step, 5).tobytes())
-    assert not is_spoilt(bytes(image))
+    assert not is_damaged(bytes(image))
     for k in range(2):
         image[k * SLOT_BYTES + 200] ^= 1
-    assert is_spoilt(bytes(image))
+    assert is_damaged(bytes(image))
 
 
 def test_a_state_file_that_somebody_removes_is_made_anew(step: Step, tmp_path: Path) -> None:
@@ -376,7 +376,7 @@ def test_a_state_that_is_no_file_is_refused_and_nobody_waits_for_it(tmp_path: Pa
     else:
         path.mkdir()
     assert read_disk(path) == (None, True)
-    assert not disk_is_spoilt(path)
+    assert not disk_is_damaged(path)
     assert MemoryState(path).newest() is None
     clock = VirtualClock(1)
     if kind == "fifo":

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rtec.correction.flags import MODE_HOLD, MODE_ON
 from rtec.correction.sinks import Sink
-from rtec.daemon.recover import Found, recover
+from rtec.daemon.recover import AtStart, recover
 from rtec.loop.clock import RealClock, VirtualClock
 from rtec.loop.devices import Ports
 from rtec.loop.loop import Loop, Row, bind_rows
@@ -141,7 +141,7 @@ def live(setup: Setup, step: Step, line: socket.socket, state: Path, kind: str, 
         output, counts = np.zeros(AXES, np.int64), np.zeros(AXES, np.int64)
         wire.read_output(output)
         wire.read_counts(counts)
-        start = recover(step, Found(saved, False, 2e-3, output, counts, MODE_ON))
+        start = recover(step, AtStart(saved, False, 2e-3, output, counts, MODE_ON))
         samples, commands = Samples.empty(step.layout, 64), Commands.empty(step.layout, 64)
         rows = bind_rows(step, list(zip(samples.singles(), commands.singles(), strict=True)))
         loop = Loop(step, Ports(wire, (wire,), wire, wire), clock, setup.period_ns, rows, start.mode)

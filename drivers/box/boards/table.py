@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Prints what fits: `table.py FOLDER` reads the logs of nextpnr (*.nextpnr) that `make synth` and `make ecp5` leave.
+"""Prints what fits: `table.py FOLDER` reads the logs of nextpnr (*.nextpnr) from `make synth` and `make ecp5`.
 
-Exit status 1: a board's largest clock is below 25 MHz, or its log does not say.
+Exit status 1: a board's largest clock is below 25 MHz, or its log does not have it.
 """
 
 import re
@@ -14,10 +14,10 @@ CLOCK = re.compile(r"Max frequency for clock .*: ([\d.]+) MHz")
 
 
 def row(log: str) -> tuple[int, int, float]:
-    """Cells used, cells there, and the largest clock after routing, MHz: the last that the log says.
+    """Used cells, available cells, and the largest clock after routing, MHz: the last one in the log.
 
     Raises:
-        ValueError: it does not say.
+        ValueError: the log does not have it.
     """
     cells, clocks = CELLS.findall(log), CLOCK.findall(log)
     if not cells or not clocks:
@@ -26,7 +26,7 @@ def row(log: str) -> tuple[int, int, float]:
 
 
 def main(folder: Path) -> int:
-    """Print it; give the exit status."""
+    """Print the table; give the exit status."""
     bad = 0
     sys.stdout.write("board          logic cells         largest clock\n")
     for log in sorted(folder.glob("*.nextpnr")):

@@ -33,7 +33,7 @@ def wire(ax: Axes, *places: Place, words: str = "", colour: str = LINE, style: s
 
 
 def main() -> int:
-    """Draw it."""
+    """Draw the figure."""
     fig, ax = plt.subplots(figsize=(16.5, 6.6))
     part(ax, (0, 2.0), (1.7, 1.6), "encoder\n5 V, RS-422\nA  B  Z")
     part(ax, (3.6, 2.0), (1.9, 1.6), "receiver\nRS-422 to 3.3 V\n120 Ω across\neach pair")

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Proves what the gateware promises (formal/*.vh), and that the proofs notice broken gateware.
+"""Proves the gateware's properties (formal/*.vh), and that the proofs notice broken gateware.
 
 Needs yosys with yosys-smtbmc, and z3 (Debian: apt-get install yosys z3). `prove.py` proves all; `prove.py NAME` one
 module or mutant. Bounded proof of the first clocks, then induction: together for all time.
@@ -40,16 +40,16 @@ MUTANTS = {
 
 
 def solve(smt2: Path, steps: int, *more: str) -> bool:
-    """Does yosys-smtbmc find every assertion true?"""
+    """Does yosys-smtbmc prove every assertion?"""
     command = ["yosys-smtbmc", "-s", "z3", "--unroll", "--noprogress", "-t", str(steps), *more, str(smt2)]
-    said = subprocess.run(command, capture_output=True, text=True, check=False).stdout  # noqa: S603 (our own words)
-    if "Status: PASSED" not in said and "Status: FAILED" not in said:
-        sys.exit(f"yosys-smtbmc says neither: {said[-500:]}")
-    return "Status: PASSED" in said
+    output = subprocess.run(command, capture_output=True, text=True, check=False).stdout  # noqa: S603 (our own words)
+    if "Status: PASSED" not in output and "Status: FAILED" not in output:
+        sys.exit(f"yosys-smtbmc says neither: {output[-500:]}")
+    return "Status: PASSED" in output
 
 
 def holds(module: str, old: str = "", new: str = "", *, induction: bool = True) -> bool:
-    """Prove one module; with a piece of it replaced, where that is given."""
+    """Prove one module, with a piece of it replaced if one is given."""
     text = (BOX / "gateware" / f"{module}.v").read_text(encoding="utf-8")
     if old and text.count(old) != 1:
         sys.exit(f"{module}.v: {old!r} is {text.count(old)} times in it; correct the mutant")
@@ -65,7 +65,7 @@ def holds(module: str, old: str = "", new: str = "", *, induction: bool = True) 
 
 
 def main(names: list[str]) -> int:
-    """Prove what is named, or all; give the exit status."""
+    """Prove the named ones, or all; give the exit status."""
     bad = 0
     for name in names or [*PROOFS, *MUTANTS]:
         if name in PROOFS:

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""What the simulation's tests cover of the gateware, from the files that Verilator's chips leave.
+"""Coverage of the gateware by the simulation's tests, from the files of Verilator's chips.
 
 `coverage.py FOLDER` prints lines, branches and toggles of each file and names all that is not covered, with the reason
-where it cannot be. A place of the source counts once, whatever chip, size or axis covered it. Exit status 1: less than
+if there is one. A place of the source counts once, whatever chip, size or axis covered it. Exit status 1: less than
 95 % of the lines or toggles, or a place without a reason.
 """
 
@@ -37,7 +37,7 @@ def points(data: Path) -> Iterator[tuple[Place, int]]:
 
 
 def covered(folder: Path) -> dict[Place, int]:
-    """All chips together."""
+    """Counts of all chips together."""
     out: dict[Place, int] = defaultdict(int)
     for data in sorted(folder.glob("*.dat")):
         for place, times in points(data):
@@ -46,13 +46,13 @@ def covered(folder: Path) -> dict[Place, int]:
 
 
 def share(places: dict[Place, int], kind: str, file: str = "") -> tuple[int, int]:
-    """How many of a kind are covered, of how many."""
+    """Number of covered places of a kind, and of all."""
     mine = [times for place, times in places.items() if place[2] == kind and file in ("", place[0])]
     return sum(times > 0 for times in mine), len(mine)
 
 
 def open_places(places: dict[Place, int]) -> dict[tuple[str, str], list[int]]:
-    """By file, and signal or text of the line: the bits, or the lines, that are not covered."""
+    """Bits or lines that are not covered, by file and by signal or text of the line."""
     out: dict[tuple[str, str], list[int]] = defaultdict(list)
     for (file, line, kind, what), times in sorted(places.items()):
         if times:
@@ -67,12 +67,12 @@ def open_places(places: dict[Place, int]) -> dict[tuple[str, str], list[int]]:
 
 
 def percent(done: int, of: int) -> str:
-    """Of so many, in words of a table."""
+    """A share in the words of a table."""
     return f"{100.0 * done / of:6.1f} %" if of else "       -"
 
 
 def main(folder: Path) -> int:
-    """Print it; give the exit status."""
+    """Print the coverage; give the exit status."""
     places = covered(folder)
     if not places:
         sys.exit(f"{folder}: no *.dat of a chip; `make coverage` in the top folder leaves some")

@@ -82,7 +82,7 @@ MUTANTS = {
 
 
 def noticed(file: str, old: str, new: str, test: str) -> bool:
-    """Does the test fail on gateware of which one piece is replaced?"""
+    """Does the test fail on gateware with one piece replaced?"""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for part in ("gateware", "sim"):
@@ -102,7 +102,7 @@ def noticed(file: str, old: str, new: str, test: str) -> bool:
 
 
 def main(words: str) -> int:
-    """Try them; give the exit status."""
+    """Try the mutants; give the exit status."""
     bad = 0
     for name, mutant in MUTANTS.items():
         if words in name:

@@ -22,14 +22,14 @@ from rtec_drivers.stuck import StuckWatch
 
 
 class ReadingBook:
-    """The newest reading of every group, and what is wrong.
+    """The newest reading of every group, and the present faults.
 
     Attributes:
         values: reading and its instant, ns, by group: °C, counts, 1/min.
-        faults: what is wrong now, by group; "" for lines that say nothing, "axes" for positions.
+        faults: present faults by group; "" for malformed lines, "axes" for positions.
 
     Raises:
-        ConfigError: a pattern names the axes, and their highest speeds are not all given.
+        ConfigError: a pattern names the axes, but not every axis has its highest speed.
     """
 
     def __init__(self, parser: LineParser, options: AsciiOptions, machine: Machine) -> None:
@@ -48,7 +48,7 @@ class ReadingBook:
 
     @property
     def lost(self) -> str:
-        """Why the positions are not known any more; "" where they are."""
+        """Why the positions are unknown; "" where they are known."""
         return "" if self._tracker is None else self._tracker.lost
 
     def restart(self) -> None:
@@ -59,19 +59,19 @@ class ReadingBook:
             self._tracker.restart()
 
     def take(self, line: bytes, instant_ns: int, now_ns: int) -> bool:
-        """Take a line in that came between two instants; say whether it held a reading."""
-        said = self._parser.parse(line)
-        if said is None:
+        """Process a line that arrived between two instants; return whether it held a reading."""
+        printed = self._parser.parse(line)
+        if printed is None:
             return False
-        if said.values:
+        if printed.values:
             self.faults.pop("", None)
-        for name, value in said.values.items():
+        for name, value in printed.values.items():
             if name not in self._axes:
                 self._take_one(name, value, instant_ns, now_ns)
-        if self._tracker is not None and all(name in said.values for name in self._axes):
-            self._take_axes(self._tracker, [round(said.values[name]) for name in self._axes], instant_ns, now_ns)
-        self.faults.update(said.faults)
-        return bool(said.values)
+        if self._tracker is not None and all(name in printed.values for name in self._axes):
+            self._take_axes(self._tracker, [round(printed.values[name]) for name in self._axes], instant_ns, now_ns)
+        self.faults.update(printed.faults)
+        return bool(printed.values)
 
     def _take_one(self, name: str, value: float, instant_ns: int, now_ns: int) -> None:
         stuck = self._stuck.look(name, value, now_ns)
@@ -82,7 +82,7 @@ class ReadingBook:
             self.values[name] = (value, instant_ns)
 
     def _take_axes(self, tracker: CountTracker, counts: list[int], instant_ns: int, now_ns: int) -> None:
-        """Positions in counts, if the machine can have moved so far. A line of text has no check sum of its own."""
+        """Accept positions in counts that the machine can have reached: a line of text has no check sum of its own."""
         try:
             values = tracker.update(counts, instant_ns, now_ns)
         except DriverFault as e:
@@ -97,22 +97,22 @@ class ReadingBook:
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 READS_PER_POLL = 4
-"""Of up to 4 kB; a device that babbles faster is read on at the next call."""
+"""Reads of up to 4 kB; a device that floods the line is read on at the next call."""
 
 
 class AsciiLinesDriver:
     """Readout or thermocouple board that prints lines.
 
-    Never waits: each call takes what has arrived. A reading's instant is that of the call before the one that found
-    it, since it came after that; it is never younger than it says. Calls that fill in something and find something
-    wrong fill in first, then tell.
+    Never waits: each call processes the bytes that have arrived. A reading's instant is that of the call before, after
+    which it arrived: so it is never younger than its instant. Calls fill in the good readings before they raise a
+    fault.
 
     Args:
-        options: what the run file says.
-        machine: whose axes and sensors the arrays follow.
-        clock: for instants.
-        base: not used; there are no files.
-        ports: lists the serial ports; pyserial's list where not given.
+        options: options of the run file.
+        machine: machine with the axes and sensors of the arrays.
+        clock: clock of the instants.
+        base: not used, as there are no files.
+        ports: lists the serial ports; None: pyserial's list.
 
     Raises:
         ConfigError: patterns or units do not fit the machine.
@@ -133,7 +133,7 @@ units = {T_air = "degf"}
 
     @classmethod
     def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
-        """Listen what the port prints."""
+        """A scanner that listens at the port."""
         way = {key: value for key, value in table.items() if key in PortOptions.model_fields}
         return AsciiScanner(validated(PortOptions, way, "ascii_lines"), clock)
 
@@ -155,7 +155,7 @@ units = {T_air = "degf"}
         """Open the port.
 
         Raises:
-            DriverUnavailable: it is not there, and the options say `at_start = "required"`.
+            DriverUnavailable: it does not exist, and the options have `at_start = "required"`.
         """
         self.resume()
         self._entered = True
@@ -179,16 +179,16 @@ units = {T_air = "degf"}
         return self._book.lost
 
     def resume(self) -> None:
-        """The order to go on after a lost position: what is printed next is taken as it stands."""
+        """Go on after a lost position: the next printed position is accepted as it is."""
         self._book.restart()
 
     def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
-        """Fill in what was printed since, °C and instants; then tell what is wrong.
+        """Fill in what was printed since, °C and instants; then raise the faults.
 
         Raises:
             DriverFault: text that is no number, garbage, a stuck reading.
             DriverTimeout: the device is silent.
-            DriverUnavailable: the port is gone; it is being opened again.
+            DriverUnavailable: the port is gone; it is being reopened.
         """
         trouble = self._poll()
         for i, name in enumerate(self._machine.sensor_names):
@@ -197,7 +197,7 @@ units = {T_air = "degf"}
         self._tell(trouble)
 
     def read_counts(self, counts: IntArray) -> int:
-        """Fill in the positions that were printed last, in counts; give their instant, ns.
+        """Fill in the newest printed positions, in counts; give their instant, ns.
 
         Raises:
             DriverFault, DriverTimeout, DriverUnavailable: as `read_temperatures`; or no pattern names the axes.
@@ -213,11 +213,11 @@ units = {T_air = "degf"}
         return self._book.values[names[0]][1]
 
     def read_spindle(self) -> float:
-        """Give the spindle speed that was printed last, 1/min.
+        """The newest printed spindle speed, 1/min.
 
         Raises:
-            DriverFault, DriverTimeout, DriverUnavailable: as `read_temperatures`; or it is older than the silence
-                after which the port is opened again.
+            DriverFault, DriverTimeout, DriverUnavailable: as `read_temperatures`; or it is older than the silence after
+                which the port is reopened.
         """
         self._tell(self._poll())
         value, instant_ns = self._book.values.get(SPINDLE, (0.0, -(2**62)))
@@ -249,7 +249,7 @@ units = {T_air = "degf"}
         return self._adopt(line)
 
     def _poll(self) -> DriverError | None:
-        """Take in what has arrived; give what hinders it. Raises where the driver is not entered."""
+        """Process the bytes that have arrived; give the error that prevents it. Raises if the driver is not entered."""
         if not self._entered:
             raise DriverUnavailable("ascii_lines: not entered, so its port is not open")
         try:

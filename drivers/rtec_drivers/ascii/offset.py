@@ -1,4 +1,4 @@
-"""A controller that takes offsets as lines of text: its actuator, over a serial port or TCP."""
+"""A controller that accepts offsets as lines of text: its actuator, over a serial port or TCP."""
 
 import math
 import re
@@ -21,97 +21,97 @@ from rtec_drivers.link_worker import NS, Backoff, Worker
 IntArray = NDArray[np.int64]
 Output = tuple[int, ...]
 IDLE_S = 0.1
-"""What the controller says unasked is looked at this often."""
+"""Period, s, of reading lines that the controller sends unasked."""
 RETRY_NS = 100_000_000
-"""A command that was not taken, or is not read back, is sent again after this, as long as the loop repeats it."""
+"""A command that was not accepted, or is not read back, is sent again after this, ns, while the loop repeats it."""
 DRAIN_NS = 200_000_000
-"""So long may the last command take on its way out: 24 characters at 1200 baud."""
+"""Time, ns, for the last command to leave: 24 characters at 1200 baud."""
 MOST_LINES = 64
-"""So that a controller that babbles does not keep the thread."""
+"""Lines read at once, so that a controller that floods the line does not hold the thread."""
 HOLDS = "the correction holds until it is ordered to resume"
 
 
 class OffsetAccount:
-    """What the loop wants, what the controller has, and what is wrong; shared by the loop and the line's thread.
+    """The loop's request, the controller's offsets, and the fault; shared by the loop and the line's thread.
 
     Args:
-        starts_with: what the controller has after a start of its own; None where it can be asked.
-        keeps: it has after a start of its own what it had before.
+        starts_with: offsets of the controller after its own restart; None where they can be read back.
+        keeps: does the controller keep its offsets through its own restart?
 
     Attributes:
-        lost: why nobody knows which offsets the controller has; "" where that is known.
-        wake: set when there is something to command.
+        lost: why the controller's offsets are unknown; "" where they are known.
+        wake: set when there is a command to send.
     """
 
     def __init__(self, starts_with: Output | None, keeps: bool) -> None:
         self.lost, self.wake, self._starts_with, self._keeps = "", threading.Event(), starts_with, keeps
         self._lock = threading.Lock()
         self._has: Output | None = None
-        self._wanted: Output | None = None
+        self._requested: Output | None = None
         self._sent: Output | None = None
         self._trouble: DriverError | None = DriverUnavailable("not opened yet")
         self._refusal: DriverError | None = None
 
     def order(self, output: Output) -> None:
-        """Want this, unless the controller has it; after a refusal it is sent all the same, so that it can be taken.
+        """Request this output, unless the controller has it; after a refusal it is sent all the same, to be accepted.
 
         Raises:
-            DriverError: an order to resume is waited for, or the controller does not take commands.
+            DriverError: it waits for an order to resume, or the controller accepts no commands.
         """
         with self._lock:
             if self.lost:
                 raise DriverFault(self.lost)
             if output != self._has or self._refusal is not None:
-                self._wanted = output
+                self._requested = output
                 self.wake.set()
             if trouble := self._trouble or self._refusal:
                 raise trouble
 
     def has(self) -> Output:
-        """What the controller has.
+        """The controller's offsets.
 
         Raises:
-            DriverError: it has not said yet.
+            DriverError: they have not been read yet.
         """
         with self._lock:
             if self._has is None:
                 raise self._trouble or DriverUnavailable("the controller has not said yet which offsets it has")
             return self._has
 
-    def told(self, output: Output) -> None:
-        """Take it from an earlier run that the controller has this."""
+    def set_from_earlier_run(self, output: Output) -> None:
+        """Take over the controller's offsets from an earlier run."""
         with self._lock:
             self._has = output
 
     def take(self) -> Output | None:
-        """Give what is to be commanded now, once; None for nothing."""
+        """The output to command now, once; None for nothing."""
         with self._lock:
             self.wake.clear()
-            wanted, self._wanted = self._wanted, None
-            if wanted is None or self.lost or (wanted == self._has and self._refusal is None):
+            requested, self._requested = self._requested, None
+            if requested is None or self.lost or (requested == self._has and self._refusal is None):
                 return None
-            self._sent = wanted
-            return wanted
+            self._sent = requested
+            return requested
 
     def agrees(self, output: Output) -> bool:
-        """Has the controller what it was commanded, and was it taken?"""
+        """Has the controller this output, and did it accept the command?"""
         with self._lock:
             return self._has == output and self._refusal is None
 
     def accepted(self, output: Output, confirmed: bool) -> None:
-        """The controller took this command; whether that says that it has it."""
+        """Record an accepted command; `confirmed`: the controller has its offsets, too."""
         with self._lock:
             self._refusal = None
             if confirmed:
                 self._has, self._sent = output, None
 
     def refused(self, refusal: DriverError) -> None:
-        """It did not take the command."""
+        """Record a refused command."""
         with self._lock:
             self._refusal = refusal
 
     def read_back(self, output: Output) -> None:
-        """The controller says that it has this: what it had, or by axis what it was sent since, or it started anew."""
+        """Record offsets read back: those before, by axis those sent since, or others, which mean a restart."""
         with self._lock:
             known = [k for k in (self._has, self._sent) if k is not None]
             if self._has is not None and any(x not in {k[i] for k in known} for i, x in enumerate(output)):
@@ -119,44 +119,44 @@ class OffsetAccount:
             self._has, self._trouble = output, None
 
     def restarted(self, line: str) -> None:
-        """The controller printed what it prints after a start."""
+        """Record a line that the controller prints after a restart."""
         with self._lock:
             self._lose(f"the controller restarted: {line[:60]!r}")
             if not self._keeps:
                 self._has, self._sent = self._starts_with, None
 
     def well(self) -> None:
-        """The line is open, and nothing is wrong with it that is known."""
+        """Record that the line is open, without a known fault."""
         with self._lock:
             self._trouble = None
 
     def fail(self, trouble: DriverError) -> None:
-        """The controller cannot be reached, or gives no answer that makes sense."""
+        """Record that the controller cannot be reached, or that its answers make no sense."""
         with self._lock:
             self._trouble = trouble
 
     def resume(self) -> None:
-        """What the controller has now is right."""
+        """Accept the controller's present offsets."""
         with self._lock:
             self.lost = ""
 
     def _lose(self, why: str) -> None:
-        self._wanted = None
+        self._requested = None
         self.lost = self.lost or f"{why}: check a known position; {HOLDS}"
 
 
 class AsciiOffsetDriver:
-    """Controller that takes an offset for each axis as a line of text, over a serial port or TCP.
+    """Controller that accepts an offset for each axis as a line of text, over a serial port or TCP.
 
     A thread of its own sends the newest command, waits for the acknowledgement, and reads the offsets back where the
-    controller can say them; the loop never waits. A command is sent again only when the loop repeats it, so that one
-    that nobody wants any more moves nothing. Where the controller cannot say what it has, the driver is a `OneWay`.
+    controller can report them; the loop never waits. A command is sent again only when the loop repeats it, so that an
+    outdated one moves nothing. Where the controller cannot report its offsets, the driver is a `OneWay`.
 
     Args:
-        options: what the run file says.
-        machine: whose axes the outputs follow.
-        clock: deadlines are in its time.
-        base: not used; there are no files.
+        options: options of the run file.
+        machine: machine with the axes of the outputs.
+        clock: clock of the deadlines.
+        base: not used, as there are no files.
 
     Raises:
         ConfigError: the lines do not fit the machine, or print too few digits.
@@ -189,15 +189,15 @@ line_end = "crlf"
         self._worker: Worker[ByteLine] | None = None
         self._ending = False
         if options.ask is None:
-            self._account.told(nothing)
+            self._account.set_from_earlier_run(nothing)
             self.was_told = self._was_told
-            """Only where nothing can be read back is it a `OneWay`."""
+            """Only where offsets cannot be read back is it a `OneWay`."""
 
     def __enter__(self) -> Self:
         """Open the line.
 
         Raises:
-            DriverUnavailable: it is not there, and the options say `at_start = "required"`.
+            DriverUnavailable: it does not exist, and the options have `at_start = "required"`.
         """
         line = None
         try:
@@ -215,7 +215,7 @@ line_end = "crlf"
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Send what is still to be sent, then close the line."""
+        """Send the last command, then close the line."""
         worker, self._worker = self._worker, None
         if worker is not None:
             self._ending = True
@@ -223,36 +223,36 @@ line_end = "crlf"
             worker.stop()
 
     def refuses(self, sink: Sink) -> str:
-        """Take the kind that the options name, in their resolution."""
-        wanted = self.options
-        if sink.kind == "pulse" or sink.kind != wanted.actuator:
-            return f"takes {wanted.actuator!r} (its option actuator), not {sink.kind!r}"
-        if not math.isclose(sink.unit_um, wanted.resolution_um, rel_tol=1e-9):
-            return f"has resolution_um = {wanted.resolution_um:g}, the output has {sink.unit_um:g}: make them equal"
+        """Refuse all kinds but that of the options, and any other resolution."""
+        options = self.options
+        if sink.kind == "pulse" or sink.kind != options.actuator:
+            return f"takes {options.actuator!r} (its option actuator), not {sink.kind!r}"
+        if not math.isclose(sink.unit_um, options.resolution_um, rel_tol=1e-9):
+            return f"has resolution_um = {options.resolution_um:g}, the output has {sink.unit_um:g}: make them equal"
         return ""
 
     def apply(self, output: IntArray) -> None:
         """Command the absolute offsets, in units of `resolution_um`; the line's thread sends them.
 
         Raises:
-            DriverFault: the controller refused a command, or an order to resume is waited for.
+            DriverFault: the controller refused a command, or it waits for an order to resume.
             DriverTimeout: it does not acknowledge.
-            DriverUnavailable: the line is gone; it is being opened again.
+            DriverUnavailable: the line is gone; it is being reopened.
         """
         self._check_entered()
         self._account.order(tuple(int(n) for n in output))
 
     def read_output(self, output: IntArray) -> None:
-        """Fill in what the controller says that it has; where it cannot say, what it was sent or acknowledged last.
+        """Fill in the offsets that the controller reports; where it cannot, the last ones sent or acknowledged.
 
         Raises:
-            DriverError: it has not said yet.
+            DriverError: it has not reported yet.
         """
         self._check_entered()
         output[:] = self._account.has()
 
     def hold(self) -> None:
-        """Nothing to do: the controller keeps its offsets."""
+        """Do nothing: the controller keeps its offsets."""
 
     @property
     def must_resume(self) -> str:
@@ -260,11 +260,11 @@ line_end = "crlf"
         return self._account.lost
 
     def resume(self) -> None:
-        """The order to go on from the offsets that the controller has now."""
+        """Go on from the controller's present offsets."""
         self._account.resume()
 
     def _was_told(self, output: IntArray) -> None:
-        self._account.told(tuple(int(n) for n in output))
+        self._account.set_from_earlier_run(tuple(int(n) for n in output))
 
     def _check_entered(self) -> None:
         if self._worker is None:
@@ -283,7 +283,7 @@ line_end = "crlf"
             self._account.well()
         ask_ns = self._clock.now_ns()
         while True:
-            ending = self._ending  # looked at first, so that what was ordered before is still sent
+            ending = self._ending  # read first, so that an earlier order is still sent
             command = self._account.take()
             if command is not None:
                 talk.command(command)
@@ -295,7 +295,7 @@ line_end = "crlf"
             if talk.answers:
                 worker.backoff.reset()
             if ending:
-                if command is not None:  # closing throws away what the port has not sent yet
+                if command is not None:  # closing discards the bytes that the port has not sent yet
                     self._clock.sleep_until_ns(self._clock.now_ns() + DRAIN_NS)
                 return
             if command is None or self._account.agrees(command):
@@ -305,10 +305,10 @@ line_end = "crlf"
 
 
 class OffsetTalk:
-    """One conversation over an open line.
+    """One dialogue over an open line.
 
     Attributes:
-        answers: has the controller said anything that was understood?
+        answers: has the controller sent a line that was understood?
     """
 
     def __init__(
@@ -323,10 +323,10 @@ class OffsetTalk:
         self._yes, self._no, self._restart = (None if p is None else re.compile(p) for p in patterns)
 
     def command(self, output: Output) -> None:
-        """Send the lines of a command, each after the one before was acknowledged; note what comes of it."""
+        """Send the lines of a command, each after the one before was acknowledged; record the result."""
         self.listen()
         for line in self._text.lines(output):
-            if self._account.lost:  # it restarted since this was ordered: from zero it would be a jump
+            if self._account.lost:  # it has restarted since this order: from zero this would be a jump
                 return
             self._send(line)
             trouble = None if self._yes is None else self._acknowledged(line.decode(self._options.encoding))
@@ -336,7 +336,7 @@ class OffsetTalk:
         self._account.accepted(output, confirmed=self._options.ask is None)
 
     def read_back(self, axes: tuple[str, ...]) -> None:
-        """Ask which offsets are in force; note the answer."""
+        """Ask for the offsets that are in force; record the answer."""
         ask = self._options.ask or ""
         self.listen()
         self._send(ask.encode(self._options.encoding))
@@ -354,7 +354,7 @@ class OffsetTalk:
         self._account.fail(self._silent(ask))
 
     def listen(self) -> None:
-        """Take in what was said unasked."""
+        """Process the lines that were sent unasked."""
         for _ in range(MOST_LINES):
             if self._next(0) is None:
                 return
@@ -372,8 +372,8 @@ class OffsetTalk:
 
     def _silent(self, sent: str) -> DriverTimeout:
         place, wait_s = self._options.place, self._options.timeout_s
-        said = f"; it said {self._heard[-1][:60]!r}" if self._heard else ""
-        return DriverTimeout(f"{place}: no answer to {sent!r} that is understood, within {wait_s:g} s{said}")
+        text = f"; it said {self._heard[-1][:60]!r}" if self._heard else ""
+        return DriverTimeout(f"{place}: no answer to {sent!r} that is understood, within {wait_s:g} s{text}")
 
     def _end_ns(self) -> int:
         self._heard.clear()
@@ -383,7 +383,7 @@ class OffsetTalk:
         self._line.send(line + ENDS[self._options.line_end])
 
     def _next(self, until_ns: int) -> str | None:
-        """Give the next line; None where none came until then; at 0, one that has arrived."""
+        """The next line; None where none came by then. At 0 it gives only a line that has arrived."""
         while not self._lines:
             received = self._line.receive(until_ns)
             self._lines += [x.decode(self._options.encoding, "replace").strip() for x in self._reader.feed(received)]

@@ -1,4 +1,4 @@
-"""What a run file may say of a controller that takes offsets as lines of text, and the text of its lines."""
+"""Options of a controller that accepts offsets as lines of text, and the text of its lines."""
 
 import math
 import re
@@ -24,34 +24,34 @@ UNITS_TRIED = (1, -1, 7, 1234, -999)
 
 
 class OffsetOptions(Strict):
-    r"""Options of a controller that takes offsets as lines of text.
+    r"""Options of a controller that accepts offsets as lines of text.
 
     Attributes:
-        serial: a serial line; either this
-        tcp: or a connection over TCP.
+        serial: a serial line; either this or `tcp`.
+        tcp: a connection over TCP; either this or `serial`.
         command: the lines that set the offsets, in this order. `{X:.4f}` stands for the number of axis X, printed with
-            four decimals; `{X:+d}` for a whole one with its sign. Every axis that is corrected must be in one of them.
-        unit: of these numbers: mm, um, inch; counts are those of the axis' encoder.
-        resolution_um: one unit of output, µm: the smallest step that the controller takes. `[output.X]` must have the
+            four decimals; `{X:+d}` for an integer with its sign. Every corrected axis must be in one of them.
+        unit: unit of these numbers: mm, um, inch; counts are those of the axis' encoder.
+        resolution_um: one unit of output, µm: the smallest step that the controller accepts. `[output.X]` must have the
             same.
-        factor: by axis, what the number is multiplied by: -1 where the controller counts the offset the other way, 2
-            where it takes a diameter.
-        actuator: what the controller does with them; the kind of `[output.X]`.
+        factor: by axis, multiplies the number: -1 where the controller counts the offset the other way, 2 where it
+            needs a diameter.
+        actuator: what the controller does with the offsets; the kind of `[output.X]`.
         decimal: the decimal sign.
         line_end: how lines end, both ways.
-        encoding: of the text.
-        acknowledge: regular expression of the whole line by which the controller accepts a command. Not set: it says
-            nothing, and a line that was sent counts as taken.
+        encoding: encoding of the text.
+        acknowledge: regular expression of the whole line by which the controller accepts a command. Not set: it sends
+            none, and a line that was sent counts as accepted.
         refuse: regular expression of a line by which it refuses one.
-        restarted: regular expression of a line that it prints after a start of its own. The correction then holds until
-            it is ordered to resume, since nobody knows which offsets it has.
-        keeps_offsets: the controller still has its offsets after a start of its own. Otherwise it begins at zero, and
-            so does the correction when it is ordered to resume.
+        restarted: regular expression of a line that it prints after a restart. The correction then holds until it is
+            ordered to resume, since the controller's offsets are unknown.
+        keeps_offsets: the controller keeps its offsets through a restart. Otherwise it begins at zero, and so does the
+            correction when it is ordered to resume.
         ask: line that asks for the offsets that are in force. Not set: they cannot be read back, and rtec keeps account
             of them itself.
-        answer: regular expression of the whole line that answers; a named group for every axis of `command`.
-        ask_period_s: how often it is asked, besides after every command.
-        timeout_s: how long an acknowledgement or answer may take.
+        answer: regular expression of the whole line of the answer; a named group for every axis of `command`.
+        ask_period_s: period of asking; it also asks after every command.
+        timeout_s: longest wait for an acknowledgement or answer.
         longest_line: longer lines are garbage.
     """
 
@@ -93,7 +93,7 @@ class OffsetOptions(Strict):
 
     @property
     def place(self) -> str:
-        """The line as people call it."""
+        """Name of the line, for people."""
         return self.serial.place if self.serial else f"{self.tcp.host}:{self.tcp.port}" if self.tcp else ""
 
 
@@ -101,11 +101,11 @@ class OffsetText:
     """Turns units of output into the controller's lines, and its answer into units.
 
     Args:
-        options: of the device.
-        machine: whose axes the units follow.
+        options: options of the device.
+        machine: machine with the axes of the units.
 
     Raises:
-        ConfigError: axes that do not exist or are missing, numbers that are printed too coarsely.
+        ConfigError: axes do not exist or are missing, or numbers are printed too coarsely.
     """
 
     def __init__(self, options: OffsetOptions, machine: Machine) -> None:
@@ -122,10 +122,10 @@ class OffsetText:
         return [self._line(line, output).encode(self._options.encoding) for line in self._lines]
 
     def units(self, line: str) -> dict[str, int] | None:
-        """What an answer says, units by axis; None where the line is no answer.
+        """Units by axis, from an answer; None where the line is no answer.
 
         Raises:
-            ValueError: it is one, and a number in it is none.
+            ValueError: it is an answer with a malformed number.
         """
         match = self._answer.fullmatch(line) if self._answer is not None else None
         if match is None:
@@ -163,7 +163,7 @@ class OffsetText:
             raise ConfigError("\n".join(faults))
 
     def _check_digits(self) -> None:
-        """Is every unit of output printed as a number of its own?"""
+        """Has every unit of output a printed number of its own?"""
         options = self._options
         for line in self._lines:
             for axis, spec in ((f, s or "") for _, f, s, _ in line if f is not None):
@@ -179,7 +179,7 @@ class OffsetText:
 
 
 def _parsed(lines: Sequence[str]) -> Sequence[str]:
-    """The lines, once it is sure that nothing but numbers is put into them."""
+    """The lines, after a check that only numbers are put into them."""
     for line in lines:
         try:
             parts = list(string.Formatter().parse(line))

@@ -1,4 +1,4 @@
-"""What a serial port prints by itself, at which rate, and which of its numbers change. Nothing is sent."""
+"""Scans a serial port: its rate, the lines that it prints unasked, and the numbers that change. Sends nothing."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,11 +24,11 @@ class AsciiScanner:
     """Listens at a serial port at usual rates.
 
     Args:
-        options: the port; its rate is not used.
-        clock: for how long.
+        options: the port; its rate is ignored.
+        clock: clock of the durations.
 
     Attributes:
-        duration: of the search.
+        duration: duration of the search, in words.
         baud: the rate at which text came; 0 where none came.
         line: the newest whole line.
     """
@@ -58,7 +58,7 @@ class AsciiScanner:
             self._port = None
 
     def search(self) -> Iterator[tuple[float, str]]:
-        """Try one rate after the other, until lines of text come."""
+        """Try one rate after the other, until lines of text arrive."""
         for k, baud in enumerate(BAUDS):
             yield k / len(BAUDS), ""
             if k:
@@ -80,7 +80,7 @@ class AsciiScanner:
         return {PLACE.format(k + 1): float(m[0].replace(",", ".")) for k, m in enumerate(numbers_of(self.line))}
 
     def proposed(self, names: Sequence[str]) -> dict[str, str]:
-        """The number behind its own name (`X=12.5`), wherever it is; else in order."""
+        """The number behind the own name (`X=12.5`), wherever it is; else by order."""
         return {name: PLACE.format(k + 1) for name, k in places_of(self.line, tuple(names)).items()}
 
     def table(self, places: Mapping[str, str], unit: float) -> dict[str, Any]:
@@ -107,13 +107,13 @@ class AsciiScanner:
 
 
 def numbers_of(line: str) -> list[re.Match[str]]:
-    """The numbers of a line; not those that are part of a word, as the 1 of T1, but those behind an axis' letter."""
+    """The numbers of a line; not those within a word, as the 1 of T1, except behind an axis' letter."""
     words = ((m, re.search(r"[A-Za-z_]+$", line[: m.start()])) for m in NUMBER.finditer(line))
     return [m for m, word in words if word is None or word[0] in AXES]
 
 
 def places_of(line: str, names: Sequence[str]) -> dict[str, int]:
-    """Which of its numbers, from 0, is whose; empty where it has too few."""
+    """Index, from 0, of each name's number; empty where the line has too few."""
     numbers = numbers_of(line)
     behind = {
         name: next((k for k, m in enumerate(numbers) if re.search(rf"\b{name}\s*[=:]?\s*$", line[: m.start()])), None)

@@ -1,4 +1,4 @@
-"""From the bytes of a device that prints lines to readings, by the patterns and units that its run file names."""
+"""From the bytes of a device that prints lines to readings, by the patterns and units of its run file."""
 
 import math
 import re
@@ -34,11 +34,11 @@ class AsciiOptions(PortOptions):
         decimal: the decimal sign.
         line_end: how lines end.
         encoding: of the text.
-        request: is sent to have a line printed, for devices that do not speak unasked. `\r` and `\n` as in TOML.
-        request_period_s: how often.
-        silent_reopen_s: after so long without any line that fits, the port is closed and opened again.
-        stuck_after_s: a reading that has not changed in its last digit for so long counts as a broken sensor. Not set:
-            never. Set it longer than the device's resolution lets a sound reading stand still.
+        request: text to send to get a line, for devices that do not print unasked. `\r` and `\n` as in TOML.
+        request_period_s: period of the request.
+        silent_reopen_s: after this time without any matching line, the port is closed and reopened.
+        stuck_after_s: a reading that is constant to its last digit for this time counts as a broken sensor. Not set:
+            never. Set it longer than the device's resolution keeps a good reading constant.
         longest_line: longer lines are garbage.
     """
 
@@ -72,7 +72,7 @@ def compiled(options: AsciiOptions, machine: Machine) -> tuple[re.Pattern[str], 
     """The patterns, checked against the machine.
 
     Raises:
-        ConfigError: groups or units that the machine or the driver does not know.
+        ConfigError: groups or units that the machine or the driver does not have.
     """
     patterns = tuple(re.compile(p) for p in options.patterns)
     axes, sensors = machine.axis_names, machine.sensor_names
@@ -105,22 +105,22 @@ TO_DEGC = {
 }
 MM_OF = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
 LARGEST = 1e15
-"""°C, counts or 1/min. Up to here a count keeps its last digit; a position beyond would wrap to a believable one."""
+"""°C, counts or 1/min. Up to here a count keeps its last digit; a position beyond would wrap to a plausible one."""
 
 
 class LineReader:
     """Bytes in, whole lines out.
 
-    What stands before the first line end is thrown away: it may be the second half of a line, and half a number is a
-    wrong number. So is a line longer than allowed.
+    Bytes before the first line end are dropped: they may be the second half of a line, and half a number is a wrong
+    number. So is a line longer than allowed.
 
     Args:
         end: the byte that ends a line.
         longest: longer lines are garbage.
-        from_start: the first byte begins a line, as with a device that speaks only when it is spoken to.
+        from_start: the first byte begins a line, as with a device that only answers.
 
     Attributes:
-        too_long: how many lines were.
+        too_long: number of lines that were too long.
     """
 
     def __init__(self, end: bytes, longest: int, *, from_start: bool = False) -> None:
@@ -129,7 +129,7 @@ class LineReader:
         self._rest, self._skip = b"", not from_start
 
     def feed(self, received: bytes) -> list[bytes]:
-        """Give the lines that these bytes complete."""
+        """The lines that these bytes complete."""
         *lines, rest = (self._rest + received).split(self._end)
         out = []
         for line in lines:
@@ -139,7 +139,7 @@ class LineReader:
                 self.too_long += 1
             else:
                 out.append(line)
-        if len(rest) > self._longest + 1:  # one more for the return before the line feed
+        if len(rest) > self._longest + 1:  # one more for the carriage return before the line feed
             self.too_long += not self._skip
             self._skip, rest = True, b""
         self._rest = rest
@@ -148,11 +148,11 @@ class LineReader:
 
 @dataclass(frozen=True)
 class PrintedLine:
-    """What one line says.
+    """Content of one line.
 
     Attributes:
         values: by group: °C, counts, or 1/min.
-        faults: what is wrong with it, by group; "" for the line as a whole.
+        faults: faults by group; "" for the line as a whole.
     """
 
     values: Mapping[str, float]
@@ -177,11 +177,11 @@ class LineParser:
         self._scales = {name: _scale(name, options.units.get(name), machine) for name in self.groups}
 
     def reader(self) -> LineReader:
-        """Give a reader for a line that has just been opened."""
+        """A reader for a line that has just been opened."""
         return LineReader(LINE_ENDS[self._options.line_end], self._options.longest_line)
 
     def parse(self, line: bytes) -> PrintedLine | None:
-        """Give what a line says; None for an empty one."""
+        """The content of a line; None for an empty one."""
         try:
             text = line.decode(self._options.encoding).strip()
         except UnicodeDecodeError:
@@ -213,7 +213,7 @@ class LineParser:
 
 
 def number_in(text: str, decimal: str) -> float | None:
-    """A number with that decimal sign and no other; None where it is none."""
+    """A number with that decimal sign and no other; None where the text is none."""
     text = text.strip()
     if decimal == ",":
         if "." in text:

@@ -31,18 +31,18 @@ class SerialBoxDriver:
     """Encoder box on a serial port.
 
     One exchange a cycle: `read_counts` asks and waits for the answer, at most `timeout_ms`; `apply` sends the command
-    and waits for nothing, since the next answer says what the box has. An answer that comes late counts as what it
-    is, an older reading. A lost line is opened again from a thread of its own; the box holds meanwhile, and goes on.
+    without waiting, since the next answer has the box's ledger. A late answer counts as an older reading. A thread of
+    its own reopens a lost line; the box holds meanwhile, and goes on.
 
-    A box that started anew has lost ledger and position. The driver then refuses readings and commands, and says so,
+    A box that restarted has lost ledger and position. The driver then refuses readings and commands, and reports why,
     until `resume` is called or the run is started again.
 
     Args:
-        options: what the run file says.
-        machine: whose axes the arrays follow.
-        clock: for instants and deadlines.
-        base: not used; there are no files.
-        ports: lists the serial ports; pyserial's list where not given.
+        options: options of the run file.
+        machine: machine with the axes of the arrays.
+        clock: clock of instants and deadlines.
+        base: not used, as there are no files.
+        ports: lists the serial ports; None: pyserial's list.
 
     Raises:
         ConfigError: axes or speeds do not fit the machine.
@@ -59,7 +59,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
 
     @classmethod
     def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
-        """Ask whether a box is at this port, and what its inputs count."""
+        """A scanner that asks whether a box is at this port, and what its inputs count."""
         way = {key: value for key, value in table.items() if key in PortOptions.model_fields}
         return BoxScanner(
             validated(PortOptions, {"baud": BoxOptions.model_fields["baud"].default, **way}, "serial_box"), clock
@@ -83,12 +83,12 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self._last_us = -1
 
     def __enter__(self) -> Self:
-        """Open the port, greet the box and read its ledger. It is told nothing before the first command.
+        """Open the port, greet the box and read its ledger. The box gets no command before the first `apply`.
 
         Starting a run is an order to resume; it goes out with that command.
 
         Raises:
-            DriverUnavailable, DriverTimeout, DriverFault: where the options say `at_start = "required"`.
+            DriverUnavailable, DriverTimeout, DriverFault: where the options have `at_start = "required"`.
         """
         self._begin()
         self._entered = True
@@ -96,8 +96,8 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         try:
             session = self._connect()
             self._adopt(session)
-            with suppress(DriverFault):  # a fault that the box remembers; the first command lets it look again
-                self._ledger.told(self._first_answer(session).state)
+            with suppress(DriverFault):  # a fault that the box remembers; at the first command it checks again
+                self._ledger.reported(self._first_answer(session).state)
         except DriverError as e:
             if self.options.at_start == "required":
                 self._leave()
@@ -116,19 +116,19 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         return self._ledger.must_resume
 
     def resume(self) -> None:
-        """The order to go on after a reset of the box or a lost position: its ledger and counts are taken as they are.
+        """Go on after a reset of the box or a lost position: its ledger and counts are accepted as they are.
 
-        Whoever orders it must take over the ledger (`read_output`) before the next command.
+        The caller must take over the ledger (`read_output`) before the next command.
         """
         self._begin()
 
     def read_counts(self, counts: IntArray) -> int:
-        """Fill in the raw counts; give the instant at which the box was asked for them, ns: they are no older.
+        """Fill in the raw counts; give the instant of the question, ns: the counts are not older.
 
         Raises:
             DriverTimeout: no answer in time.
-            DriverFault: counts that cannot be, a frozen box, or one that waits for an order to resume.
-            DriverUnavailable: the port is gone; it is being opened again.
+            DriverFault: counts that are not possible, a frozen box, or one that waits for an order to resume.
+            DriverUnavailable: the port is gone; it is being reopened.
         """
         session = self._live()
         try:
@@ -146,15 +146,15 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         return answer.asked_ns
 
     def refuses(self, sink: Sink) -> str:
-        """Pulses only."""
+        """Refuse all but pulses."""
         return "" if sink.kind == "pulse" else f"inserts counts: it takes 'pulse', not {sink.kind!r}"
 
     def apply(self, output: IntArray) -> None:
-        """Command the inserted counts of every axis, absolute. Nothing is waited for.
+        """Command the inserted counts of every axis, absolute. Does not wait.
 
         Raises:
             DriverFault: the box waits for an order to resume, or the command would be a jump.
-            DriverTimeout: the port takes no bytes, or the box takes no commands.
+            DriverTimeout: the port accepts no bytes, or the box accepts no commands.
             DriverUnavailable: the port is gone.
         """
         session = self._live()
@@ -172,10 +172,10 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self._ledger.commanded(self._clock.now_ns())
 
     def read_output(self, output: IntArray) -> None:
-        """Fill in the ledger that the box told last.
+        """Fill in the box's newest ledger.
 
         Raises:
-            DriverUnavailable: it has not told any yet.
+            DriverUnavailable: it has not reported one yet.
         """
         if self._ledger.counts is None:
             raise DriverUnavailable(f"{self.options.place}: the encoder box has not told its ledger yet")
@@ -183,16 +183,16 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
             output[axis] = value
 
     def hold(self) -> None:
-        """Nothing to send: the box keeps what it was last told, and holds by itself when it hears no more."""
+        """Send nothing: the box keeps the last command's ledger, and holds by itself when no more commands come."""
 
     def _begin(self) -> None:
-        """As ordered to resume: what the box says next is taken as it stands."""
+        """As after an order to resume: the box's next report is accepted as it is."""
         self._ledger.order_resume()
         self._last_us = -1
         self._tracker.restart()
 
     def _connect(self) -> BoxSession:
-        """Open and greet; called in the reopener's thread, so it changes nothing of the driver but the finder."""
+        """Open and greet; called in the reopener's thread, so of the driver it changes only the finder."""
         device = self._finder.find()
         session = BoxSession(SerialLine(self.options, device), self._clock)
         try:
@@ -233,9 +233,9 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         return session.exchange(FIRST_WAIT_S)
 
     def _digest(self, answer: BoxAnswer) -> tuple[int, ...]:
-        """Give the unwrapped counts of a state, if it is sound."""
+        """The unwrapped counts of a state, if it is valid."""
         state = answer.state
-        self._ledger.told(state)
+        self._ledger.reported(state)
         if self._ledger.must_resume:
             raise DriverFault(self._ledger.must_resume)
         frozen, self._last_us = state.time_us == self._last_us, state.time_us

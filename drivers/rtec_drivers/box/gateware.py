@@ -1,8 +1,7 @@
-"""The encoder box's gateware, simulated clock by clock by Verilator, in the place of the box in software.
+"""The encoder box's gateware, simulated clock by clock by Verilator; it replaces the box in software.
 
-`make -C drivers/box sim` makes the library that this drives. `GatewareBox` takes and gives bytes as `BoxSimulator`
-does, so whatever speaks to the one can speak to the other, UART and all. What the controller has is decoded from the
-lines that go out.
+`make -C drivers/box sim` makes the library. `GatewareBox` receives and sends bytes as `BoxSimulator` does, UART and
+all, so the two are interchangeable. The controller's counts are decoded from the output lines.
 
 `python -m rtec_drivers.box.gateware LINK --library LIBRARY` is one behind a serial port, in a process of its own.
 """
@@ -25,11 +24,11 @@ from rtec_drivers.pty_peer import PtyPeer
 LIMIT: Final = 2**31 - 1
 LONGEST_ANSWER_CLOCKS: Final = 100_000
 PIPELINE_CLOCKS: Final = 100
-"""An encoder's edge has been counted and is out after so many clocks, whatever filter the board ties."""
+"""Clocks after which an encoder's edge is counted and output, whatever filter the board has."""
 PERIOD_S: Final = 0.0005
-"""Behind a port the chip is run this often, so that little is due when a question comes."""
+"""Behind a port the chip is run at this period, so that it has little to catch up when a question comes."""
 LONGEST_MS: Final = 20
-"""Behind a port no more is caught up at once: on a slow computer the chip's own clock is slow, too."""
+"""Longest time that it catches up behind a port: on a slow computer the chip's own clock is slow, too."""
 Bytes = NDArray[np.uint8]
 _CHIP: Final = ctypes.c_void_p
 _CALLS: Final[dict[str, tuple[Any, list[Any]]]] = {
@@ -62,11 +61,11 @@ class AxisLedger:
     """Counts of one axis of the chip.
 
     Attributes:
-        raw, inserted: registers of the chip.
+        raw, inserted: the chip's registers.
         corrected: decoded from its lines by an independent counter.
-        illegal: transitions of both lines at once that went out.
-        closest: least clocks between two edges that went out.
-        at_index: register of the chip.
+        illegal: output transitions of both lines at once.
+        closest: least distance of two output edges, clocks.
+        at_index: the chip's register.
     """
 
     raw: int
@@ -81,15 +80,15 @@ class Chip:
     """One simulated chip.
 
     Args:
-        library: what `make sim` made.
-        coverage: a file for what was covered, where the library was made with COVERAGE=1.
+        library: library that `make sim` made.
+        coverage: file for the coverage, where the library was made with COVERAGE=1.
 
     Attributes:
-        library: its path.
-        axes, clk_hz, baud: its sizes.
+        library: path of the library.
+        axes, clk_hz, baud: parameters of the library.
 
     Raises:
-        ConfigError: the library is not there or is none.
+        ConfigError: the library does not exist or is not one.
     """
 
     def __init__(self, library: Path, coverage: Path | None = None) -> None:
@@ -122,7 +121,7 @@ class Chip:
         hold_after_ms: int = 100,
         counts_per_s: int = 20_000,
     ) -> None:
-        """What the board's top would tie; `interval` is that of `counts_per_s` where not given."""
+        """Set the board's constants; `interval` None: that of `counts_per_s`."""
         clocks = max(1, self.clk_hz // counts_per_s) if interval is None else interval
         given = (
             filter_length, int(whole_cycles), clocks, limit, boot, box_serial, counter_bits, hold_after_ms,
@@ -131,10 +130,10 @@ class Chip:
         self._lib.chip_settings(self._chip, (ctypes.c_uint32 * len(given))(*given))
 
     def check_axes(self, axes: int) -> None:
-        """Has it so many?
+        """Check the number of axes.
 
         Raises:
-            ConfigError: it has not.
+            ConfigError: the library has another one.
         """
         if self.axes != axes:
             raise ConfigError(
@@ -149,7 +148,7 @@ class Chip:
             self._chip = None
 
     def __enter__(self) -> Self:
-        """Give itself."""
+        """Return the chip itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -157,24 +156,24 @@ class Chip:
         self.close()
 
     def __del__(self) -> None:
-        """End the simulation that nobody ended."""
+        """End a simulation that was not closed."""
         if getattr(self, "_chip", None):
             self.close()
 
     def reset(self) -> None:
-        """Power off and on, the encoders at zero."""
+        """Power off and on, with the encoders at zero."""
         self._lib.chip_reset(self._chip)
 
     def power(self, *, rst: bool, a: int, b: int, clocks: int) -> None:
-        """Reset and lines (a bit an axis) as given, for so many clocks; the controller counts from the reset on."""
+        """Apply reset and lines (a bit an axis) for so many clocks; the controller counts from the reset on."""
         self._lib.chip_power(self._chip, int(rst), a, b, clocks)
 
     def broken(self, mask: int) -> None:
-        """Encoders, a bit each, whose receiver sees no proper signal."""
+        """Give these encoders, a bit each, an improper signal at their receivers."""
         self._lib.chip_broken(self._chip, mask)
 
     def pace(self, faster: float) -> None:
-        """Let the other end of the serial line send faster than the chip expects: 0.01 is by 1 %."""
+        """Let the other end of the serial line send faster than the chip expects: 0.01 means by 1 %."""
         self._lib.chip_pace(self._chip, self.clk_hz / self.baud / (1.0 + faster))
 
     def glitch(self, clocks: int) -> None:
@@ -182,11 +181,11 @@ class Chip:
         self._lib.chip_glitch(self._chip, clocks)
 
     def since(self, start_us: int, heard_ms: int) -> None:
-        """Let this be the time since its start, and since it heard a command."""
+        """Set the time since its start, and since its last command."""
         self._lib.chip_time(self._chip, start_us, heard_ms)
 
     def freeze(self, frozen: bool) -> None:
-        """Let the register of the chip's time be stuck, or not."""
+        """Freeze the register of the chip's time, or release it."""
         self._lib.chip_freeze(self._chip, int(frozen))
 
     @property
@@ -196,44 +195,44 @@ class Chip:
 
     @property
     def resumed(self) -> bool:
-        """Was it ordered to resume since its start?"""
+        """Has it been ordered to resume since its start?"""
         return bool(self._lib.chip_resumed(self._chip))
 
     @property
     def commands(self) -> int:
-        """Commands taken since its start, of those with another number than the one before."""
+        """Number of accepted commands since its start; a repeated number counts once."""
         return int(self._lib.chip_commands(self._chip))
 
     def run(self, clocks: int, places: list[int]) -> int:
-        """Let the encoders go to their places, evenly, at most a count a clock; give the clocks it took.
+        """Move the encoders to their places, evenly, at most one count a clock; give the clocks that it took.
 
-        Of a jump that no machine can make the bulk is put into the counters.
+        Of a jump that no machine can make, most is written to the counters.
         """
         return int(self._lib.chip_run(self._chip, clocks, (ctypes.c_int64 * self.axes)(*places)))
 
     def settle(self) -> int:
-        """Run until nothing is on its way into the link or out of it; give the clocks it took."""
+        """Run until nothing is on its way into or out of the link; give the clocks that it took."""
         return int(self._lib.chip_settle(self._chip, LONGEST_ANSWER_CLOCKS))
 
     def lines(self, axis: int, a: Bytes, b: Bytes, z: Bytes) -> tuple[Bytes, Bytes, Bytes]:
-        """Feed lines, a sample a clock; give what goes out at each clock."""
+        """Feed lines, a sample a clock; give the output at each clock."""
         lines = [np.ascontiguousarray(line, np.uint8) for line in (a, b, z)]
         out = [np.empty(len(a), np.uint8) for _ in range(3)]
         self._lib.chip_lines(self._chip, axis, len(a), *(line.ctypes.data for line in (*lines, *out)))
         return out[0], out[1], out[2]
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the serial line; they go at its rate."""
+        """Queue bytes on the serial line; they go at its rate."""
         self._lib.chip_send(self._chip, data, len(data))
 
     def received(self) -> bytes:
-        """What came from the chip."""
+        """The bytes that the chip has sent."""
         room = ctypes.create_string_buffer(4096)
         n = self._lib.chip_receive(self._chip, room, len(room))
         return room.raw[:n]
 
     def spi(self, data: bytes, half: int = 4) -> bytes:
-        """Clock bytes out and in as an SPI master does, `half` clocks of the chip for half a clock of the line."""
+        """Exchange bytes as an SPI master does, with `half` clocks of the chip for half a clock of the line."""
         came = ctypes.create_string_buffer(len(data))
         self._lib.chip_spi(self._chip, data, came, len(data), half)
         return came.raw
@@ -248,16 +247,15 @@ class Chip:
 class GatewareBox:
     """The gateware with the interface of `BoxSimulator`: bytes in, bytes out, wired to a plant.
 
-    The chip lives as long as the clock says that it should, but what it would have to catch up beyond `longest_ms` is
-    left out; while its line carries a frame it may be ahead. After a start its counters begin where the plant's are,
-    as after homing.
+    The chip follows the clock, but of what it has to catch up it skips the part beyond `longest_ms`; while its line
+    carries a frame it may be ahead. After a start its counters begin at the plant's counts, as after homing.
 
     Args:
         chip: a simulated chip that is this box's alone.
         plant: its encoders and the controller behind it.
-        axes: how many; must be the library's.
+        axes: number of axes; must be the library's.
         counter_bits, hold_after_ms, counts_per_s, box_serial, boot: as of `BoxSimulator`.
-        longest_ms: most that it catches up at once.
+        longest_ms: longest time that it catches up at once.
 
     Raises:
         ConfigError: the chip has another number of axes.
@@ -288,7 +286,7 @@ class GatewareBox:
         self.reset()
 
     def reset(self) -> None:
-        """Power off and on: ledger zero, another start, no insertion before it is told to resume."""
+        """Power off and on: ledger zero, another start, no insertion before it is ordered to resume."""
         self._boot = (self._boot + 1) & 0xFFFF
         self.chip.reset()
         self._inserted = [0] * self.axes
@@ -306,17 +304,17 @@ class GatewareBox:
 
     @property
     def _resumed(self) -> bool:
-        """Was it ordered to resume since its start?"""
+        """Has it been ordered to resume since its start?"""
         return self.chip.resumed
 
     @property
     def commands(self) -> int:
-        """Good commands that it took."""
+        """Number of accepted commands."""
         return self.chip.commands
 
     @property
     def encoder_fault(self) -> bool:
-        """Does an encoder's receiver see no proper signal?"""
+        """Does an encoder's receiver get an improper signal?"""
         return self._broken
 
     @encoder_fault.setter
@@ -326,7 +324,7 @@ class GatewareBox:
 
     @property
     def frozen(self) -> bool:
-        """Is its time stuck, and do its encoders seem to stand?"""
+        """Is its time frozen, so that its encoders seem to stand still?"""
         return self._frozen
 
     @frozen.setter
@@ -337,7 +335,7 @@ class GatewareBox:
     _places: tuple[int, ...] = ()
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take in bytes at the line's rate, the encoders where they are now; run until the answer is out."""
+        """Process bytes at the line's rate, with the encoders where they are now; run until the answer is out."""
         out = self.idle(now_ns)
         self.chip.send(data)
         self._clocks += self.chip.settle()
@@ -345,22 +343,22 @@ class GatewareBox:
         return out + self.chip.received()
 
     def idle(self, now_ns: int) -> bytes:
-        """Time goes by, and encoders move."""
+        """Advance time; encoders move."""
         if self._start_ns < 0:
             self._start_ns = now_ns
         due = (now_ns - self._start_ns) * self.chip.clk_hz // 10**9 - self._clocks
         places = self._places if self._frozen else tuple(self.plant.counts(now_ns))
         moved, self._places = places != self._places, places
         if due > 0 or moved:
-            wanted = min(max(due, 0), self._longest)
-            took = self.chip.run(wanted, list(places))
+            clocks = min(max(due, 0), self._longest)
+            took = self.chip.run(clocks, list(places))
             took += self.chip.run(PIPELINE_CLOCKS, list(places)) if moved else 0
-            self._clocks += max(due - wanted, 0) + took
+            self._clocks += max(due - clocks, 0) + took
         self._tell()
         return self.chip.received()
 
     def tick(self, now_ns: int) -> None:
-        """Time goes by; what comes from the chip is lost, and none does."""
+        """Advance time; bytes from the chip are dropped, but there are none."""
         self.idle(now_ns)
 
     def close(self) -> None:
@@ -368,7 +366,7 @@ class GatewareBox:
         self.chip.close()
 
     def _tell(self) -> None:
-        """What the controller has more than the encoders, by its own count."""
+        """Report the controller's surplus over the encoders, by its own count, to the plant."""
         ledgers = [self.chip.ledger(i) for i in range(self.axes)]
         inserted = [ledger.corrected - ledger.raw for ledger in ledgers]
         if inserted != self._inserted:
@@ -382,7 +380,7 @@ def on_a_port(box: GatewareBox, clock: Clock, link: Path) -> PtyPeer:
 
 
 def main(arguments: list[str]) -> None:
-    """Serve until standard input ends, which it does when whoever started this is gone."""
+    """Serve until standard input ends, as it does when the parent process has ended."""
     parser = argparse.ArgumentParser(prog="rtec_drivers.box.gateware", description=__doc__)
     parser.add_argument("link", type=Path, help="name to give to the port")
     parser.add_argument("--library", type=Path, required=True, help="what `make -C drivers/box sim` made")

@@ -1,4 +1,4 @@
-"""What an encoder box has inserted, whether it takes commands, and whether it may be commanded at all."""
+"""State of an encoder box's commands: its ledger, whether it accepts commands, and whether it may be commanded."""
 
 from collections.abc import Sequence
 
@@ -15,17 +15,17 @@ HOLDS = "the correction holds until it is ordered to resume"
 class BoxLedger:
     """The driver's side of the box's ledger.
 
-    A box that started anew (another boot number, or its bit NOT_RESUMED) is not commanded until `order_resume`.
+    A box that restarted (another boot number, or its bit NOT_RESUMED) is not commanded until `order_resume`.
 
     Attributes:
-        counts: the ledger that the box told last; None before the first time.
-        boot: number of the start of the box that is being commanded.
+        counts: the box's newest ledger; None before the first report.
+        boot: boot number of the commanded box.
         must_resume: why it waits for an order; "" where it does not.
-        pending: the order to resume is to go out with the next command.
+        pending: must the order to resume go out with the next command?
 
     Args:
         step_counts: the first command may differ from the box's ledger by at most this.
-        timeout_s: so long may commands stay without the box taking one.
+        timeout_s: longest time without an accepted command.
     """
 
     def __init__(self, step_counts: int, timeout_s: float) -> None:
@@ -34,25 +34,25 @@ class BoxLedger:
         self.order_resume()
 
     def order_resume(self) -> None:
-        """Whatever box is there now may be commanded, from the ledger that it has."""
+        """Accept the present box, and command it from its ledger."""
         self.must_resume, self.boot, self.counts = "", -1, None
         self.pending, self._tries, self._first = True, 0, True
         self._last_taken, self._waiting_ns = -1, -1
 
     def reconnected(self) -> None:
-        """The line is there again: how long the box took no commands counts from now."""
+        """Restart the time without an accepted command, since the line is back."""
         self._waiting_ns, self._tries = -1, 0
 
     def stop(self, why: str) -> None:
-        """Command nothing more until the order comes."""
+        """Command nothing until the order comes."""
         if not self.must_resume:
             self.must_resume = f"{why}; {HOLDS}"
 
-    def told(self, state: BoxState) -> None:
-        """Take in what the box says.
+    def reported(self, state: BoxState) -> None:
+        """Process the box's report.
 
         Raises:
-            DriverFault: it does not take the order to resume.
+            DriverFault: it does not accept the order to resume.
         """
         self.counts = state.ledger
         if state.last_command != self._last_taken:
@@ -67,11 +67,11 @@ class BoxLedger:
             self.stop("the encoder box saw a fault of an encoder's signal: the position is not known")
 
     def check_command(self, targets: Sequence[int]) -> None:
-        """May this be commanded?
+        """Check that this may be commanded.
 
         Raises:
-            DriverFault: it waits for an order, or the numbers are too large, or the first command is a jump.
-            DriverTimeout: the box has not told its ledger yet.
+            DriverFault: it waits for an order, the numbers are too large, or the first command is a jump.
+            DriverTimeout: the box has not reported its ledger yet.
         """
         if self.must_resume:
             raise DriverFault(self.must_resume)
@@ -83,10 +83,10 @@ class BoxLedger:
             self._check_first(targets, self.counts)
 
     def commanded(self, now_ns: int) -> None:
-        """Note a command that was sent, with the order to resume where that was pending.
+        """Record a command that was sent, with the order to resume where that was pending.
 
         Raises:
-            DriverTimeout: the box has taken none for too long.
+            DriverTimeout: the box has accepted none for too long.
         """
         self._tries += self.pending
         if self._waiting_ns < 0:
@@ -94,10 +94,10 @@ class BoxLedger:
         self.check_taken(now_ns)
 
     def check_taken(self, now_ns: int) -> None:
-        """Does the box take commands? Asked in every cycle, whether one was sent or not.
+        """Check that the box accepts commands; called in every cycle, whether a command was sent or not.
 
         Raises:
-            DriverTimeout: it has taken none for too long.
+            DriverTimeout: it has accepted none for too long.
         """
         if 0 <= self._waiting_ns < now_ns - self._timeout_ns:
             raise DriverTimeout(f"the encoder box has taken no command for {(now_ns - self._waiting_ns) * 1e-9:.2f} s")

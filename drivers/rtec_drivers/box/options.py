@@ -1,4 +1,4 @@
-"""What a run file may say of an encoder box, and whether it fits the machine."""
+"""Options of an encoder box, and a check that they fit the machine."""
 
 from typing import Annotated
 
@@ -15,14 +15,14 @@ class BoxOptions(PortOptions):
     """Options of an encoder box on a serial port.
 
     Attributes:
-        baud: a box with a USB port of its own takes no notice of it.
-        axes: the box's inputs in order, by the machine's axis names; the machine's own order where not given.
-        max_speed_mm_s: highest speed of each axis; counts that move faster are refused.
-        box_serial: number of the box; another one is refused. Not given: the one that answers first.
+        baud: ignored by a box with a USB port of its own.
+        axes: the box's inputs in order, by the machine's axis names; not given: the machine's order.
+        max_speed_mm_s: highest speed of each axis; faster counts are refused.
+        box_serial: number of the box; another box is refused. Not given: any box.
         timeout_ms: longest wait for an answer in a cycle; shorter than the cycle.
-        open_timeout_s: longest wait for the box when its port is opened (some restart when that happens).
-        command_timeout_s: so long may the box leave commands alone before that is reported.
-        silent_reopen_s: after so long a silence the port is closed and opened again.
+        open_timeout_s: longest wait for the box when its port is opened (some boxes restart then).
+        command_timeout_s: longest time without an accepted command before that is reported.
+        silent_reopen_s: after this time of silence the port is closed and reopened.
         resume_step_counts: the first command after a start or an order to resume may differ from the box's ledger
             by at most this.
     """
@@ -39,26 +39,26 @@ class BoxOptions(PortOptions):
 
 
 def axis_order(axes: tuple[str, ...] | None, machine: Machine) -> tuple[int, ...]:
-    """For every input of a device the place of its axis in the machine's order.
+    """For every input of a device, the index of its axis in the machine's order.
 
     Raises:
-        ConfigError: an axis that the machine has not, or one that is missing or named twice.
+        ConfigError: an axis that the machine does not have, or one that is missing or named twice.
     """
     names = machine.axis_names
-    wanted = names if axes is None else axes
-    faults = [f"axes: machine {machine.name!r} has no axis {n!r}{nearest(n, names)}" for n in wanted if n not in names]
-    faults += [f"axes: {n!r} is there {wanted.count(n)} times; every axis must, once" for n in names
-               if wanted.count(n) != 1]  # fmt: skip
+    ordered = names if axes is None else axes
+    faults = [f"axes: machine {machine.name!r} has no axis {n!r}{nearest(n, names)}" for n in ordered if n not in names]
+    faults += [f"axes: {n!r} is there {ordered.count(n)} times; every axis must, once" for n in names
+               if ordered.count(n) != 1]  # fmt: skip
     if faults:
         raise ConfigError("\n".join(faults))
-    return tuple(names.index(n) for n in wanted)
+    return tuple(names.index(n) for n in ordered)
 
 
 def max_counts_per_s(max_speed_mm_s: dict[str, float], machine: Machine) -> tuple[float, ...]:
     """Highest speed of every axis in counts a second.
 
     Raises:
-        ConfigError: an axis that the machine has not, or one without a speed.
+        ConfigError: an axis that the machine does not have, or one without a speed.
     """
     names = machine.axis_names
     faults = [

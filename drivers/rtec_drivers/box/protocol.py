@@ -4,8 +4,8 @@ The document is `docs/rtec-box-link.md`; its test vectors are checked against th
 
     00  COBS(version, type, sequence, payload, CRC-32)  00
 
-Numbers are little-endian. The zero byte ends a frame and stands nowhere else, so whatever was garbled, the next
-frame is read again.
+Numbers are little-endian. The zero byte ends a frame and is nowhere else, so after any damage the next frame can be
+read.
 """
 
 import struct
@@ -18,16 +18,16 @@ HELLO, READ, COMMAND, RESUME = 0x01, 0x02, 0x03, 0x04
 INFO, STATE = 0x81, 0x82
 MAX_AXES = 16
 LONGEST_BODY = 254
-"""Bytes of a body that COBS still holds in one block; no frame of this version is longer."""
+"""Largest body, bytes, that COBS holds in one block; no frame of this version is longer."""
 
 NOT_RESUMED = 0x01
 """The box restarted and inserts nothing until it is ordered to resume."""
 HELD_BY_SILENCE = 0x02
-"""No command came for longer than `hold_after_ms`: the box keeps its ledger where it is."""
+"""No command came for longer than `hold_after_ms`: the box keeps its ledger."""
 MOVING = 0x04
-"""The ledger is on its way to what was commanded."""
+"""The ledger is on its way to the commanded one."""
 ENCODER_FAULT = 0x08
-"""The box sees an encoder signal that cannot be (both lines at once, wire broken): its counts are not to be trusted."""
+"""The box has an impossible encoder signal (both lines at once, wire broken): its counts are invalid."""
 
 _HEADER = struct.Struct("<BBH")
 _CRC = struct.Struct("<I")
@@ -38,13 +38,13 @@ _SHORTEST = _HEADER.size + _CRC.size
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame whose CRC is good.
+    """One frame with a correct CRC.
 
     Attributes:
         kind: HELLO to STATE.
-        sequence: 0 to 65535; an answer carries that of its question.
-        payload: the rest.
-        version: of the protocol.
+        sequence: 0 to 65535; an answer has that of its question.
+        payload: the remaining bytes.
+        version: version of the protocol.
     """
 
     kind: int
@@ -55,15 +55,15 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """What a box says of itself.
+    """A box's description of itself.
 
     Attributes:
-        boot: another number after every start of the box.
+        boot: differs after every start of the box.
         box_serial: number of this box.
-        axes: how many.
+        axes: number of axes.
         counter_bits: width of its encoder counters.
         hold_after_ms: silence after which it holds.
-        counts_per_s: at most so many counts a second it inserts.
+        counts_per_s: highest rate at which it inserts.
     """
 
     boot: int
@@ -76,15 +76,15 @@ class Info:
 
 @dataclass(frozen=True, slots=True)
 class BoxState:
-    """What a box reads and holds at one instant.
+    """State of a box at one instant.
 
     Attributes:
         boot: as in `Info`.
         status: NOT_RESUMED and the other bits.
-        last_command: sequence number of the last command that it took.
-        time_us: its own clock at the instant of latching, 32 bits, wrapping.
+        last_command: sequence number of the last accepted command.
+        time_us: the box's own clock at the instant of latching, 32 bits, wrapping.
         counts: raw counters, unsigned, as wide as `counter_bits`.
-        ledger: inserted counts that stand in the machine, signed.
+        ledger: counts that are inserted at present, signed.
     """
 
     boot: int
@@ -96,14 +96,14 @@ class BoxState:
 
 
 def encode(frame: Frame) -> bytes:
-    """Give the bytes on the wire, with the zero byte before and after."""
+    """The bytes on the wire, with the zero byte before and after."""
     body = _HEADER.pack(frame.version, frame.kind, frame.sequence) + frame.payload
     body += _CRC.pack(zlib.crc32(body))
     return b"\0" + cobs(body) + b"\0"
 
 
 def decode(block: bytes) -> Frame | None:
-    """Give the frame between two zero bytes; None where it is none, or garbled."""
+    """The frame between two zero bytes; None where it is damaged, or not a frame."""
     body = uncobs(block)
     if body is None or len(body) < _SHORTEST:
         return None
@@ -114,7 +114,7 @@ def decode(block: bytes) -> Frame | None:
 
 
 def cobs(body: bytes) -> bytes:
-    """Take the zeros out of at most 254 bytes (consistent overhead byte stuffing, one block).
+    """Remove the zeros from at most 254 bytes (consistent overhead byte stuffing, one block).
 
     Raises:
         ValueError: more bytes than that.
@@ -122,18 +122,18 @@ def cobs(body: bytes) -> bytes:
     if len(body) > LONGEST_BODY:
         raise ValueError(f"a body of {len(body)} bytes; at most {LONGEST_BODY} fit into a frame")
     pieces = body.split(b"\0")
-    # 254 bytes without a zero get the code 255, which stands for no zero behind them: the same as one block's end.
+    # 254 bytes without a zero get the code 255, which means that no zero follows: the same as one block's end.
     return b"".join(bytes((len(piece) + 1,)) + piece for piece in pieces)
 
 
 def uncobs(block: bytes) -> bytes | None:
-    """Put the zeros back; None where the codes do not add up."""
+    """Restore the zeros; None where the codes do not add up."""
     out, at, end = [], 0, len(block)
     if not 0 < end <= LONGEST_BODY + 1:
         return None
     while at < end:
         code = block[at]
-        if not code:  # no zero stands in a block
+        if not code:  # a block contains no zero
             return None
         out.append(block[at + 1 : at + code])
         at += code
@@ -144,7 +144,7 @@ class FrameReader:
     """Bytes in, frames out; keeps at most one unfinished frame.
 
     Attributes:
-        bad: blocks that were no frame, since the beginning.
+        bad: number of blocks, so far, that were no frame.
     """
 
     def __init__(self) -> None:
@@ -152,9 +152,9 @@ class FrameReader:
         self._rest = b""
 
     def feed(self, received: bytes) -> list[Frame]:
-        """Give the good frames that these bytes complete, in order."""
+        """The good frames that these bytes complete, in order."""
         *blocks, rest = (self._rest + received).split(b"\0")
-        # What is longer than any frame is garbage; two bytes more than the longest block mark it as such for good.
+        # A block longer than any frame is garbage; two bytes more than the longest block mark it as such for good.
         self._rest = rest[: LONGEST_BODY + 3]
         out = []
         for block in blocks:
@@ -178,8 +178,8 @@ def command_payload(boot: int, targets: Sequence[int]) -> bytes:
 
 def command_of(payload: bytes) -> tuple[int, tuple[int, ...]] | None:
     """Boot number and targets of a COMMAND; None where the length is wrong."""
-    axes, left = divmod(len(payload) - 2, 4)
-    if left or not 0 < axes <= MAX_AXES:
+    axes, rest = divmod(len(payload) - 2, 4)
+    if rest or not 0 < axes <= MAX_AXES:
         return None
     boot, *targets = struct.unpack(f"<H{axes}i", payload)
     return boot, tuple(targets)
@@ -196,7 +196,7 @@ def info_payload(info: Info) -> bytes:
 
 
 def info_of(payload: bytes) -> Info | None:
-    """What an INFO says; None where it is too short. Of a longer one the known part is read."""
+    """Content of an INFO; None where it is too short. Of a longer one the known part is read."""
     return Info(*_INFO.unpack_from(payload)) if len(payload) >= _INFO.size else None
 
 
@@ -208,9 +208,9 @@ def state_payload(state: BoxState) -> bytes:
 
 
 def state_of(payload: bytes) -> BoxState | None:
-    """What a STATE says; None where the length is wrong."""
-    axes, left = divmod(len(payload) - _STATE.size, 8)
-    if left or not 0 < axes <= MAX_AXES:
+    """Content of a STATE; None where the length is wrong."""
+    axes, rest = divmod(len(payload) - _STATE.size, 8)
+    if rest or not 0 < axes <= MAX_AXES:
         return None
     pairs = struct.unpack_from("<" + "Ii" * axes, payload, _STATE.size)
     boot, status, last_command, time_us = _STATE.unpack_from(payload)

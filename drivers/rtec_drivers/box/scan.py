@@ -1,4 +1,4 @@
-"""Is an RTEC encoder box at a serial port, how many inputs has it, and what do they count? It is commanded nothing."""
+"""Scans for an RTEC encoder box at a serial port: its number of inputs, and their counts. Commands nothing."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -11,21 +11,21 @@ from rtec_drivers.box.session import HELLO_PERIOD_S, BoxSession
 from rtec_drivers.serial_line import PortFinder, PortOptions, SerialLine
 
 OPEN_S: Final = 3.0
-"""Some boxes restart when their port is opened."""
+"""Longest wait, s: some boxes restart when their port is opened."""
 ANSWER_S: Final = 0.1
 PLACE: Final = "input {}"
 
 
 class BoxScanner:
-    """Asks a box who it is, and what it counts.
+    """Asks a box for its description and its counts.
 
     Args:
         options: the port.
-        clock: for deadlines.
+        clock: clock of the deadlines.
 
     Attributes:
-        duration: of the search.
-        info: what the box says of itself; None before it has.
+        duration: duration of the search, in words.
+        info: the box's description; None before its answer.
     """
 
     def __init__(self, options: PortOptions, clock: Clock) -> None:
@@ -51,7 +51,7 @@ class BoxScanner:
             self._session = None
 
     def search(self) -> Iterator[tuple[float, str]]:
-        """Say hello until the box answers."""
+        """Greet until the box answers."""
         tries = round(OPEN_S / HELLO_PERIOD_S)
         for k in range(tries):
             yield k / tries, ""
@@ -76,7 +76,7 @@ class BoxScanner:
         return {PLACE.format(k + 1): float(count) for k, count in enumerate(self._counts)}
 
     def proposed(self, names: Sequence[str]) -> dict[str, str]:
-        """In order, where the box has as many inputs as the machine has axes."""
+        """In order, if the box has as many inputs as the machine has axes."""
         if self.info is None or self.info.axes != len(names):
             return {}
         return {name: PLACE.format(k + 1) for k, name in enumerate(names)}

@@ -1,4 +1,4 @@
-"""One conversation with an encoder box over an open line: from the handshake until the line is lost."""
+"""One session with an encoder box over an open line: from the handshake until the line is lost."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -11,15 +11,15 @@ from rtec_drivers.box.protocol import BoxState, Frame, FrameReader, Info
 
 HELLO_PERIOD_S = 0.1
 READS_PER_WAIT = 64
-"""So that a box that babbles takes no longer than one that is silent, whatever the clock does."""
+"""Limits the reads, so that a box that floods the line takes no longer than a silent one, whatever the clock does."""
 PATIENCE_S = 0.05
-"""After so long a silence the box is asked without waiting for its answer, and less often."""
+"""After a silence of this time, s, the box is asked without waiting for its answer, and less often."""
 ASK_PERIOD_S = 0.02
 REMEMBERED_QUESTIONS = 256
 
 
 class BoxLine(Protocol):
-    """What a session needs of a line: the serial port is one."""
+    """A session's line: the serial port is one."""
 
     device: str
 
@@ -28,7 +28,7 @@ class BoxLine(Protocol):
         ...
 
     def read(self) -> bytes:
-        """Give what is there."""
+        """The bytes that have arrived."""
         ...
 
     def wait(self, timeout_s: float) -> bool:
@@ -36,13 +36,13 @@ class BoxLine(Protocol):
         ...
 
     def close(self) -> None:
-        """Give it back."""
+        """Close it."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class BoxAnswer:
-    """A state of the box and when it was latched: between question and answer, ns of the clock."""
+    """A state of the box; it was latched between question and answer, ns of the clock."""
 
     state: BoxState
     asked_ns: int
@@ -53,9 +53,9 @@ class BoxSession:
     """Questions and answers, matched by sequence number.
 
     Attributes:
-        info: what the box said of itself.
-        sequence: of the last frame sent.
-        silent_s: how long a question had had no answer when the box was asked last.
+        info: the box's description.
+        sequence: sequence number of the last frame sent.
+        silent_s: age, s, of the oldest unanswered question when the box was last asked.
     """
 
     def __init__(self, line: BoxLine, clock: Clock) -> None:
@@ -65,7 +65,7 @@ class BoxSession:
         self._looked_ns = clock.now_ns()
         self._waiting_ns: int | None = None  # since the first question after the last answer
         self._reader = FrameReader()
-        self._asked: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_QUESTIONS)
+        self._open_questions: deque[tuple[int, int]] = deque(maxlen=REMEMBERED_QUESTIONS)
 
     def talk(self, timeout_s: float) -> BoxAnswer:
         """Ask for the state as `exchange` does; after a silence less often, and without waiting.
@@ -83,15 +83,15 @@ class BoxSession:
 
     @property
     def silence(self) -> str:
-        """Says that nothing was heard for too long to be waited for; "" where that is not so."""
+        """Message that the silence is too long to be waited for; "" where it is not."""
         return f"the encoder box is silent for {self.silent_s:.2f} s" if self.silent_s > PATIENCE_S else ""
 
     def greet(self, timeout_s: float) -> Info:
-        """Say hello until the box answers.
+        """Greet until the box answers.
 
         Raises:
-            DriverTimeout: it does not within that time.
-            DriverFault: it speaks another version.
+            DriverTimeout: no answer within that time.
+            DriverFault: it has another version.
         """
         tries = max(1, round(timeout_s / HELLO_PERIOD_S))
         for _ in range(tries):
@@ -109,10 +109,10 @@ class BoxSession:
         raise DriverTimeout(f"{self.line.device}: no encoder box answers within {timeout_s:g} s")
 
     def check(self, box_serial: int | None, axes: int) -> None:
-        """Is it a box that can be used?
+        """Check that the box can be used.
 
         Raises:
-            DriverFault: another number, another count of axes, or counters of an unknown width.
+            DriverFault: another number, another number of axes, or counters of an unknown width.
         """
         info, place = self.info, self.line.device
         if box_serial is not None and info.box_serial != box_serial:
@@ -127,17 +127,17 @@ class BoxSession:
 
         Args:
             timeout_s: longest wait.
-            newest: answer that is there already.
+            newest: an answer that is there already.
 
         Raises:
             DriverTimeout: none came in time.
             DriverUnavailable: the line is gone.
         """
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
-        wanted = self.ask(protocol.READ)
+        question = self.ask(protocol.READ)
         for _ in range(READS_PER_WAIT):
             newest = self.collect() or newest
-            if newest is not None and self._answers(wanted):
+            if newest is not None and self._answers(question):
                 return newest
             left_ns = deadline_ns - self._clock.now_ns()
             if left_ns <= 0 or not self.line.wait(left_ns * 1e-9):
@@ -148,16 +148,16 @@ class BoxSession:
         return newest
 
     def ask(self, kind: int, payload: bytes = b"") -> int:
-        """Send a question that a STATE answers; remember when."""
+        """Send a question that a STATE answers; remember its instant."""
         now_ns = self._clock.now_ns()
         sequence = self.send(kind, payload)
-        self._asked.append((sequence, now_ns))
+        self._open_questions.append((sequence, now_ns))
         if self._waiting_ns is None:
             self._waiting_ns = now_ns
         return sequence
 
     def collect(self) -> BoxAnswer | None:
-        """Read what has come; give the answer to the youngest of the open questions, if there is one."""
+        """Read what has arrived; give the answer to the newest of the open questions, if there is one."""
         received = self.line.read()
         if not received:
             return None
@@ -167,7 +167,7 @@ class BoxSession:
             state = protocol.state_of(frame.payload) if asked_ns is not None else None
             if asked_ns is not None and state is not None and len(state.counts) == self.info.axes:
                 newest = BoxAnswer(state, asked_ns, self._clock.now_ns())
-                self._waiting_ns = self._asked[0][1] if self._asked else None
+                self._waiting_ns = self._open_questions[0][1] if self._open_questions else None
         return newest
 
     def send(self, kind: int, payload: bytes = b"") -> int:
@@ -186,23 +186,23 @@ class BoxSession:
             self.ask(protocol.READ)
         raise DriverTimeout(f"{self.line.device}: {self.silence}")
 
-    def _answers(self, wanted: int) -> bool:
-        """Is that question no longer open?"""
-        return all(sequence != wanted for sequence, _ in self._asked)
+    def _answers(self, question: int) -> bool:
+        """Has that question been answered?"""
+        return all(sequence != question for sequence, _ in self._open_questions)
 
     def _asked_at(self, frame: Frame) -> int | None:
-        """When the question of this answer was asked; it and the older ones are then done with."""
+        """Instant of this answer's question; closes it and the older ones."""
         if frame.kind != protocol.STATE or frame.version != protocol.VERSION:
             return None
-        if all(sequence != frame.sequence for sequence, _ in self._asked):
+        if all(sequence != frame.sequence for sequence, _ in self._open_questions):
             return None
         while True:
-            sequence, asked_ns = self._asked.popleft()
+            sequence, asked_ns = self._open_questions.popleft()
             if sequence == frame.sequence:
                 return asked_ns
 
     def _frames_for(self, wait_s: float) -> list[Frame]:
-        """Everything that comes within that time, or up to the first good frame."""
+        """Everything that arrives within that time, or up to the first good frame."""
         deadline_ns = self._clock.now_ns() + round(wait_s * 1e9)
         for _ in range(READS_PER_WAIT):
             left_ns = deadline_ns - self._clock.now_ns()

@@ -1,8 +1,8 @@
 """An encoder box in software, for tests and hardware in the loop: bytes in, bytes out.
 
 Written from `docs/rtec-box-link.md` alone, byte by byte as firmware would be. It shares no code with the driver, so
-each checks the other. `pty_peer` puts it behind a serial port; `python -m rtec_drivers.box.simulator LINK` is one in
-a process of its own, until its input ends.
+each checks the other. `pty_peer` puts it behind a serial port; `python -m rtec_drivers.box.simulator LINK` runs one
+in a process of its own, until its input ends.
 """
 
 import argparse
@@ -18,23 +18,23 @@ WRAP = 0xFFFF_FFFF
 
 
 class Plant(Protocol):
-    """What the box is wired to."""
+    """Encoders and controller at a box."""
 
     def counts(self, now_ns: int) -> list[int]:
-        """Raw counts of every axis, x4, as the encoders have it."""
+        """Raw counts of every axis, x4, as its encoder has them."""
         ...
 
     def insert(self, ledger: list[int]) -> None:
-        """The controller sees this many counts more."""
+        """Add this many counts to those that the controller sees."""
         ...
 
 
 class StillPlant:
-    """Encoders that somebody else moves.
+    """Encoders that the test moves.
 
     Attributes:
         position: raw counts.
-        inserted: what the controller sees more.
+        inserted: surplus of the controller's counts.
     """
 
     def __init__(self, axes: int) -> None:
@@ -42,12 +42,12 @@ class StillPlant:
         self.inserted = [0] * axes
 
     def counts(self, now_ns: int) -> list[int]:
-        """Where they stand."""
+        """The present position."""
         del now_ns
         return list(self.position)
 
     def insert(self, ledger: list[int]) -> None:
-        """Note it."""
+        """Record it."""
         self.inserted = list(ledger)
 
 
@@ -56,16 +56,17 @@ class BoxSimulator:
 
     Args:
         plant: its encoders and the controller behind it.
-        axes: how many.
+        axes: number of axes.
         counter_bits: width of its counters.
         hold_after_ms: silence after which it holds.
-        counts_per_s: it inserts at most so fast.
+        counts_per_s: highest rate at which it inserts.
         box_serial, boot: its number, and that of its start.
 
     Attributes:
         frozen: its processor hangs in the part that latches: answers come, with the same time and counts.
-        commands: good commands that it took.
-        encoder_fault: an encoder's signal cannot be; remembered until it is told to resume and the fault is over.
+        commands: number of accepted commands.
+        encoder_fault: an encoder's signal is impossible; remembered until it is ordered to resume and the fault is
+            over.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class BoxSimulator:
         self.reset()
 
     def reset(self) -> None:
-        """Power off and on: ledger zero, another start, no insertion before it is told to resume."""
+        """Power off and on: ledger zero, another start, no insertion before it is ordered to resume."""
         self._boot = (self._boot + 1) & 0xFFFF
         self._ledger = [0] * self.axes
         self._target = [0] * self.axes
@@ -97,7 +98,7 @@ class BoxSimulator:
         self.plant.insert(list(self._ledger))
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take in bytes; give the answer."""
+        """Process bytes; give the answer."""
         self.tick(now_ns)
         out = b""
         for byte in data:
@@ -110,12 +111,12 @@ class BoxSimulator:
         return out
 
     def idle(self, now_ns: int) -> bytes:
-        """Time goes by; the box never speaks unasked."""
+        """Advance time; the box never sends unasked."""
         self.tick(now_ns)
         return b""
 
     def tick(self, now_ns: int) -> None:
-        """Insert what is due, no faster than allowed; hold where nobody commands any more."""
+        """Insert what is due, no faster than allowed; hold where commands have ended."""
         span_ns = now_ns - self._last_tick_ns if self._last_tick_ns >= 0 else 0
         self._last_tick_ns = now_ns
         self._saw_fault = self._saw_fault or self.encoder_fault
@@ -126,8 +127,8 @@ class BoxSimulator:
         )
         steps, before = int(self._credit), list(self._ledger)
         for i, target in enumerate(self._target):
-            left = target - self._ledger[i]
-            self._ledger[i] += max(-steps, min(steps, left))
+            distance = target - self._ledger[i]
+            self._ledger[i] += max(-steps, min(steps, distance))
         if self._ledger != before:
             self._credit -= steps
             self.plant.insert(list(self._ledger))
@@ -214,7 +215,7 @@ def crc32(data: bytes) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """Every zero is replaced by the distance to the next one; the first distance stands in front."""
+    """Replace every zero by the distance to the next one, and put the first distance in front."""
     out, at = bytearray(b"\0"), 0
     for byte in body:
         if byte:
@@ -228,22 +229,22 @@ def stuff(body: bytes) -> bytes:
 
 
 def unstuff(block: bytes) -> bytes:
-    """Give the body; nothing where a distance points beyond the end."""
-    out, left = bytearray(), block[0]
+    """The body; empty where a distance points beyond the end."""
+    out, distance = bytearray(), block[0]
     if len(block) > 255:
         return b""
     for byte in block[1:]:
-        left -= 1
-        if left:
+        distance -= 1
+        if distance:
             out.append(byte)
         else:
             out.append(0)
-            left = byte
-    return bytes(out) if left == 1 else b""
+            distance = byte
+    return bytes(out) if distance == 1 else b""
 
 
 class MovingPlant:
-    """Every axis moves to and fro by `span_counts` at `counts_per_s`."""
+    """Every axis moves back and forth by `span_counts` at `counts_per_s`."""
 
     def __init__(self, axes: int, counts_per_s: int, span_counts: int) -> None:
         self._axes, self._speed, self._span = axes, counts_per_s, span_counts
@@ -254,18 +255,18 @@ class MovingPlant:
         return [min(way, 2 * self._span - way)] * self._axes
 
     def insert(self, ledger: list[int]) -> None:
-        """Nobody looks."""
+        """Do nothing."""
 
 
 def until_input_ends() -> None:
-    """Say that it is ready; wait."""
+    """Report that it is ready; wait."""
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     sys.stdin.read()
 
 
 def main(arguments: list[str]) -> None:
-    """Serve until standard input ends, which it does when whoever started this is gone."""
+    """Serve until standard input ends, as it does when the parent process has ended."""
     parser = argparse.ArgumentParser(prog="rtec_drivers.box.simulator", description=__doc__)
     parser.add_argument("link", type=Path, help="name to give to the port")
     parser.add_argument("--axes", type=int, default=2)

@@ -26,15 +26,15 @@ ASK_S = 0.05
 
 
 class CanBoxOptions(CanOptions):
-    """What a run file may say of an encoder box on a CAN bus.
+    """Options of an encoder box on a CAN bus.
 
     Attributes:
-        base_id: first identifier of the box; a multiple of 64, 64 identifiers are its own.
-        axes: the box's inputs in order, by the machine's axis names; the machine's own order where not given.
-        max_speed_mm_s: highest speed of each axis; counts that move faster are refused.
+        base_id: first identifier of the box; a multiple of 64. The box uses 64 identifiers.
+        axes: the box's inputs in order, by the machine's axis names; not given: the machine's order.
+        max_speed_mm_s: highest speed of each axis; faster counts are refused.
         timeout_ms: a reading older than this is reported as missing.
         open_timeout_s: longest wait for the box when its interface is opened.
-        command_timeout_s: so long may the box leave commands alone before that is reported.
+        command_timeout_s: longest time without an accepted command before that is reported.
         resume_step_counts: the first command after a start or an order to resume may differ from the box's ledger
             by at most this.
     """
@@ -58,16 +58,16 @@ class CanBoxOptions(CanOptions):
 class CanBoxDriver:
     """Encoder box on a CAN bus.
 
-    Each reading sends a LATCH frame and gives what the last one brought: it is a cycle old, and its instant, that of
-    the LATCH frame, says so. Commands are absolute and carry the number of the box's start: a lost or repeated frame
-    loses nothing, and a box that started anew takes none of them. The driver then refuses readings and commands, and
-    says so, until `resume` is called (or the run is started again).
+    Each reading sends a LATCH frame and gives the result of the one before: it is a cycle old, and its instant is that
+    of its LATCH frame. Commands are absolute and have the box's boot number: a lost or repeated frame loses nothing,
+    and a box that restarted accepts none of them. The driver then refuses readings and commands, and reports why, until
+    `resume` is called (or the run is started again).
 
     Args:
-        options: what the run file says.
-        machine: whose axes the arrays follow.
-        clock: for instants and deadlines.
-        base: not used; there are no files.
+        options: options of the run file.
+        machine: machine with the axes of the arrays.
+        clock: clock of instants and deadlines.
+        base: not used, as there are no files.
 
     Raises:
         ConfigError: axes or speeds do not fit the machine.
@@ -106,7 +106,7 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         """Open the interface and greet the box. Starting a run is an order to resume.
 
         Raises:
-            DriverUnavailable, DriverTimeout, DriverFault: where the options say `at_start = "required"`.
+            DriverUnavailable, DriverTimeout, DriverFault: where the options have `at_start = "required"`.
         """
         self._session = self._new_session()
         self.resume()
@@ -130,21 +130,21 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         return self._ledger.must_resume
 
     def resume(self) -> None:
-        """The order to go on after a reset of the box or a lost position: its ledger and counts are taken as they are.
+        """Go on after a reset of the box or a lost position: its ledger and counts are accepted as they are.
 
-        Whoever orders it must take over the ledger (`read_output`) before the next command.
+        The caller must take over the ledger (`read_output`) before the next command.
         """
         self._ledger.order_resume()
         self._tracker.restart()
         self._sent = self._good = None
 
     def read_counts(self, counts: NDArray[np.int64]) -> int:
-        """Fill in the newest raw counts; give the instant at which the box was told to latch them, ns.
+        """Fill in the newest raw counts; give the instant of their LATCH frame, ns.
 
         Raises:
             DriverTimeout: they are older than `timeout_ms`, or there are none yet.
-            DriverFault: counts that cannot be, or a box that waits for an order to resume.
-            DriverUnavailable: the interface is not open; it is being opened again.
+            DriverFault: counts that are not possible, or a box that waits for an order to resume.
+            DriverUnavailable: the interface is not open; it is being reopened.
         """
         self._port.check()
         self._latch()
@@ -164,17 +164,17 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         return asked_ns
 
     def refuses(self, sink: Sink) -> str:
-        """Pulses only."""
+        """Refuse all but pulses."""
         return "" if sink.kind == "pulse" else f"inserts counts: it takes 'pulse', not {sink.kind!r}"
 
     def apply(self, output: NDArray[np.int64]) -> None:
-        """Command the inserted counts of every axis, absolute. Nothing is waited for.
+        """Command the inserted counts of every axis, absolute. Does not wait.
 
-        Frames go out when the command changes, and every 20 ms: a lost one is made good by the next.
+        Frames go out when the command changes, and every 20 ms: the next frame makes good for a lost one.
 
         Raises:
             DriverFault: the box waits for an order to resume, or the command would be a jump.
-            DriverTimeout: the interface takes no frames, or the box takes no commands.
+            DriverTimeout: the interface accepts no frames, or the box accepts no commands.
             DriverUnavailable: the interface is not open.
         """
         self._port.check()
@@ -189,10 +189,10 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         self._ledger.commanded(now_ns)
 
     def read_output(self, output: NDArray[np.int64]) -> None:
-        """Fill in the ledger that the box told last.
+        """Fill in the box's newest ledger.
 
         Raises:
-            DriverUnavailable: it has not told any yet.
+            DriverUnavailable: it has not reported one yet.
         """
         if self._ledger.counts is None:
             raise DriverUnavailable(f"{self._options.place}: the encoder box has not told its ledger yet")
@@ -200,10 +200,10 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
             output[axis] = value
 
     def hold(self) -> None:
-        """Nothing to send: the box keeps what it was last told, and holds by itself when it hears no more."""
+        """Send nothing: the box keeps the last command's ledger, and holds by itself when no more commands come."""
 
     def faults(self) -> list[str]:
-        """What is wrong now, one line each."""
+        """Present faults, one line each."""
         texts = (self._port.trouble, self._port.warning, self._ledger.must_resume, self._tracker.lost)
         return [text for text in texts if text]
 
@@ -246,9 +246,9 @@ max_speed_mm_s = { X = 400, Z = 400 }    # faster counts are refused
         if newest is None or newest is self._digested:
             return
         self._digested = newest
-        told = self._session.ledger(newest.boot)
+        ledger = self._session.ledger(newest.boot)
         not_yet = self._ledger.boot < 0 and newest.status & NOT_RESUMED
-        if told is not None and not not_yet:
-            values, last_command = told
-            self._ledger.told(BoxState(newest.boot, newest.status, last_command, 0, newest.counts, values))
+        if ledger is not None and not not_yet:
+            values, last_command = ledger
+            self._ledger.reported(BoxState(newest.boot, newest.status, last_command, 0, newest.counts, values))
         self._good = (self._tracker.update(newest.counts, newest.asked_ns, newest.came_ns), newest.asked_ns)

@@ -1,10 +1,10 @@
-"""One conversation with an encoder box on a CAN bus: latches sent, frames put together again.
+"""One session with an encoder box on a CAN bus: sends latches and assembles the answers.
 
 RTEC box link over CAN, version 1: one frame an axis. The document, with test vectors, is `docs/can.md`.
 
-Every frame has 8 bytes: a signed 32-bit number, a sequence number, the number of the box's start, a byte of bits, and
+Every frame has 8 bytes: a signed 32-bit number, a sequence number, the box's boot number, a byte of bits, and
 a CRC-8 over identifier and content. CAN's own CRC ends at the controller; this one also covers gateways and slcan,
-whose text on a serial line has no checksum at all.
+whose text on a serial line has no checksum.
 """
 
 import struct
@@ -16,7 +16,7 @@ from rtec.errors import DriverError
 
 VERSION = 1
 LATCH, INFO, COUNTS, COMMAND, LEDGER = 0x00, 0x01, 0x10, 0x20, 0x30
-"""Places of the identifiers above the base; to the last three the number of the axis is added."""
+"""Offsets of the identifiers from the base; the last three are for axis 0, and the axis' number is added."""
 MAX_AXES = 16
 BLOCK = 0x40
 WANT_INFO, WANT_LEDGER, RESUME = 0x01, 0x02, 0x04
@@ -27,13 +27,13 @@ _POLYNOMIAL = 0x2F
 
 @dataclass(frozen=True, slots=True)
 class BoxFrame:
-    """A frame with a good CRC.
+    """A frame with a correct CRC.
 
     Attributes:
-        number: counts, inserted counts, or what INFO and LATCH say in it.
-        sequence: 0 to 255; of the latch or the command that it belongs to.
-        boot: number of the box's start, 1 to 255; 0: not known.
-        bits: of LATCH, or the status of the box.
+        number: counts, inserted counts, or the content of INFO or LATCH.
+        sequence: 0 to 255; that of the latch or the command that it belongs to.
+        boot: the box's boot number, 1 to 255; 0: unknown.
+        bits: bits of LATCH, or the status of the box.
     """
 
     number: int
@@ -56,13 +56,13 @@ def unpack(identifier: int, data: bytes) -> BoxFrame | None:
 
 
 def info_number(version: int, axes: int, hold_after_ms: int) -> int:
-    """What stands in an INFO frame's number: version (8 bits), axes (8 bits), time until it holds (16 bits)."""
+    """Number of an INFO frame: version (8 bits), axes (8 bits), time until it holds (16 bits)."""
     number: int = struct.unpack("<i", struct.pack("<BBH", version, axes, hold_after_ms))[0]
     return number
 
 
 def info_of(number: int) -> tuple[int, int, int]:
-    """Version, axes and the silence after which the box holds, ms."""
+    """Version, axes, and the silence after which the box holds, ms."""
     version, axes, hold_after_ms = struct.unpack("<BBH", struct.pack("<i", number))
     return version, axes, hold_after_ms
 
@@ -86,11 +86,11 @@ _TABLE = tuple(_step(k) for k in range(256))
 
 
 PATIENCE_NS = 50_000_000
-"""After so long a silence the box is asked less often,"""
+"""After a silence of this time the box is asked less often,"""
 ASK_PERIOD_NS = 20_000_000
-"""namely so often."""
+"""namely with this period."""
 LATEST_NS = 5_000_000_000
-"""An answer comes within this, or never; a number is used again after 256 questions."""
+"""Longest time to an answer; the sequence numbers repeat after 256 questions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +99,9 @@ class Latched:
 
     Attributes:
         counts: raw counters, signed, 32 bits.
-        status: bits of `box_protocol`, of all axes together.
-        boot: number of the box's start.
-        asked_ns, came_ns: when the LATCH frame went out, and when the last axis had answered.
+        status: status bits (`rtec_drivers.box.protocol`) of all axes together.
+        boot: the box's boot number.
+        asked_ns, came_ns: instants of the LATCH frame, and of the last axis' answer.
     """
 
     counts: tuple[int, ...]
@@ -112,19 +112,19 @@ class Latched:
 
 
 class CanBoxSession:
-    """What has come from the box; filled by the interface's thread, read by the loop.
+    """Everything received from the box; the interface's thread fills it, the loop reads it.
 
     Args:
         base_id: first identifier of the box.
-        axes: how many.
-        send: hands a frame to the interface.
+        axes: number of axes.
+        send: passes a frame to the interface.
 
     Attributes:
         newest: the newest whole reading.
-        info: version, axes and silence after which it holds, ms; None before it told.
-        boot: number of the box's start; 0 before it told.
-        came: is set whenever a good frame came.
-        bad: frames with a wrong CRC or length.
+        info: version, axes and silence after which it holds, ms; None before its INFO.
+        boot: the box's boot number; 0 before its INFO.
+        came: set whenever a good frame arrives.
+        bad: number of frames with a wrong CRC or length.
     """
 
     def __init__(self, base_id: int, axes: int, send: Callable[[int, bytes], None]) -> None:
@@ -140,9 +140,9 @@ class CanBoxSession:
         self._ledgers: dict[int, BoxFrame] = {}
 
     def latch(self, resume: bool, now_ns: int) -> None:
-        """Ask for counts and ledger; order to resume where that is wanted and the box's start is known.
+        """Ask for counts and ledger; `resume`: order to resume, too, once the box's boot number is known.
 
-        After a silence less often, and never by a number whose answer may still come: it would be taken for a new one.
+        After a silence it asks less often, and never reuses a number whose answer may still come: that would look new.
         """
         number = (self._latch + 1) & 0xFF
         last_ns = self._asked_ns.get(self._latch)
@@ -157,7 +157,7 @@ class CanBoxSession:
         self._asked_ns[self._latch] = now_ns
         try:
             self.send(LATCH, BoxFrame(VERSION, self._latch, self.boot, bits))
-        except DriverError:  # it never left, so no answer comes
+        except DriverError:  # it was not sent, so no answer comes
             self._asked_ns.pop(self._latch, None)
             raise
 
@@ -168,9 +168,9 @@ class CanBoxSession:
             self.send(COMMAND + k, BoxFrame(target, self._command, boot))
 
     def ledger(self, boot: int) -> tuple[tuple[int, ...], int] | None:
-        """Inserted counts that the box told in this start of it, and the number of the command taken last."""
-        told = [self._ledgers.get(k) for k in range(self._axes)]
-        same = [f for f in told if f is not None and f.boot == boot]
+        """The ledger that this start of the box reported, and the number of the last accepted command."""
+        ledgers = [self._ledgers.get(k) for k in range(self._axes)]
+        same = [f for f in ledgers if f is not None and f.boot == boot]
         return (tuple(f.number for f in same), same[-1].sequence) if len(same) == self._axes else None
 
     def send(self, place: int, frame: BoxFrame) -> None:
@@ -179,7 +179,7 @@ class CanBoxSession:
         self._send(identifier, pack(identifier, frame))
 
     def take(self, identifier: int, extended: bool, data: bytes, now_ns: int) -> None:
-        """Take in a frame that came."""
+        """Process a received frame."""
         frame = None if extended else unpack(identifier, data)
         if frame is None:
             self.bad += 1
@@ -194,7 +194,7 @@ class CanBoxSession:
         self.came.set()
 
     def _part(self, axis: int, frame: BoxFrame, now_ns: int) -> None:
-        """A reading is whole when all axes carry the number of the same latch."""
+        """Store one axis of a reading; it is whole when all axes have the number of the same latch."""
         self._parts[axis] = frame
         same = [f for f in self._parts.values() if f.sequence == frame.sequence and f.boot == frame.boot]
         asked_ns = self._asked_ns.pop(frame.sequence, None) if len(same) == self._axes else None
@@ -204,7 +204,7 @@ class CanBoxSession:
         for part in same:
             status |= part.bits
         counts = tuple(self._parts[k].number for k in range(self._axes))
-        for old in [n for n, t in list(self._asked_ns.items()) if t < asked_ns]:  # a bus keeps frames in order
+        for old in [n for n, t in list(self._asked_ns.items()) if t < asked_ns]:  # a bus keeps the order of frames
             self._asked_ns.pop(old, None)
         self._heard_ns = now_ns
         self.boot = frame.boot

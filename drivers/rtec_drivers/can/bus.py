@@ -1,4 +1,4 @@
-"""A CAN interface that is kept open: frames in by a thread, frames out without waiting, errors of the bus told.
+"""A CAN interface that is kept open: a thread receives, sending does not wait, errors of the bus are reported.
 
 Interfaces are python-can's, by its own names: socketcan, slcan, virtual, udp_multicast, pcan, kvaser, ixxat, vector, …
 """
@@ -17,26 +17,26 @@ from rtec.tomlfile import Strict
 from rtec_drivers.link_worker import Backoff, FirstRetry, LongestRetry, Worker
 
 RECEIVE_S = 0.02
-"""Longest wait for a frame before the thread looks whether it shall stop, or whether something has fallen silent."""
+"""Longest wait, s, for a frame before the thread checks for its end, and for silent devices."""
 GARBLED_TOLD, GARBLED_IN_A_ROW = 3, 20
-"""Lines in a row that are no frame: from how many it is reported, and after how many the adapter is opened again."""
+"""Lines in a row that are no frame: number from which it is reported, and at which the adapter is reopened."""
 GARBAGE = "what comes is no frame; look at the adapter's cable and at the rate of its serial port"
 BUS_OFF, CONTROLLER, LOST_ARBITRATION, RESTARTED = 0x40, 0x04, 0x02, 0x100
 PASSIVE, WARNING, OVERFLOW = 0x30, 0x0C, 0x03
 ERROR_CLASSES = (0x04, 0x08, 0x20, 0x40, 0x44, 0x80)
-"""Bits of SocketCAN's error frames (linux/can/error.h); python-can hands them on as they are."""
+"""Bits of SocketCAN's error frames (linux/can/error.h), which python-can passes on unchanged."""
 
 
 class CanOptions(Strict):
-    """What every CAN device may say of its interface.
+    """Options of the interface of a CAN device.
 
     Attributes:
         interface: python-can's name of the kind.
-        channel: which one: "can0", a serial port for slcan, a group address for udp_multicast.
+        channel: name of the interface: "can0", a serial port for slcan, a group address for udp_multicast.
         bitrate: bit/s, where the interface sets it itself (socketcan does not: `ip link set can0 type can bitrate …`).
         settings: further settings of that kind of interface, by python-can's names.
-        at_start: "required": the run does not begin without the interface; "later": it may appear any time.
-        first_retry_s, longest_retry_s: between two attempts to open; doubled from the first up to the longest.
+        at_start: "required": the run does not begin without the interface; "later": it may appear at any time.
+        first_retry_s, longest_retry_s: wait between two attempts to open; doubled from the first up to the longest.
     """
 
     interface: str
@@ -49,7 +49,7 @@ class CanOptions(Strict):
 
     @property
     def place(self) -> str:
-        """The interface as people call it."""
+        """Name of the interface, for people."""
         return f"{self.interface} {self.channel}"
 
 
@@ -57,11 +57,11 @@ class CanLink:
     """An open interface.
 
     Args:
-        options: which and how.
-        filters: identifiers to let through, as (identifier, extended); none: all.
+        options: interface and its settings.
+        filters: identifiers to receive, as (identifier, extended); empty: all.
 
     Attributes:
-        garbled: texts in a row, from an adapter on a serial line, that were no frame.
+        garbled: number of texts in a row, from an adapter on a serial line, that were no frame.
 
     Raises:
         DriverUnavailable: it cannot be opened, or python-can or its back end is not installed.
@@ -72,23 +72,23 @@ class CanLink:
 
         self.place, self._errors, self.garbled = options.place, (can.CanError, OSError, ValueError), 0
         settings: Mapping[str, Any] = {**options.settings, **({"bitrate": options.bitrate} if options.bitrate else {})}
-        # Interfaces that filter in software filter error frames too: their classes must pass, or bus-off goes unseen.
+        # Interfaces that filter in software filter error frames, too: their classes must pass, or bus-off is missed.
         passed = [*filters, *((n, False) for n in ERROR_CLASSES)] if filters else []
         exact = [{"can_id": n, "can_mask": 0x1FFFFFFF if e else 0x7FF, "extended": e} for n, e in passed]
         try:
             self._bus: Any = can.Bus(
                 interface=options.interface, channel=options.channel, can_filters=exact or None, **settings
             )
-        except Exception as e:  # back ends without their maker's library raise the oddest things
+        except Exception as e:  # back ends without their maker's library raise all kinds of exceptions
             missing = options.channel.startswith("/") and not Path(options.channel).exists()
             why = "no such port; plug it in, or name another" if missing else e
             raise DriverUnavailable(f"{self.place}: cannot be opened: {why}") from e
 
     def receive(self) -> Any:
-        """The next frame; None after a short while, or for text of an adapter that is no frame.
+        """The next frame; None after a short while, or for an adapter's text that is no frame.
 
         Raises:
-            DriverUnavailable: the interface is gone, or nothing but garbage comes.
+            DriverUnavailable: the interface is gone, or only garbage comes.
         """
         try:
             message = self._bus.recv(RECEIVE_S)
@@ -103,10 +103,10 @@ class CanLink:
         return message
 
     def _skip_garbage(self, no_text: bool) -> None:
-        """What is no frame costs that line, not the seconds that an adapter takes to open.
+        """Skip a line that is no frame, which is faster than the seconds that it takes to reopen an adapter.
 
-        python-can takes the text of an adapter on a serial line (slcan) apart without looking: its errors are those of
-        numbers and indexes. Bytes that are no text at all stay in its buffer and would spoil every line to come.
+        python-can parses the text of an adapter on a serial line (slcan) without checks: its errors are those of
+        numbers and indexes. Bytes that are no text stay in its buffer and would make every later line malformed.
         """
         self.garbled += 1
         if self.garbled > GARBLED_IN_A_ROW:
@@ -116,7 +116,7 @@ class CanLink:
                 self._bus.flush()
 
     def send(self, identifier: int, data: bytes, extended: bool = False) -> None:
-        """Hand a frame to the interface, without waiting; DriverTimeout when it takes none now."""
+        """Pass a frame to the interface without waiting; DriverTimeout where it accepts none now."""
         import can
 
         try:
@@ -125,7 +125,7 @@ class CanLink:
             raise DriverTimeout(f"{self.place}: takes no frame: {e}") from e
 
     def off(self) -> bool:
-        """Does the interface itself say that it has left the bus?"""
+        """Does the interface report that it has left the bus?"""
         import can
 
         with suppress(*self._errors, NotImplementedError):
@@ -133,7 +133,7 @@ class CanLink:
         return False
 
     def close(self) -> None:
-        """Let go of the interface."""
+        """Close the interface."""
         with suppress(*self._errors):
             self._bus.shutdown()
 
@@ -142,15 +142,15 @@ class CanPort:
     """Keeps an interface open.
 
     Args:
-        options: which and how.
-        clock: frames are stamped with it.
-        filters: identifiers to let through; none: all.
-        on_frame: is given identifier, whether it is extended, content and instant, ns, in the port's thread.
-        on_idle: is called now and then in the port's thread, with the instant, ns.
+        options: interface and its settings.
+        clock: clock of the frames' instants.
+        filters: identifiers to receive; empty: all.
+        on_frame: called with identifier, whether it is extended, content and instant, ns, in the port's thread.
+        on_idle: called now and then in the port's thread, with the instant, ns.
 
     Attributes:
         trouble: why the interface is not open, or "".
-        warning: what the controller complains about (error passive, overflow), or "".
+        warning: the controller's warning (error passive, overflow), or "".
     """
 
     def __init__(
@@ -169,19 +169,19 @@ class CanPort:
 
     @property
     def entered(self) -> bool:
-        """Was it opened and not closed?"""
+        """Is it open, or being reopened?"""
         return self._worker is not None
 
     @property
     def attempts(self) -> int:
-        """How often the interface was opened, or tried to, in the background."""
+        """Number of attempts to open the interface in the background."""
         return self._worker.attempts if self._worker is not None else 0
 
     def open(self) -> None:
         """Open the interface and start listening.
 
         Raises:
-            DriverUnavailable: it cannot be opened, and the options say `at_start = "required"`.
+            DriverUnavailable: it cannot be opened, and the options have `at_start = "required"`.
         """
         link, self.trouble = None, ""
         try:
@@ -195,7 +195,7 @@ class CanPort:
         self._worker.start(link)
 
     def close(self) -> None:
-        """Stop listening and let go of the interface."""
+        """Stop listening and close the interface."""
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.stop()
@@ -204,7 +204,7 @@ class CanPort:
         """Send a frame without waiting.
 
         Raises:
-            DriverTimeout: the interface takes none now.
+            DriverTimeout: the interface accepts none now.
             DriverUnavailable: it is not open.
         """
         link = self._link

@@ -28,7 +28,7 @@ class TemperatureSignal(SignalOptions, Conversion):
     """A temperature in a frame.
 
     Attributes:
-        timeout_s: longest time between two of its frames. `scale` and `offset` come on top of the DBC file's own.
+        timeout_s: longest time between two of its frames. `scale` and `offset` apply after the DBC file's own.
     """
 
     timeout_s: Timeout = 5.0
@@ -54,13 +54,13 @@ class SpindleSignal(SignalOptions):
 
 
 class CanTemperatureOptions(CanOptions):
-    """What a run file may say of temperatures on a CAN bus.
+    """Options of temperatures on a CAN bus.
 
     Attributes:
-        dbc: file with messages and signals; a relative path starts at the folder of the run file.
-        temperature: by sensor.
-        spindle: where the spindle speed stands.
-        node: CANopen devices that are watched, by a name of your choice.
+        dbc: file with messages and signals; a relative path starts at the run file's folder.
+        temperature: signals by sensor.
+        spindle: signal of the spindle speed.
+        node: CANopen devices to watch, by a name of your choice.
     """
 
     dbc: Path | None = None
@@ -78,17 +78,17 @@ class CanTemperatureOptions(CanOptions):
 class CanDriver:
     """Temperatures and spindle speed from a CAN bus: signals of a DBC file, or CANopen PDOs.
 
-    They are taken as they come; nothing that the loop calls waits for the bus.
+    Frames are processed as they arrive; nothing that the loop calls waits for the bus.
 
     Args:
-        options: what the run file says.
-        machine: whose sensors the arrays follow.
-        clock: frames are stamped with it when they are received.
-        base: folder that relative paths start at.
+        options: options of the run file.
+        machine: machine with the sensors of the arrays.
+        clock: clock of the frames' instants of arrival.
+        base: folder at which relative paths start.
 
     Raises:
-        ConfigError: a sensor, message or signal that does not exist; everything at once.
-        DriverUnavailable: a package that is needed is not installed.
+        ConfigError: sensors, messages or signals that do not exist; all of them.
+        DriverUnavailable: a required package is not installed.
     """
 
     options_model = CanTemperatureOptions
@@ -120,7 +120,7 @@ map = ["i32"]
 
     @classmethod
     def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
-        """Listen which frames come, and which of their bytes change."""
+        """A scanner that lists the received frames and the bytes that change."""
         way = {key: value for key, value in table.items() if key in CanOptions.model_fields}
         return CanScanner(validated(CanOptions, way, "can"), clock, "temperature")
 
@@ -136,8 +136,8 @@ map = ["i32"]
         self._nodes = NodeWatch(list(options.node.values()))
         self._heard_ns = dict.fromkeys(options.temperature, 0)
         self._rpm, self._rpm_ns = math.nan, -(2**62)
-        wanted = [s for s in (*self._sources.values(), self._spindle) if s is not None]
-        filters = {(s.identifier, s.extended) for s in wanted} | set(self._nodes.identifiers())
+        sources = [s for s in (*self._sources.values(), self._spindle) if s is not None]
+        filters = {(s.identifier, s.extended) for s in sources} | set(self._nodes.identifiers())
         self._port = CanPort(options, clock, sorted(filters), self._frame, self._look)
 
     def __enter__(self) -> Self:
@@ -152,11 +152,11 @@ map = ["i32"]
         self._port.close()
 
     def read_temperatures(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64]) -> None:
-        """Fill in what came last, °C, and when it was received, ns; then tell what is wrong.
+        """Fill in the newest values, °C, and their instants of arrival, ns; then raise the faults.
 
         Raises:
-            DriverFault: of some sensors there is no believable new value, or a device is not well; all others are in.
-            DriverUnavailable: the interface is not open; it is being opened again.
+            DriverFault: some sensors have no valid new value, or a device has a fault; all other values are filled in.
+            DriverUnavailable: the interface is not open; it is being reopened.
         """
         self._readings.fill(degc, time_ns)
         self._port.check()
@@ -165,7 +165,7 @@ map = ["i32"]
             raise DriverFault("; ".join(faults))
 
     def read_spindle(self) -> float:
-        """Give the spindle speed that came last, 1/min.
+        """The newest spindle speed, 1/min.
 
         Raises:
             DriverFault: the run file names no spindle.
@@ -181,13 +181,13 @@ map = ["i32"]
         return self._rpm
 
     def faults(self) -> list[str]:
-        """What is wrong now, one line each; of the bus, of devices, of sensors."""
+        """Present faults, one line each: of the bus, of devices, of sensors."""
         bus = [text for text in (self._port.trouble, self._port.warning) if text]
         return [*bus, *self._nodes.faults(self._clock.now_ns()), *self._readings.faults()]
 
     @property
     def attempts(self) -> int:
-        """How often the interface was opened, or tried to, in the background."""
+        """Number of attempts to open the interface in the background."""
         return self._port.attempts
 
     def _frame(self, identifier: int, extended: bool, data: bytes, now_ns: int) -> None:
@@ -212,7 +212,7 @@ map = ["i32"]
         self._readings.take(name, number, now_ns)
 
     def _take_speed(self, source: SignalSource, data: bytes, now_ns: int) -> None:
-        """What is no number is passed over: the speed that stands gets old, and that is told."""
+        """Store the speed; a value that is no number is skipped, so that the speed ages and times out."""
         scale = self._options.spindle.scale if self._options.spindle else 1.0
         with suppress(DriverFault):
             rpm = source.number(data) * scale
@@ -228,7 +228,7 @@ map = ["i32"]
     def _start(self, order: bytes) -> None:
         try:
             self._port.send(NMT, order)
-        except (DriverTimeout, DriverUnavailable):  # the next heartbeat brings the next attempt
+        except (DriverTimeout, DriverUnavailable):  # tried again at the next heartbeat
             return
 
 

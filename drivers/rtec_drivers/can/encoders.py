@@ -21,7 +21,7 @@ from rtec_drivers.count_tracker import CountTracker
 
 SYNC = 0x080
 Reading = tuple[tuple[int, ...], int, int]
-"""Counters of all axes, and between which two instants they were latched, ns."""
+"""Counters of all axes, and the two instants between which they were latched, ns."""
 
 
 class EncoderSignal(SignalOptions):
@@ -35,16 +35,16 @@ class EncoderSignal(SignalOptions):
 
 
 class CanEncoderOptions(CanOptions):
-    """What a run file may say of encoders on a CAN bus.
+    """Options of encoders on a CAN bus.
 
     Attributes:
-        dbc: file with messages and signals; a relative path starts at the folder of the run file.
-        axis: by axis name; all of the machine's.
+        dbc: file with messages and signals; a relative path starts at the run file's folder.
+        axis: signals by axis; all of the machine's.
         bits: width of the position value; it wraps there.
         sync: send SYNC, so that all encoders latch at the same instant (their PDOs must be synchronous, type 1).
-            Without it each position has the instant of its own frame, and the reading that of the oldest.
+            Without it each position has the instant of its own frame, and the reading has that of the oldest.
         timeout_ms: a reading older than this is reported as missing.
-        node: CANopen devices that are watched, by a name of your choice.
+        node: CANopen devices to watch, by a name of your choice.
     """
 
     dbc: Path | None = None
@@ -58,18 +58,18 @@ class CanEncoderOptions(CanOptions):
 class CanEncodersDriver:
     """Encoders on a CAN bus: the counts of all axes.
 
-    With `sync` each reading sends the next SYNC and gives what the last one brought: it is a cycle old, and its
-    instant says so. The next SYNC waits until all have answered the last one, or have had `timeout_ms` for it, so no
-    position is counted to the wrong instant.
+    With `sync` each reading sends the next SYNC and gives the result of the one before: it is a cycle old, as its
+    instant shows. The next SYNC waits until all encoders have answered the one before, or `timeout_ms` has passed, so
+    no position is assigned to the wrong instant.
 
     Args:
-        options: what the run file says.
-        machine: whose axes the array follows.
-        clock: instants are in its time.
-        base: folder that relative paths start at.
+        options: options of the run file.
+        machine: machine with the axes of the array.
+        clock: clock of the instants.
+        base: folder at which relative paths start.
 
     Raises:
-        ConfigError: an axis, message or signal that does not exist, or an axis that is missing.
+        ConfigError: an axis, message or signal does not exist, or an axis is missing.
     """
 
     options_model = CanEncoderOptions
@@ -96,7 +96,7 @@ max_speed_mm_s = 500
 
     @classmethod
     def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
-        """Listen which frames come, and which of their bytes change."""
+        """A scanner that lists the received frames and the bytes that change."""
         way = {key: value for key, value in table.items() if key in CanOptions.model_fields}
         return CanScanner(validated(CanOptions, way, "can_encoders"), clock, "axis")
 
@@ -145,7 +145,7 @@ max_speed_mm_s = 500
         return self._tracker.lost
 
     def resume(self) -> None:
-        """The order to go on after a lost position: the next reading is taken as it stands."""
+        """Go on after a lost position: the next reading is accepted as it is."""
         self._tracker.restart()
         self._used, self._counts = self._newest, None
 
@@ -154,7 +154,7 @@ max_speed_mm_s = 500
 
         Raises:
             DriverTimeout: they are older than `timeout_ms`, or there are none yet.
-            DriverFault: they cannot be: a jump that the machine cannot make.
+            DriverFault: they are not possible: a jump that the machine cannot make.
             DriverUnavailable: the interface is not open.
         """
         self._port.check()
@@ -174,7 +174,7 @@ max_speed_mm_s = 500
         return self._instant_ns
 
     def faults(self) -> list[str]:
-        """What is wrong now, one line each."""
+        """Present faults, one line each."""
         bus = [text for text in (self._port.trouble, self._port.warning, self._tracker.lost) if text]
         return [*bus, *self._nodes.faults(self._clock.now_ns())]
 
@@ -204,7 +204,7 @@ max_speed_mm_s = 500
             if (source.identifier, source.extended) == (identifier, extended):
                 try:
                     self._pending[k] = (int(source.number(data)), now_ns)
-                except (DriverFault, ValueError, OverflowError):  # no number; the reading gets old, and that is told
+                except (DriverFault, ValueError, OverflowError):  # no number: the reading ages and times out
                     return
         if len(self._pending) == len(self._sources):
             self._complete(now_ns)

@@ -1,4 +1,4 @@
-"""Which identifiers arrive on a CAN bus, and which of their bytes change. Nothing is sent."""
+"""Lists the identifiers on a CAN bus and the bytes that change. Sends nothing."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,9 +22,9 @@ class HeardFrames:
     """All frames with one identifier.
 
     Attributes:
-        data: of the newest.
-        count: how many came.
-        changed: which bytes were not always the same.
+        data: content of the newest.
+        count: number of frames.
+        changed: indices of the bytes that changed.
     """
 
     data: bytes
@@ -32,7 +32,7 @@ class HeardFrames:
     changed: frozenset[int] = frozenset()
 
     def take(self, data: bytes) -> None:
-        """One more."""
+        """Add a frame."""
         self.changed |= {k for k, (a, b) in enumerate(zip(self.data, data, strict=False)) if a != b}
         self.data, self.count = data, self.count + 1
 
@@ -42,13 +42,13 @@ class CanScanner:
 
     Args:
         options: the interface.
-        clock: for how long.
-        kind: what is looked for.
-        listen_s: how long; some seconds where not given.
+        clock: clock of the durations.
+        kind: kind of number to look for.
+        listen_s: duration; None: some seconds.
 
     Attributes:
-        duration: of the search.
-        heard: by identifier, and whether that has 29 bits.
+        duration: duration of the search, in words.
+        heard: frames by identifier, and whether that has 29 bits.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class CanScanner:
         return {place: number for place, (_, _, number) in self._places().items()}
 
     def proposed(self, names: Sequence[str]) -> dict[str, str]:
-        """In the order of the identifiers: a room's temperatures; positions only where none is over."""
+        """In the order of the identifiers: plausible room temperatures; positions only if there are as many as axes."""
         there = self._places()
         if self._kind == "axis":
             return dict(zip(names, there, strict=True)) if len(there) == len(names) else {}
@@ -99,7 +99,7 @@ class CanScanner:
         return dict(zip(names, could_be, strict=False)) if len(could_be) >= len(names) else {}
 
     def table(self, places: Mapping[str, str], unit: float) -> dict[str, Any]:
-        """`temperature`, or `axis` with `sync`: positions that came unasked need none."""
+        """`temperature`, or `axis` with `sync`: positions that come unasked need no SYNC."""
         there = self._places()
         out = {name: self._signal(there[place][0], place) for name, place in places.items()}
         if self._kind == "axis":
@@ -107,7 +107,7 @@ class CanScanner:
         return {"temperature": {name: signal | {"scale": unit} for name, signal in out.items()}}
 
     def _listen(self, long_ns: int) -> None:
-        """Take frames for so long; on a quiet bus `receive` itself waits."""
+        """Receive frames for that time; on a quiet bus `receive` itself waits."""
         end_ns = self._clock.now_ns() + long_ns
         while self._link is not None and self._clock.now_ns() < end_ns:
             message = self._link.receive()
@@ -116,7 +116,7 @@ class CanScanner:
                 self.heard.setdefault(key, HeardFrames(data)).take(data)
 
     def _places(self) -> dict[str, tuple[int, str, float]]:
-        """Identifier, type and number by place: frames with 11 bits, which need no DBC file."""
+        """Identifier, type and number by place: only frames with 11 bits, which need no DBC file."""
         out: dict[str, tuple[int, str, float]] = {}
         for (identifier, extended), frames in sorted(self.heard.items()):
             at = 0
@@ -129,16 +129,16 @@ class CanScanner:
         return out
 
     def _map(self, data: bytes) -> list[str]:
-        """Types of the numbers that fill a frame: positions of 32 bits; floats that a room could have, else 16 bits."""
+        """Types of a frame's numbers: positions of 32 bits; floats that may be room temperatures, else 16 bits."""
         if self._kind == "axis":
             return ["u32"] * (len(data) // 4)
         out, at = [], 0
         while at < len(data):
-            left = len(data) - at
-            if left >= 4 and in_room(_number("f32", data[at : at + 4]), degc=True):
+            remaining = len(data) - at
+            if remaining >= 4 and in_room(_number("f32", data[at : at + 4]), degc=True):
                 out.append("f32")
             else:
-                out.append("i16" if left >= 2 else "u8")
+                out.append("i16" if remaining >= 2 else "u8")
             at += int(out[-1][1:]) // 8
         return out
 
@@ -162,7 +162,7 @@ class CanScanner:
 
 
 def _pdo(identifier: int) -> tuple[int, int]:
-    """Process data's number and node; number 0 where it is none of the pre-defined ones."""
+    """Number and node of a process data object; number 0 where it is none of the pre-defined ones."""
     node = identifier & 0x7F
     return next((pdo for pdo, base in PDO_IDS.items() if identifier & ~0x7F == base and node), 0), node
 

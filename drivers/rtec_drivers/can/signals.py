@@ -1,4 +1,4 @@
-"""Where in which frame a number stands: a signal of a DBC file, or an object in a CANopen PDO.
+"""The place of a number in a frame: a signal of a DBC file, or an object in a CANopen PDO.
 
 Watches CANopen devices: heartbeat, state, boot-up and emergency messages (CiA 301).
 """
@@ -17,20 +17,20 @@ from rtec.tomlfile import Strict, nearest
 
 ObjectType = Literal["i8", "u8", "i16", "u16", "i24", "u24", "i32", "u32", "i64", "u64", "f32", "f64"]
 PDO_IDS = {1: 0x180, 2: 0x280, 3: 0x380, 4: 0x480}
-"""CiA 301, pre-defined connection set: transmit PDOs of a node are at these plus its number."""
+"""CiA 301, pre-defined connection set: identifiers of transmit PDOs, to which the node's number is added."""
 Decoder = Callable[[bytes], float]
 
 
 class SignalOptions(Strict):
-    """Where a number stands: either `message` and `signal` of the DBC file, or `node`, `pdo` and `map`.
+    """Place of a number: either `message` and `signal` of the DBC file, or `node`, `pdo` and `map`.
 
     Attributes:
         message, signal: names in the DBC file; its own scale and offset are used.
         node: CANopen number of the device.
         pdo: number of its transmit PDO, 1 to 4.
         cob_id: identifier of the PDO where it is not the pre-defined one.
-        map: types of the objects in the PDO, in order (what the device's object 1A00h to 1A03h says).
-        item: which of them it is, from 1.
+        map: types of the objects in the PDO, in order (as in the device's object 1A00h to 1A03h).
+        item: index of the number among them, from 1.
     """
 
     message: str | None = None
@@ -58,12 +58,12 @@ class SignalOptions(Strict):
 
 @dataclass(frozen=True)
 class SignalSource:
-    """A number in a frame.
+    """Reader of a number in a frame.
 
     Attributes:
-        identifier, extended: of the frame.
-        number: reads it from the frame's content; raises DriverFault where it is not there.
-        bits: of a whole number: how many it has; 64 for others.
+        identifier, extended: identifier of the frame.
+        number: reads it from the frame's content; raises DriverFault where it is missing.
+        bits: width of a whole number; 64 for others.
     """
 
     identifier: int
@@ -73,7 +73,7 @@ class SignalSource:
 
 
 class Dbc:
-    """A DBC file, read when the first signal is asked for.
+    """A DBC file, read for the first signal.
 
     Args:
         path: the file, or None where the device has none.
@@ -84,14 +84,14 @@ class Dbc:
         self._database: Any = None
 
     def source(self, options: SignalOptions, scaled: bool) -> SignalSource:
-        """Where a signal stands.
+        """The reader of a signal.
 
         Args:
             options: its names, or its place in a PDO.
-            scaled: with the file's scale and offset, or as the bare number.
+            scaled: with the file's scale and offset, or the bare number.
 
         Raises:
-            ConfigError: no such message or signal, or no DBC file.
+            ConfigError: the message or signal does not exist, or there is no DBC file.
             DriverUnavailable: the package that reads DBC files is not installed.
         """
         if options.node is not None:
@@ -176,12 +176,12 @@ START = 1
 
 
 class NodeOptions(Strict):
-    """A CANopen device that is watched.
+    """A CANopen device to watch.
 
     Attributes:
-        id: its number.
-        heartbeat_s: longest time between two heartbeats (a little more than its object 1017h says).
-        start: order it to become operational when it is not; leave false where another master does so.
+        id: number of the node.
+        heartbeat_s: longest time between two heartbeats (a little more than in its object 1017h).
+        start: order it to become operational when it is not; keep false where another master does so.
     """
 
     id: Annotated[int, Field(ge=1, le=127)]
@@ -190,7 +190,7 @@ class NodeOptions(Strict):
 
 
 class NodeWatch:
-    """What the devices say of themselves."""
+    """State of the watched devices, from their messages."""
 
     def __init__(self, nodes: Sequence[NodeOptions]) -> None:
         self._nodes = {n.id: n for n in nodes}
@@ -204,7 +204,7 @@ class NodeWatch:
         return [(base + n, False) for n in self._nodes for base in (HEARTBEAT, EMERGENCY)]
 
     def frame(self, identifier: int, data: bytes, now_ns: int) -> bytes | None:
-        """Take in a frame; give the content of an NMT order that should be sent, or None."""
+        """Process a frame; give the content of an NMT order to send, or None."""
         base, number = identifier & ~0x7F, identifier & 0x7F
         node = self._nodes.get(number)
         if node is None or not data:
@@ -219,7 +219,7 @@ class NodeWatch:
         return None
 
     def faults(self, now_ns: int) -> list[str]:
-        """What is wrong with them, one line each."""
+        """Present faults of the devices, one line each."""
         if self._since_ns < 0:
             self._since_ns = now_ns
         out = []

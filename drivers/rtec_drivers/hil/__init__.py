@@ -1,1 +1,1 @@
-"""Hardware in the loop: the simulated machine behind real buses, and the daemon run against it (`docs/hil.md`)."""
+"""Hardware in the loop: the simulated machine behind real buses, and the daemon that corrects it (`docs/hil.md`)."""

@@ -1,4 +1,4 @@
-"""An slcan adapter in software, and the sensors on the bus behind it, from what the run file tells the driver.
+"""An slcan adapter in software, and the sensors on its bus, made from the driver's options in the run file.
 
 Written from the manual of Lawicel's CAN232 ("S6", "O", "t1858…", each ended by a carriage return) and from CiA 301.
 """
@@ -27,11 +27,11 @@ Value = Callable[[], float]
 
 @dataclass
 class SignalNumber:
-    """A number in a frame: what it is, how it becomes a raw one, what says that its wire is broken.
+    """A number in a frame: its value, its conversion to a raw number, and its code of a broken wire.
 
     Attributes:
-        open: it is broken.
-        frozen: it stays at this raw number.
+        open: is its wire broken?
+        frozen: it keeps this raw number.
     """
 
     value: Value
@@ -42,7 +42,7 @@ class SignalNumber:
     frozen: float | None = None
 
     def raw(self) -> float:
-        """The number that goes into the frame."""
+        """The number in the frame."""
         if self.open and self.open_code is not None:
             return self.open_code
         return self.frozen if self.frozen is not None else (self.value() - self.offset) / self.scale
@@ -50,7 +50,7 @@ class SignalNumber:
 
 @dataclass
 class FrameOut:
-    """A frame that is sent again and again."""
+    """A frame that is sent repeatedly."""
 
     identifier: int
     extended: bool
@@ -58,7 +58,7 @@ class FrameOut:
     numbers: dict[str, SignalNumber] = field(default_factory=dict)
 
     def line(self, shift: int) -> bytes:
-        """It as the adapter says it."""
+        """The frame as the adapter prints it."""
         data = self.pack({name: n.raw() for name, n in self.numbers.items()})
         return slcan(self.identifier + shift, self.extended, data)
 
@@ -67,11 +67,11 @@ class SlcanSimulator:
     """The adapter as `PtyPeer` serves it.
 
     Attributes:
-        frames: what the sensors send.
-        silent: the sensors say nothing.
-        bus_off: the adapter has left the bus: it hears nothing, and refuses to send.
+        frames: frames that the sensors send.
+        silent: the sensors send nothing.
+        bus_off: the adapter has left the bus: it receives nothing, and refuses to send.
         wrong_node: the sensors send as another node.
-        lose_every: one frame in so many is lost on the bus; 0: none.
+        lose_every: one frame of this number is lost on the bus; 0: none.
         heard: frames that the computer sent.
     """
 
@@ -83,12 +83,12 @@ class SlcanSimulator:
         self._next_ns = self._next_beat_ns = 0
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take in orders; answer them, and say what is due."""
+        """Process commands; answer them, and print the frames that are due."""
         *lines, self._rest = (self._rest + data).split(b"\r")
         return b"".join(self._order(line) for line in lines) + self.idle(now_ns)
 
     def idle(self, now_ns: int) -> bytes:
-        """Say what came over the bus."""
+        """Print the frames that came over the bus."""
         if not self._open or self.silent or self.bus_off:
             return b""
         out, shift = b"", OTHER_NODE if self.wrong_node else 0
@@ -121,7 +121,7 @@ class SlcanSimulator:
 
 
 def slcan(identifier: int, extended: bool, data: bytes) -> bytes:
-    """A frame in the adapter's words."""
+    """A frame in the adapter's text."""
     head = f"T{identifier:08X}" if extended else f"t{identifier:03X}"
     return f"{head}{len(data)}{data.hex().upper()}\r".encode()
 
@@ -129,10 +129,10 @@ def slcan(identifier: int, extended: bool, data: bytes) -> bytes:
 def adapter(
     options: CanTemperatureOptions, sensors: Mapping[str, Value], rpm: Value, base: Path, where: str
 ) -> SlcanSimulator:
-    """An adapter whose bus says what the run file waits for.
+    """An adapter whose bus has the frames that the run file expects.
 
     Raises:
-        ConfigError: a voltage where a temperature is sent, or no such message in the DBC file.
+        ConfigError: a thermocouple's voltage, which it cannot send, or a message that is not in the DBC file.
         DriverUnavailable: DBC files need cantools.
     """
     voltages = [name for name, t in options.temperature.items() if t.thermocouple is not None]
@@ -153,7 +153,7 @@ def _open_code(table: TemperatureSignal) -> float:
 
 
 def _put(frames: dict[tuple[int, bool], FrameOut], dbc: Any, options: SignalOptions, number: SignalNumber) -> None:
-    """Give a number its place; several signals may share a frame."""
+    """Put a number into its frame; several signals may share a frame."""
     if options.node is not None:
         identifier = options.cob_id or PDO_BASE + (options.pdo - 1) * PDO_STEP + options.node
         places = [*options.map]
@@ -167,7 +167,7 @@ def _put(frames: dict[tuple[int, bool], FrameOut], dbc: Any, options: SignalOpti
 
 
 def _pdo(kinds: Sequence[str], raw: Mapping[str, float]) -> bytes:
-    """Objects one behind the other, little-endian, as CiA 301 has them; those that nobody reads are zero."""
+    """Objects one after the other, little-endian, as in CiA 301; those without a reader are zero."""
     out = b""
     for k, kind in enumerate(kinds):
         number, size = raw.get(str(k), 0.0), int(kind[1:]) // 8

@@ -38,11 +38,11 @@ class HilBench:
     """Puts the simulated machine of a run file's `[hil]` behind the buses of its devices."""
 
     def faults(self) -> Mapping[str, str]:
-        """All faults: name, and what it is."""
+        """All faults: name, and description."""
         return {name: fault.what for name, fault in FAULTS.items()}
 
     def run(self, order: HilOrder, tell: Tell) -> HilResult:
-        """Run all four: simulated and behind buses, off and on."""
+        """Make all four runs: simulated and behind buses, off and on."""
         wiring = read_wiring(order.config, order.gateware)
         _check_faults(order.faults, wiring)
         off_s = order.off_s or wiring.options.off_s
@@ -61,7 +61,7 @@ class HilBench:
             return _result(wiring, order, off, on, (sim_off, sim_on))
 
     def soak(self, order: SoakOrder, tell: Tell) -> SoakResult:
-        """Run for long, with faults by chance."""
+        """Run for a long time, with random faults."""
         return soak(order, tell)
 
 
@@ -71,17 +71,17 @@ def _words(bus: Bus, wiring: Wiring) -> str:
 
 
 def _check_faults(faults: Sequence[FaultOrder], wiring: Wiring) -> None:
-    """Each must befall a bus that is there."""
+    """Refuse a fault of a bus that the run file does not have."""
     there = set(wiring.buses.values())
-    absent = sorted({f.name for f in faults if FAULTS[f.name].bus not in there})
-    if absent:
+    missing = sorted({f.name for f in faults if FAULTS[f.name].bus not in there})
+    if missing:
         raise ConfigError(
-            f"{wiring.path}: no device for {', '.join(absent)}; the run file has {', '.join(sorted(there))}"
+            f"{wiring.path}: no device for {', '.join(missing)}; the run file has {', '.join(sorted(there))}"
         )
 
 
 def _check_length(off_s: float, on_s: float, wiring: Wiring) -> None:
-    """There must be something left behind the time to settle."""
+    """Refuse runs that are not longer than the time to settle."""
     least_s = wiring.options.settle_s + 1.0
     if min(off_s, on_s) < least_s:
         raise ConfigError(
@@ -131,7 +131,7 @@ def _timing(run: BusRun) -> dict[str, Any]:
 
 
 def _course(off: TipTrack, on: TipTrack, names: tuple[str, ...]) -> Course:
-    """Both on the corrected run's instants, as far as the uncorrected one goes."""
+    """Both runs at the corrected run's instants, as far as the uncorrected one goes."""
     off_um = np.full((len(on.time_s), len(names)), np.nan)
     for k, column in enumerate(errors_um(off, names).T):
         off_um[:, k] = np.interp(on.time_s, off.time_s, column, right=np.nan)

@@ -1,4 +1,4 @@
-"""One run of the daemon behind real buses, as it was found afterwards."""
+"""Result of one run of the daemon behind real buses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ from rtec_drivers.hil.watch import FaultWatch
 
 @dataclass(frozen=True)
 class BusRun:
-    """One run of the daemon behind real buses.
+    """Result of one run of the daemon behind real buses.
 
     Attributes:
         setup: its run file.
-        report: the daemon's own.
-        start_ns: when the machine began to live.
-        track: what the tip did.
-        logbook: what the log says.
-        log: the log.
-        found: what the far sides counted.
-        watch: what the daemon said.
-        warnings: what the system did not grant.
+        report: the daemon's report.
+        start_ns: start of the machine.
+        track: positions of the tool tip.
+        logbook: summary of the log.
+        log: path of the log.
+        far_counts: counts of the far sides.
+        watch: the daemon's messages.
+        warnings: what the system refused.
     """
 
     setup: Setup
@@ -34,6 +34,6 @@ class BusRun:
     track: TipTrack
     logbook: Logbook
     log: Path
-    found: Mapping[str, Mapping[str, Any]]
+    far_counts: Mapping[str, Mapping[str, Any]]
     watch: FaultWatch
     warnings: Sequence[str]

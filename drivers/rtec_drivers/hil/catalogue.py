@@ -1,4 +1,4 @@
-"""The faults that the bench can make happen, by name; what each does stands in `injector`."""
+"""The faults that the bench can cause, by name; `injector` causes them."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -12,9 +12,9 @@ class BusFault:
     """One fault.
 
     Attributes:
-        bus: whose.
-        what: it, in words.
-        needs_order: when it is over the operator must order to resume.
+        bus: bus that has the fault.
+        what: description.
+        needs_order: must the operator order to resume after it?
     """
 
     bus: Bus

@@ -24,7 +24,7 @@ LEAST_MS, MOST_ROWS = 10, 200_000
 
 
 def every_ms_of(duration_s: float) -> int:
-    """How often the tip is looked at in a run of this length, ms."""
+    """Period of recording the tip in a run of this length, ms."""
     return max(LEAST_MS, round(duration_s * 1e3 / MOST_ROWS))
 
 
@@ -43,17 +43,17 @@ def run_on_buses(
 
     Args:
         wiring: the run file.
-        folder: for ports, run files and the log.
+        folder: folder for ports, run files and the log.
         mode: "on" or "off".
-        duration_s: how long.
+        duration_s: duration, s.
         faults: to inject.
-        every_ms: the tip is looked at this often.
-        tell: is told the seconds.
-        keep: the log is kept in this folder.
-        look: is shown every status too.
+        every_ms: period of recording the tip, ms.
+        tell: called with the seconds done.
+        keep: folder in which the log is kept; None: it is removed.
+        look: called with every status.
 
     Raises:
-        KeyboardInterrupt: a signal ended it; the far sides are gone.
+        KeyboardInterrupt: a signal ended it; the far sides have ended.
     """
     clock, config = RealClock(), wiring.with_ports(folder, mode)
     if keep:
@@ -79,7 +79,7 @@ def run_on_buses(
         report = supervisor.run(duration_s)
         if report.interrupted:
             raise KeyboardInterrupt
-        found = far.finish()
+        far_counts = far.finish()
         return BusRun(
             setup,
             report,
@@ -87,7 +87,7 @@ def run_on_buses(
             TipTrack.load(folder / TRACK),
             read_logbook(log, setup),
             log,
-            found,
+            far_counts,
             watch,
             [*far.warnings, *report.warnings],
         )
@@ -95,7 +95,7 @@ def run_on_buses(
 
 @contextmanager
 def ends_politely() -> Iterator[None]:
-    """A polite kill ends as Ctrl-C does, whatever is going on: what was started is ended, what was made is removed."""
+    """End at SIGTERM as at Ctrl-C, at any time: started processes are ended, temporary files are removed."""
     before = {number: signal.signal(number, _end) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
@@ -111,7 +111,7 @@ def _end(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def _no_state_left(config: Path) -> Iterator[None]:
-    """The daemon keeps its ledger for the next start; a run file of the bench has none."""
+    """Remove the ledger that the daemon keeps for the next start: a run file of the bench has none."""
     try:
         yield
     finally:

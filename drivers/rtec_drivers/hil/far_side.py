@@ -1,8 +1,8 @@
 """`python -m rtec_drivers.hil.far_side CONFIG --part machine`: one process of the bench, until its input ends.
 
 The machine and its encoder box are one process, slow sensors another, so that neither disturbs the loop, nor the
-sensors the box. Orders come as lines of JSON; when the input ends without one, whoever started this is gone, and
-nothing is left behind.
+sensors the box. Orders come as lines of JSON. When the input ends without one, the parent process has ended, and this
+one removes its files.
 """
 
 import argparse
@@ -38,11 +38,11 @@ from rtec_drivers.sim import SimDriver
 CLOCK = RealClock()
 FOLLOW_S = 0.01
 PRIORITY = 60
-"""Below the loop's, above all else: the box must answer while the loop waits for it."""
+"""Below the loop's, above all others: the box must answer while the loop waits for it."""
 SWITCH_S = 1e-4
-"""A thread that waits for the interpreter gets it after so long: the box must not wait 5 ms for another."""
+"""Interval, s, at which a thread passes the interpreter on: the box must not wait 5 ms for another thread."""
 JUNCTION_DEGC = 25.0
-"""Of terminals that the machine does not know as sensors."""
+"""Temperature of terminals that the machine does not have as sensors."""
 
 
 class MachinePart:
@@ -74,12 +74,12 @@ class MachinePart:
         )
 
     def start(self, now_ns: int) -> None:
-        """The machine begins to live."""
+        """Start the machine."""
         with self._peer.lock:
             self._plant.start(now_ns)
 
     def finish(self, folder: Path) -> dict[str, Any]:
-        """Stop the book; write it down, and say what stands in the machine."""
+        """Stop recording; write the record, and report the ledger in the machine."""
         with self._peer.lock:
             self._plant.follow(CLOCK.now_ns())
             machine, track = self._plant.machine, self._plant.recorder.track()
@@ -93,7 +93,7 @@ class MachinePart:
         }
 
     def _follow(self) -> None:
-        """The machine lives whether the box is asked or not."""
+        """Advance the machine, even when the box is not asked."""
         with self._peer.lock:
             self._plant.follow(CLOCK.now_ns())
 
@@ -123,10 +123,10 @@ class SensorPart:
         self._peers = peers["modbus"] + peers["can"]
 
     def start(self, now_ns: int) -> None:
-        """Sensors need no beginning."""
+        """Do nothing: sensors need no start."""
 
     def finish(self, folder: Path) -> dict[str, Any]:
-        """Nothing to write down."""
+        """Do nothing: there is no record."""
         del folder
         return {"messages": sum(p.faults.passed for p in self._peers)}
 
@@ -135,7 +135,7 @@ PARTS: dict[str, Any] = {"machine": MachinePart, "sensors": SensorPart}
 
 
 class _Sensors(dict[str, Any]):
-    """By the name of a reading what it is: a sensor's temperature, or that of a module's terminals."""
+    """Value by name of a reading: a sensor's temperature, or that of a module's terminals."""
 
     def __init__(self, sensed: Sensed, names: tuple[str, ...]) -> None:
         super().__init__({name: (lambda k=k: sensed.degc(k)) for k, name in enumerate(names)})
@@ -145,7 +145,7 @@ class _Sensors(dict[str, Any]):
 
 
 def _compile(wiring: Wiring, machine: Machine) -> None:
-    """Let another machine of the same kind live for a second, so that the first real tick is not the slow one."""
+    """Run another machine of the same kind for a second, so that the first real tick is not the slow one."""
     other = SimDriver(wiring.options.model_copy(update={"warm_up_s": 0.0}), machine, CLOCK).machine
     recorder = Recorder(other, 1)
     other.advance_to(1_100_000_000)
@@ -158,7 +158,7 @@ def _options(kind: Any, table: dict[str, Any]) -> Any:
 
 
 def _other_cpu(wiring: Wiring) -> int | None:
-    """A processor that the loop does not keep for itself; the loop takes the last where it is not told."""
+    """A processor that is not the loop's; by default the loop has the last one."""
     allowed = sorted(os.sched_getaffinity(0))
     loop = wiring.tables.get("realtime", {}).get("cpu", allowed[-1])
     others = [cpu for cpu in allowed if cpu != loop]
@@ -183,7 +183,7 @@ def _ticking(tick: Any) -> Iterator[None]:
 
 
 def _serve(part: Any, folder: Path) -> bool:
-    """Carry out orders until the one to stop; say whether it came."""
+    """Carry out orders until the one to stop; return whether it came."""
     injector = Injector(part.switches, CLOCK)
     try:
         for line in sys.stdin:

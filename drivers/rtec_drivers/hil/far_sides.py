@@ -1,4 +1,4 @@
-"""Starts the processes of the bench, gives them orders, and ends them, whatever happens."""
+"""Starts the processes of the bench, sends them orders, and ends them, whatever happens."""
 
 import json
 import subprocess
@@ -17,16 +17,16 @@ END_S = 10.0
 
 
 class FarSides:
-    """The far sides of all buses, in processes and sessions of their own: Ctrl-C is not for them.
+    """The far sides of all buses, in processes and sessions of their own, so that Ctrl-C does not reach them.
 
     Args:
         config: run file with section `[hil]`.
-        folder: for ports, and for what is handed over.
-        every_ms: the tip is looked at this often.
-        gateware: a library of simulated gateware, in the place of the box in software.
+        folder: folder for ports and results.
+        every_ms: period of recording the tip, ms.
+        gateware: a library of simulated gateware, which replaces the box in software.
 
     Attributes:
-        warnings: what the system did not grant them.
+        warnings: what the system refused them.
     """
 
     def __init__(self, config: Path, folder: Path, every_ms: int, gateware: Path | None = None) -> None:
@@ -36,15 +36,15 @@ class FarSides:
         register_after_fork(self, FarSides._let_go)  # they end with this process, not with a copy of it
 
     def __enter__(self) -> Self:
-        """Start them; return when their ports are there.
+        """Start them; return when their ports exist.
 
         Raises:
-            DriverUnavailable: one could not start; it says why.
+            DriverUnavailable: one could not start; the message says why.
         """
         for name in (SENSED, TRACK):
             (self._folder / name).unlink(missing_ok=True)
         try:
-            # The sensors' file is made by the machine, so its process comes first.
+            # The machine creates the sensors' file, so its process comes first.
             for part in PARTS:
                 self._processes[part] = self._start(part)
                 self.warnings += [f"simulated {part}: {w}" for w in self._heard(part)["warnings"]]
@@ -58,13 +58,13 @@ class FarSides:
         self._end()
 
     def start(self, at_ns: int, faults: Sequence[FaultOrder]) -> None:
-        """From that instant the machine lives; faults count from it."""
+        """Start the machine at that instant, from which the faults count."""
         order = {"do": "start", "at_ns": at_ns, "faults": [(f.name, f.at_s, f.end_s) for f in faults]}
         for part in PARTS:
             self._tell(part, order)
 
     def finish(self) -> dict[str, dict[str, Any]]:
-        """What each found; the machine's book is then in the folder."""
+        """End them and give each one's counts; the machine's record is then in the folder."""
         out = {}
         for part in PARTS:
             self._tell(part, {"do": "stop"})
@@ -102,13 +102,13 @@ class FarSides:
         line = pipe.readline() if pipe is not None else ""
         if not line:
             raise self._died(part)
-        found: dict[str, Any] = json.loads(line)
-        return found
+        answer: dict[str, Any] = json.loads(line)
+        return answer
 
     def _died(self, part: str) -> DriverUnavailable:
         process = self._processes[part]
-        said = process.communicate()[1].strip().splitlines()
-        why = said[-1] if said else f"exit code {process.returncode}"
+        lines = process.communicate()[1].strip().splitlines()
+        why = lines[-1] if lines else f"exit code {process.returncode}"
         return DriverUnavailable(f"the bench's process {part!r} ended: {why}")
 
     def _let_go(self) -> None:

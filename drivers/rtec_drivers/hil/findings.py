@@ -1,4 +1,4 @@
-"""What the faults did, and what must be so whatever they did."""
+"""Effects of the faults, and the requirements that hold whatever the faults."""
 
 import math
 from collections.abc import Sequence
@@ -14,23 +14,23 @@ from rtec_drivers.hil.track import TipTrack, errors_um, inside
 from rtec_drivers.hil.watch import FaultWatch
 
 AT_END_S = 0.05
-"""Held so near to the end is held for good, as far as this run can tell."""
+"""A hold that ends this near to the run's end, s, counts as a hold for good."""
 HICCUP_S = 0.1
 LEAST_QUIET_S = 5.0
-"""Less time without faults says nothing about accuracy."""
+"""Shortest time without faults, s, for a judgement of the accuracy."""
 ROUNDING = 1e-6
 CALM_S = 1.0
-"""After a recovery the correction is on its way for a moment."""
+"""After a recovery the correction is still on its way for this time, s."""
 BOX_BACK_S = 6.0
-"""So long after its fault the box may still be on its way back: the longest back-off and a handshake."""
+"""Time, s, after its fault within which the box may still be recovering: the longest back-off and a handshake."""
 ROWS_BACK, ROWS_ON = 20, 2
-"""A command reaches the machine within so many cycles; the clocks of both sides are one."""
+"""Cycles within which a command reaches the machine; both sides have the same clock."""
 CALM_ROWS = 200
-"""So many cycles behind a hold commands go through again."""
+"""Cycles after a hold until commands pass through again."""
 LINGERS_S = 20.0
-"""So long after a fault's end the correction may still be held for it: back-off, late answers, a full reopening."""
+"""Time, s, after a fault's end for which it may still cause a hold: back-off, late answers, a full reopening."""
 SHORT_S = 0.5
-"""A hold shorter than this is a hiccup of this PC: the counts were stale for some cycles, and the guard saw it."""
+"""A shorter hold, s, is a hiccup of this PC: the counts were stale for some cycles, and the guard held."""
 Spans = Sequence[tuple[float, float]]
 
 
@@ -42,7 +42,7 @@ def faults_found(
     on_s: float,
     names: Sequence[str],
 ) -> list[FaultFound]:
-    """What each of them did until the next one behind its end; those that overlap share what was held."""
+    """Effect of each fault until the next one after its end; overlapping faults share their holds."""
     seconds, error = logbook.seconds(watch.start_ns), np.abs(errors_um(track, names))
     period_s, spans = on_s / max(1, len(seconds)), held_spans(logbook, watch.start_ns)
     out = []
@@ -52,13 +52,13 @@ def faults_found(
         recovered_s = _recovered_s(spans, order, until_s, on_s)
         meanwhile = inside(track.time_s, [(order.at_s, order.end_s + (recovered_s if recovered_s > 0.0 else 0.0))])
         during = inside(seconds, [(order.at_s, order.end_s)])
-        told = watch.told[k]
+        reports = watch.reports[k]
         out.append(
             FaultFound(
                 order=order,
                 what=FAULTS[order.name].what,
-                told=dict(told.texts),
-                noticed_s=told.noticed_s,
+                told=dict(reports.texts),
+                noticed_s=reports.noticed_s,
                 held_s=float(np.count_nonzero(mine & logbook.held)) * period_s,
                 recovered_s=recovered_s,
                 largest_um=float(error[meanwhile].max()) if meanwhile.any() else math.nan,
@@ -69,10 +69,11 @@ def faults_found(
 
 
 def _recovered_s(spans: Spans, order: FaultOrder, until_s: float, on_s: float) -> float:
-    """From the fault's end until the last instant held; 0 where none is behind its end, NaN where it never ends.
+    """From the fault's end until the end of the last hold; 0 without a hold after its end, NaN where it never ends.
 
-    A hold for some cycles that begins behind the fault's end is a hiccup of this PC. A hold that lasts into the next
-    fault, at `until_s`, is followed to its end: whose it was by then nobody can tell, and only the run's end is never.
+    A hold for some cycles that begins after the fault's end is a hiccup of this PC. A hold that lasts into the next
+    fault, at `until_s`, is followed to its end: its cause is then unknown. Only a hold until
+    the run's end counts as never.
     """
     behind = [
         high
@@ -85,7 +86,7 @@ def _recovered_s(spans: Spans, order: FaultOrder, until_s: float, on_s: float) -
 
 
 def quiet_spans(found: Sequence[FaultFound], settle_s: float, on_s: float) -> list[tuple[float, float]]:
-    """The time in which nothing was wrong: after settling, without faults and what followed them."""
+    """Time without faults: after settling, without faults and their effects."""
     out, low = [], settle_s
     for fault in sorted(found, key=lambda f: f.order.at_s):
         if fault.order.at_s > low:
@@ -96,9 +97,9 @@ def quiet_spans(found: Sequence[FaultFound], settle_s: float, on_s: float) -> li
 
 
 def unheld_spans(quiet: Spans, held: Spans) -> list[tuple[float, float]]:
-    """The parts of quiet time in which the correction followed the model: without holds, and without a moment behind.
+    """Parts of the quiet time in which the correction followed the model: without holds and a moment after each.
 
-    A hold without a fault is the PC's, which kept a far side or a worker waiting; how often says a check of its own.
+    A hold without a fault has its cause in the PC, which delayed a far side or a worker; another check counts these.
     """
     out = list(quiet)
     for begin, end in held:
@@ -108,7 +109,7 @@ def unheld_spans(quiet: Spans, held: Spans) -> list[tuple[float, float]]:
 
 
 def held_check(which: str, run: BusRun, faults: Sequence[FaultOrder], judged: bool) -> Check:
-    """Was the correction held for faults only?"""
+    """Was every hold caused by a fault?"""
     spans = [s for s in held_spans(run.logbook, run.start_ns) if s[1] - s[0] > SHORT_S]
     alone = [s for s in spans if not any(f.at_s - SHORT_S <= s[0] <= f.end_s + LINGERS_S for f in faults)]
     text = f"held {len(spans)} times, {len(alone)} of them without a fault"
@@ -116,17 +117,17 @@ def held_check(which: str, run: BusRun, faults: Sequence[FaultOrder], judged: bo
 
 
 def checks_of(which: str, run: BusRun, found: Sequence[FaultFound], judged: bool = True) -> list[Check]:
-    """What must be so of one run.
+    """Requirements of one run.
 
     Args:
-        which: of the runs, in a word.
-        run: as it was found afterwards.
-        found: what the faults did.
-        judged: this PC is the bench's alone, so what depends on its clock counts, too.
+        which: name of the run, in a word.
+        run: result of the run.
+        found: effects of the faults.
+        judged: this PC runs nothing else, so requirements on its clock count, too.
     """
     summary, logbook = run.report.summary, run.logbook
     own, logged = list(summary["output"].values()), list(logbook.output.values())
-    machine = list(run.found["machine"]["inserted"])
+    machine = list(run.far_counts["machine"]["inserted"])
     replayed = replay_log(run.setup, run.log, check=True)
     lost = [f.order.name for f in found if math.isnan(f.recovered_s)]
     astray, looked = given_astray(run)
@@ -160,10 +161,10 @@ def checks_of(which: str, run: BusRun, found: Sequence[FaultFound], judged: bool
 
 
 def given_astray(run: BusRun) -> tuple[int, int]:
-    """Instants at which the machine had counts that none of the last commands was, and how many were looked at.
+    """Instants at which the machine had counts of none of the last commands, and the number of checked instants.
 
-    While the box has a fault, or cannot be reached and the correction is held, and for a while afterwards, it keeps
-    what it has: those instants are left out.
+    While the box has a fault, or cannot be reached and the correction is held, and for a while afterwards, it keeps its
+    ledger: those instants are not checked.
     """
     track, logbook = run.track, run.logbook
     faults = [(f.at_s, f.end_s + BOX_BACK_S) for f in run.watch.faults if FAULTS[f.name].bus == "box"]

@@ -1,4 +1,4 @@
-"""Makes the faults of the catalogue happen, at their instants, to the far sides of one process."""
+"""Causes the faults of the catalogue, at their instants, at the far sides of one process."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ Switch = Callable[[bool], None]
 
 @dataclass(frozen=True)
 class FaultSwitch:
-    """A fault begins, or ends."""
+    """Begin or end of a fault."""
 
     at_ns: int
     name: str
@@ -33,8 +33,8 @@ class Injector:
     """Switches faults on and off at their instants, in a thread of its own.
 
     Args:
-        switches: by the fault's name.
-        clock: whose time the instants are in.
+        switches: switches by fault.
+        clock: clock of the instants.
     """
 
     def __init__(self, switches: dict[str, Switch], clock: Clock) -> None:
@@ -43,7 +43,7 @@ class Injector:
         self._thread: threading.Thread | None = None
 
     def start(self, start_ns: int, faults: Sequence[tuple[str, float, float]]) -> None:
-        """Begin: faults are name, begin and end, s after `start_ns`. Those of other processes are left to them."""
+        """Begin; faults are name, begin and end, s after `start_ns`. Faults of other processes are ignored."""
         events = [
             FaultSwitch(start_ns + round(at_s * 1e9), name, begins)
             for name, begin_s, end_s in faults
@@ -55,7 +55,7 @@ class Injector:
         self._thread.start()
 
     def stop(self) -> None:
-        """No more faults from here on."""
+        """Switch no more faults."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -91,7 +91,7 @@ def box_switches(peer: PtyPeer, box: Box, plant: MachinePlant, counts_per_mm: fl
 
 
 def modbus_switches(peers: Sequence[PtyPeer], lines: Sequence[SlaveLine]) -> dict[str, Switch]:
-    """The faults of Modbus lines; what befalls a slave befalls the first of each line."""
+    """The faults of Modbus lines; a fault of a slave is one of the first slave of each line."""
     firsts = [line.slaves[0] for line in lines]
 
     def wires(name: str, bad: object, good: object) -> Switch:

@@ -1,4 +1,4 @@
-"""What the daemon's log says: where the correction was held, how old the sensors were, and whether it ever jumped."""
+"""Summary of the daemon's log: holds, age of the sensors' readings, and jumps."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ NS = 1e-9
 
 @dataclass(frozen=True)
 class Logbook:
-    """A log in short.
+    """Summary of a log.
 
     Attributes:
-        time_ns: of every cycle, (n,).
-        held: whether the correction was held, (n,).
-        age_s: by sensor, how old its reading was, s, (n,), in single precision.
-        fastest: the fastest change of the correction between two cycles, as a share of its slew limit, of all axes.
+        time_ns: instant of every cycle, (n,).
+        held: was the correction held? (n,).
+        age_s: by sensor, age of its reading, s, (n,), in single precision.
+        fastest: largest rate of change of the correction between two cycles, relative to its slew limit, over all axes.
         commanded: output of every cycle, (n, axes).
-        output: the last of them, by axis.
+        output: the last output, by axis.
     """
 
     time_ns: NDArray[np.int64]
@@ -41,7 +41,7 @@ class Logbook:
 
 
 def read_logbook(path: Path, setup: Setup) -> Logbook:
-    """Read a log through once; memory grows by some ten bytes an axis and four a sensor for every cycle."""
+    """Read a log once; memory grows by some ten bytes an axis and four a sensor for every cycle."""
     times, held, ages, outputs, fastest = [], [], [], [], 0.0
     before: tuple[Samples, Commands] | None = None
     with LogReader(path) as reader:
@@ -71,7 +71,7 @@ def read_logbook(path: Path, setup: Setup) -> Logbook:
 def _fastest(
     before: tuple[Samples, Commands] | None, samples: Samples, commands: Commands, slew: NDArray[np.float64]
 ) -> float:
-    """Largest change of a block, and from the block before, over what the slew limit allows in that time.
+    """Largest change of a block, and from the block before, relative to what the slew limit allows in that time.
 
     A row whose ledger was taken over from the box is no change: the box had it already.
     """
@@ -90,7 +90,7 @@ def _fastest(
 
 
 def held_spans(logbook: Logbook, start_ns: int) -> Sequence[tuple[float, float]]:
-    """Begin and end of every stretch in which the correction was held, s since an instant."""
+    """Begin and end of every hold, s since an instant."""
     seconds, held = logbook.seconds(start_ns), logbook.held
     edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(np.int8), [0]])))
     return [

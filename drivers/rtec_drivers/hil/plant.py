@@ -1,4 +1,4 @@
-"""The simulated machine as the far sides see it, and a book of what its tool tip did."""
+"""The simulated machine as the far sides use it, and a record of its tool tip."""
 
 from pathlib import Path
 
@@ -16,11 +16,11 @@ Ints = NDArray[np.int64]
 
 
 class Recorder:
-    """Keeps the machine's state at growing instants; the tip errors are worked out at the end, off the clock.
+    """Records the machine's state at growing instants; the tip errors are computed at the end, outside real time.
 
     Args:
-        machine: whose.
-        every_ns: at most so often.
+        machine: machine to record.
+        every_ns: shortest time between two records.
     """
 
     def __init__(self, machine: SimulatedMachine, every_ns: int) -> None:
@@ -33,7 +33,7 @@ class Recorder:
         self._bodies: dict[int, Floats] = {}
 
     def look(self) -> None:
-        """Keep the state of now, if it is time to."""
+        """Record the present state, if that is due."""
         machine = self._machine
         if machine.time_ns < self._next_ns:
             return
@@ -47,7 +47,7 @@ class Recorder:
         self._seconds.append(second)
 
     def track(self) -> TipTrack:
-        """What the tip did. The machine's geometry is left at the last instant's temperatures."""
+        """The tip's track. Leaves the machine's geometry at the last instant's temperatures."""
         geometry, axes = self._machine.geometry, self._machine.machine.axes
         per_mm = np.array([a.counts_per_mm for a in axes], np.float64)
         states, times = np.stack(self._axes), np.array(self._times)
@@ -61,14 +61,14 @@ class Recorder:
 
 
 class Sensed:
-    """What the sensors read and how fast the spindle turns, in a file that two processes map.
+    """Temperatures of the sensors and the spindle speed, in a file that two processes map.
 
-    Every number is one aligned word, so it is never torn; that they belong to one instant is not promised, as on a
-    real machine.
+    Every number is one aligned word, so it is never torn; as on a real machine, numbers need not belong to the same
+    instant.
 
     Args:
-        path: the file; made where it is not there.
-        sensors: how many.
+        path: the file; created where it does not exist.
+        sensors: number of sensors.
     """
 
     def __init__(self, path: Path, sensors: int) -> None:
@@ -77,7 +77,7 @@ class Sensed:
         self._words = np.memmap(path, np.float64, "r+", shape=(sensors + 1,))
 
     def write(self, degc: Floats) -> None:
-        """Say what the sensors read now, °C."""
+        """Set the sensors' temperatures, °C."""
         self._words[:-1] = degc
 
     def degc(self, sensor: int) -> float:
@@ -98,7 +98,7 @@ class MachinePlant:
     """The simulated machine at an encoder box: its time stands still until `start`, then follows the clock.
 
     Attributes:
-        jump_counts: the box counts this much beside the truth.
+        jump_counts: error of the box's counts.
     """
 
     def __init__(self, machine: SimulatedMachine, sensed: Sensed, every_ns: int) -> None:
@@ -110,11 +110,11 @@ class MachinePlant:
         self._sense()
 
     def start(self, now_ns: int) -> None:
-        """From now on the machine lives."""
+        """Start the machine's time now."""
         self._start_ns = now_ns
 
     def follow(self, now_ns: int) -> None:
-        """Let it live until now."""
+        """Advance it to now."""
         if self._start_ns is None:
             return
         self.machine.advance_to(self._lead_ns + now_ns - self._start_ns)
@@ -127,7 +127,7 @@ class MachinePlant:
         return [int(n) + self.jump_counts for n in self.machine.raw_counts]
 
     def insert(self, ledger: list[int]) -> None:
-        """The controller sees this many counts more."""
+        """Add this many counts to those that the controller sees."""
         self.machine.apply(np.array(ledger, np.int64))
 
     def _sense(self) -> None:
@@ -139,11 +139,11 @@ class MachinePlant:
 
 
 class InBoxOrder:
-    """A plant whose axes stand in the order of the box's inputs.
+    """A plant with its axes in the order of the box's inputs.
 
     Args:
-        plant: in the machine's order.
-        order: for every input of the box the place of its axis.
+        plant: plant in the machine's order.
+        order: for every input of the box, the index of its axis.
     """
 
     def __init__(self, plant: MachinePlant, order: tuple[int, ...]) -> None:
@@ -155,7 +155,7 @@ class InBoxOrder:
         return [counts[axis] for axis in self._order]
 
     def insert(self, ledger: list[int]) -> None:
-        """Hand the ledger on."""
+        """Pass the ledger on, in the machine's order."""
         own = [0] * len(ledger)
         for value, axis in zip(ledger, self._order, strict=True):
             own[axis] = value

@@ -1,4 +1,4 @@
-"""The all-simulated run of the same machine and programme: the loop of `rtec run` on a virtual clock, no bus."""
+"""The all-simulated run of the same machine and program: the loop of `rtec run` on a virtual clock, no bus."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -20,14 +20,14 @@ TOLD_CYCLES = 1000
 def simulated_run(
     config: Path, duration_s: float, mode: int, every_ms: int, tell: Callable[[int, int], None]
 ) -> TipTrack:
-    """Live through so long a time.
+    """Run the simulated machine.
 
     Args:
         config: run file whose one device is the simulated machine.
-        duration_s: how long.
+        duration_s: duration, s.
         mode: MODE_ON or MODE_OFF.
-        every_ms: the tip is looked at this often.
-        tell: is told cycles done, of how many.
+        every_ms: period of recording the tip, ms.
+        tell: called with the number of cycles done, and of all.
     """
     setup, clock = load_setup(config), VirtualClock(1_000_000_000)
     step = Step(setup.step_settings())

@@ -1,4 +1,4 @@
-"""Memory, files and threads of the daemon's processes over time, and where the loop's processor time went."""
+"""Memory, files and threads of the daemon's processes over time, and the processor time of the loop."""
 
 import multiprocessing
 import os
@@ -15,29 +15,29 @@ from rtec.loop.stats import Histogram
 LOOP = "rtec-loop"
 PERIOD_S = 1.0
 MEMORY_SLACK = 0.5
-"""MiB that memory may differ by between two thirds of a run: the allocator's own play."""
+"""Difference of memory, MiB, that is allowed between two thirds of a run: the allocator's own variation."""
 USUAL_PERCENT = 95.0
 OWN_SHARE = 0.5
-"""Lost deadlines are our own code's where the loop used this share of their time more processor time than usual."""
+"""A missed deadline is our own code's where the loop used more processor time than usual, by this share of it."""
 ALLOWED_SHARE = 1e-4
-"""Of all cycles: the host of a virtual PC takes time away unseen, which then looks like processor time of our own."""
+"""Allowed share of all cycles: a virtual PC's host takes time unseen, which looks like our own processor time."""
 LEAST_S = 90.0
-"""Memory is judged once the loop's cycles add up to this time: until then every program fills its own pools. The clock
-does not count, as a busy PC takes longer for the same cycles."""
+"""Memory is judged once the loop's cycles add up to this time, s: until then every program fills its own pools. The
+clock does not count, as a busy PC takes longer for the same cycles."""
 PROC = Path("/proc")
 UNITS = {"memory": "MiB", "files": "", "threads": ""}
 
 
 @dataclass(frozen=True)
 class TimeStretch:
-    """What the loop's process did between two looks.
+    """Times of the loop's process between two looks.
 
     Attributes:
         cycles, misses: of the loop.
         cpu_ns, waited_ns: of its thread: on a processor, and ready but without one.
-        workers_waited_ns: the same of its other threads, which may hold the interpreter meanwhile.
-        stolen_ns: taken from this virtual PC by its host, of all processors, in steps of 10 ms; the kernel counts it as
-            the thread's own time where it hits one.
+        workers_waited_ns: the same of its other threads, which may hold the interpreter's lock meanwhile.
+        stolen_ns: time that the host took from this virtual PC, of all processors, in steps of 10 ms; the kernel counts
+            it as the thread's own time where it hits one.
     """
 
     cycles: int
@@ -49,27 +49,27 @@ class TimeStretch:
 
     @property
     def own_ns(self) -> int:
-        """Processor time of the loop's thread without what the host took."""
+        """Processor time of the loop's thread without the host's."""
         return max(0, self.cpu_ns - self.stolen_ns)
 
 
 @dataclass
 class ResourceSeries:
-    """One figure of one process over time, eight bytes a look: who watches memory must not grow himself."""
+    """One figure of one process over time, in eight bytes a look: the record of memory must not grow itself."""
 
     values: "array[float]" = field(default_factory=lambda: array("d"))
 
     def thirds(self) -> tuple[float, float, float]:
-        """Largest of each third of the run."""
+        """Largest value of each third of the run."""
         parts = np.array_split(np.array(self.values), 3)
         first, middle, last = (float(p.max()) if len(p) else 0.0 for p in parts)
         return first, middle, last
 
 
 class Resources:
-    """Looks at the daemon's two processes: the supervisor, which is this one, and the loop.
+    """Records the daemon's two processes: the supervisor, which is this one, and the loop.
 
-    Memory is what belongs to the process alone (RssAnon): the ring and mapped files are not counted.
+    Memory is that of the process alone (RssAnon): the ring and mapped files are not counted.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class Resources:
         self._cpu, self._workers = Histogram(), Histogram()
 
     def look(self, status: Status) -> None:
-        """Note what is so now; once a second for memory, files and threads."""
+        """Record the present figures; memory, files and threads once a second."""
         if self._loop is None:
             self._loop = next((p.pid for p in multiprocessing.active_children() if p.name == LOOP), None)
         self._look_at_time(status)
@@ -93,15 +93,15 @@ class Resources:
             for what, value in _figures(pid).items():
                 self._series.setdefault((name, what), ResourceSeries()).values.append(value)
 
-    def found(self) -> list[Resource]:
-        """Every figure: in the first, the second and the last third of the run."""
+    def figures(self) -> list[Resource]:
+        """Every figure, in the first, the second and the last third of the run."""
         return [
             Resource(process, what, UNITS[what], *series.thirds(), flat=_flat(what, series))
             for (process, what), series in self._series.items()
         ]
 
     def deadlines(self, period_ns: float) -> Deadlines:
-        """Lost deadlines, and how many of them the loop's own code may have cost."""
+        """Missed deadlines, and how many of them the loop's own code may have cost."""
         usual_us = self._cpu.percentile_us(USUAL_PERCENT)
         usual_wait_us = self._workers.percentile_us(USUAL_PERCENT)
         lost, own, behind, away = 0, 0, 0, 0
@@ -117,10 +117,10 @@ class Resources:
         return Deadlines(lost, own, away, behind, usual_us)
 
     def checks(self, period_ns: float, *, judged: bool = True) -> list[Check]:
-        """What must be so; of a PC that others use, too, lost deadlines are told and not judged."""
+        """Requirements; on a PC that runs other programs, too, missed deadlines are reported but not judged."""
         out = []
         for what in UNITS:
-            mine = [r for r in self.found() if r.what == what]
+            mine = [r for r in self.figures() if r.what == what]
             text = "; ".join(f"{r.process} {r.middle:.4g} then {r.last:.4g} {r.unit}".strip() for r in mine)
             long_enough = what != "memory" or self._cycles * period_ns >= LEAST_S * 1e9
             words = text if long_enough else f"not judged in less than {LEAST_S:.0f} s of cycles: {text}"
@@ -138,12 +138,12 @@ class Resources:
         return Check("no deadline lost to our own code", ours <= ALLOWED_SHARE * cycles, text, judged)
 
     def _look_at_time(self, status: Status) -> None:
-        """Processor time of the loop's thread since the last look, and how long it waited for a processor."""
+        """Record the processor time of the loop's thread since the last look, and its wait for a processor."""
         if self._loop is None:
             return
         try:
             threads = {int(t.name): _times(t) for t in (PROC / str(self._loop) / "task").iterdir()}
-        except (OSError, ValueError):  # it is just ending
+        except (OSError, ValueError):  # the process is just ending
             return
         cpu_ns, waited_ns = threads.pop(self._loop, (0, 0))
         workers_ns = sum(waited for _, waited in threads.values())
@@ -162,19 +162,19 @@ class Resources:
 
 
 def _stolen_ns() -> int:
-    """What the host took from this PC since it started, of all processors together; 0 where it does not tell."""
+    """Time, ns, that the host took from this PC since its start, of all processors; 0 where that is unknown."""
     words = (PROC / "stat").read_text().split(maxsplit=9)
     return int(words[8]) * 1_000_000_000 // os.sysconf("SC_CLK_TCK")
 
 
 def _times(thread: Path) -> tuple[int, int]:
-    """On a processor, and ready but without one, ns."""
+    """Times on a processor, and ready but without one, ns."""
     cpu_ns, waited_ns, _ = (thread / "schedstat").read_text().split()
     return int(cpu_ns), int(waited_ns)
 
 
 def _figures(pid: int | None) -> dict[str, float]:
-    """Of one process; nothing where it is gone."""
+    """Figures of one process; empty where it has ended."""
     if pid is None:
         return {}
     folder = PROC / str(pid)
@@ -188,6 +188,6 @@ def _figures(pid: int | None) -> dict[str, float]:
 
 
 def _flat(what: str, series: ResourceSeries) -> bool:
-    """No larger in the last third than in the second."""
+    """Is it no larger in the last third than in the second?"""
     _, middle, last = series.thirds()
     return last <= middle + (MEMORY_SLACK if what == "memory" else 0.0)

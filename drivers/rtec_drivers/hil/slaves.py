@@ -1,6 +1,6 @@
-"""Modbus RTU slaves in software, from the register maps that the run file gives to the driver.
+"""Modbus RTU slaves in software, from the driver's register maps in the run file.
 
-Written from MODBUS over Serial Line 1.02 and sharing no code with the driver, so that each checks the other.
+Written from MODBUS over Serial Line 1.02; they share no code with the driver, so each checks the other.
 """
 
 import struct
@@ -23,7 +23,7 @@ Value = Callable[[], float]
 
 @dataclass(frozen=True)
 class RegisterPlace:
-    """Where a slave keeps a number, and what the number is."""
+    """Place of a number in a slave, and its value."""
 
     register: Register
     degc: Value
@@ -33,10 +33,10 @@ class SlaveSimulator:
     """One slave.
 
     Attributes:
-        number: on the line.
-        silent, frozen: it does not answer; its values stay as they are.
-        answers_as: number that its answers carry.
-        late_ns: it answers so much later.
+        number: number on the line.
+        silent, frozen: it does not answer; its values stay constant.
+        answers_as: number in its answers.
+        late_ns: delay of its answers.
         open: its first thermocouple is open.
     """
 
@@ -48,15 +48,15 @@ class SlaveSimulator:
 
     @property
     def frozen(self) -> bool:
-        """Whether its values stay as they are."""
+        """Do its values stay constant?"""
         return self._frozen is not None
 
     @frozen.setter
-    def frozen(self, wanted: bool) -> None:
-        self._frozen = [p.degc() for p in self._places] if wanted else None
+    def frozen(self, on: bool) -> None:
+        self._frozen = [p.degc() for p in self._places] if on else None
 
     def answer(self, function: int, address: int, count: int) -> bytes:
-        """Function, count of bytes and registers; or the refusal of registers that it has not."""
+        """Function, count of bytes and registers; or the refusal of registers that it does not have."""
         words: dict[int, bytes] = {}
         for k, place in enumerate(self._places):
             if FUNCTIONS.get(function) == place.register.function:
@@ -78,7 +78,7 @@ class SlaveLine:
         self._due: deque[tuple[int, bytes]] = deque()
 
     def receive(self, data: bytes, now_ns: int) -> bytes:
-        """Take in requests; give the answers that are due."""
+        """Process requests; give the answers that are due."""
         self._rest += data
         while len(self._rest) >= REQUEST_BYTES:
             if not self._request(self._rest[:REQUEST_BYTES], now_ns):
@@ -88,7 +88,7 @@ class SlaveLine:
         return self._answers(now_ns)
 
     def idle(self, now_ns: int) -> bytes:
-        """Half a request is none after a silence; an answer may be due."""
+        """Drop half a request after a silence; give an answer that is due."""
         self._rest = b""
         return self._answers(now_ns)
 
@@ -110,10 +110,10 @@ class SlaveLine:
 
 
 def slave_line(options: ModbusOptions, sensors: Mapping[str, Value], where: str) -> SlaveLine:
-    """Slaves that answer what the run file asks for.
+    """Slaves that answer the run file's requests.
 
     Raises:
-        ConfigError: a line that has no far side here.
+        ConfigError: a line that cannot be simulated here.
     """
     if options.serial is None:
         raise ConfigError(f"{where} the bench has a far side for serial lines; this one goes over TCP")
@@ -132,7 +132,7 @@ def _places(table: SlaveOptions, sensors: Mapping[str, Value], where: str) -> li
 
 
 def _raw(register: Register, degc: float, is_open: bool) -> bytes:
-    """The bytes of a number, high word first or last as the register says."""
+    """The bytes of a number, high word first or last according to the register."""
     number = (degc - register.offset) / register.scale
     if is_open:
         beyond = (register.range_degc[1] + 500.0 - register.offset) / register.scale

@@ -1,4 +1,4 @@
-"""The long run: the whole bench with faults drawn by chance, watched for whatever only shows with time."""
+"""The long run: the whole bench with random faults, to show what only shows with time."""
 
 import random
 import tempfile
@@ -17,19 +17,19 @@ from rtec_drivers.hil.resources import Resources
 from rtec_drivers.hil.wiring import read_wiring
 
 RECOVER_S = 8.0
-"""The run goes on for so long after the last fault."""
+"""The run goes on for this time, s, after the last fault."""
 LENGTH_S: dict[Bus, tuple[float, float]] = {"box": (0.3, 4.0), "modbus": (1.0, 10.0), "can": (1.0, 10.0)}
 PAUSE_S: dict[Bus, tuple[float, float]] = {"box": (4.0, 12.0), "modbus": (3.0, 12.0), "can": (3.0, 12.0)}
 FIRST_S = 4.0
 
 
 def draw_faults(buses: Sequence[Bus], duration_s: float, seed: int) -> list[FaultOrder]:
-    """Faults by chance: one at a time on each bus, on different buses at the same time too.
+    """Random faults: one at a time on each bus, on different buses also at the same time.
 
-    The first of each bus is its cable: what a reconnection needs once (a thread, a file) is there before anybody
-    counts threads and files. All others follow in an order by chance, then all again in another.
+    The first fault of each bus is its cable: then everything that a reconnection needs once (a thread, a file) exists
+    before threads and files are counted. All others follow in random order, then all again in another order.
     """
-    chance = random.Random(seed)  # noqa: S311 - a test's dice
+    chance = random.Random(seed)  # noqa: S311 - random numbers of a test
     out = []
     for bus in sorted(set(buses)):
         names = [name for name, fault in FAULTS.items() if fault.bus == bus]
@@ -45,7 +45,7 @@ def draw_faults(buses: Sequence[Bus], duration_s: float, seed: int) -> list[Faul
 
 
 def soak(order: SoakOrder, tell: Tell) -> SoakResult:
-    """Run for as long as told, corrected, and judge."""
+    """Run with correction for the ordered time, and judge."""
     wiring = read_wiring(order.config, order.gateware)
     duration_s = order.minutes * 60.0
     faults = draw_faults(list(wiring.buses.values()), duration_s, order.seed)
@@ -61,7 +61,7 @@ def soak(order: SoakOrder, tell: Tell) -> SoakResult:
             duration_s=summary["cycles"] / run.setup.file.run.rate_hz,
             seed=order.seed,
             faults=_counted(faults, run),
-            resources=resources.found(),
+            resources=resources.figures(),
             deadlines=resources.deadlines(cycle_ns),
             timing={k: summary[k] for k in ("cycles", "deadline_misses", "wake_up", "compute", "driver_errors")},
             checks=[*_checks(run, faults, not order.shared), *resources.checks(cycle_ns, judged=not order.shared)],
@@ -71,12 +71,12 @@ def soak(order: SoakOrder, tell: Tell) -> SoakResult:
 
 
 def _counted(faults: Sequence[FaultOrder], run: BusRun) -> list[SoakFault]:
-    """How often each fault came, how often the daemon said so, and how soon at the latest."""
+    """Number of times of each fault, how often the daemon reported it, and its longest time to a report."""
     times = Counter(f.name for f in faults)
     soon: dict[str, list[float]] = {name: [] for name in times}
-    for fault, told in zip(faults, run.watch.told, strict=True):
-        if np.isfinite(told.noticed_s):
-            soon[fault.name].append(told.noticed_s)
+    for fault, reported in zip(faults, run.watch.reports, strict=True):
+        if np.isfinite(reported.noticed_s):
+            soon[fault.name].append(reported.noticed_s)
     return [SoakFault(n, times[n], len(soon[n]), max(soon[n], default=float("nan"))) for n in sorted(times)]
 
 

@@ -1,4 +1,4 @@
-"""What the tool tip of a simulated machine did, and how accurate it was."""
+"""Track of the tool tip of a simulated machine, and its accuracy."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TipTrack:
-    """One row an instant.
+    """Track; one row an instant.
 
     Attributes:
-        time_s: since the machine began to live, (n,).
+        time_s: time since the machine's start, (n,).
         commanded_mm: (n, axes).
         tip_um: tool relative to workpiece, actual minus commanded, (n, 3).
-        inserted: counts that the machine's controller was given, (n, axes).
+        inserted: inserted counts at the machine's controller, (n, axes).
     """
 
     time_s: Floats
@@ -51,7 +51,7 @@ def errors_um(track: TipTrack, names: Sequence[str]) -> Floats:
 
 
 def inside(time_s: Floats, spans: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Which instants lie in any of the spans, (n,)."""
+    """Which instants are in any of the spans, (n,)."""
     out = np.zeros(len(time_s), np.bool_)
     for low, high in spans:
         out |= (time_s >= low) & (time_s <= high)
@@ -59,7 +59,7 @@ def inside(time_s: Floats, spans: Sequence[tuple[float, float]]) -> NDArray[np.b
 
 
 def accuracy(track: TipTrack, names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Accuracy:
-    """How accurate the tip was in these spans of time."""
+    """Accuracy of the tip in these spans of time."""
     error = errors_um(track, names)[inside(track.time_s, spans)]
     if not len(error):
         return Accuracy(float("nan"), float("nan"), dict.fromkeys(names, float("nan")))

@@ -1,4 +1,4 @@
-"""Watches the daemon while faults come and go, and gives the operator's orders."""
+"""Watches the daemon during the faults, and gives the operator's orders."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -10,18 +10,18 @@ from rtec.loop.clock import Clock
 from rtec_drivers.hil.catalogue import FAULTS, Bus
 
 AFTER_S = 0.5
-"""The operator sees that a fault is over before the order to resume comes."""
+"""Time, s, after which the operator notices that a fault is over and orders to resume."""
 LATER_S = 3.0
-"""What is told so long after a fault's end may still be told for it."""
+"""A message this long after a fault's end, s, may still be on that fault."""
 
 
 @dataclass
-class Told:
-    """What the daemon said during one fault.
+class DeviceReports:
+    """The daemon's messages during one fault.
 
     Attributes:
-        noticed_s: since its beginning, when it first said anything new; NaN: not yet.
-        texts: by device, the last that it said.
+        noticed_s: time from its begin to the first new message; NaN: none yet.
+        texts: last message by device.
     """
 
     noticed_s: float = math.nan
@@ -29,21 +29,21 @@ class Told:
 
 
 class FaultWatch:
-    """Looks at every status.
+    """Processes every status.
 
     Args:
-        faults: what was ordered.
-        buses: by device, its bus: what a device says of itself is put down to faults of its own bus.
-        clock: whose time `start_ns` is in.
-        tell: is told seconds done.
+        faults: ordered faults.
+        buses: bus by device: a device's message is attributed to faults of its own bus.
+        clock: clock of `start_ns`.
+        tell: called with the seconds done.
 
     Attributes:
-        start_ns: when the corrected run began.
+        start_ns: start of the corrected run.
         resume: gives the daemon the order to resume.
-        place: the bench's folder, which is left out of what was said.
-        faults: what was ordered.
-        told: one entry a fault.
-        unasked: the last that the daemon said of a device while its bus had no fault.
+        place: the bench's folder, which is removed from messages.
+        faults: ordered faults.
+        reports: one element a fault.
+        unasked: last message on a device while its bus had no fault.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class FaultWatch:
     ) -> None:
         self.start_ns = 0
         self._buses = buses
-        self.told = [Told() for _ in faults]
+        self.reports = [DeviceReports() for _ in faults]
         self.unasked: dict[str, str] = {}
         self.faults, self._clock, self._tell = faults, clock, tell
         self.resume: Callable[[], None] = lambda: None
@@ -63,7 +63,7 @@ class FaultWatch:
         self._orders = sorted((f.end_s + AFTER_S for f in faults if FAULTS[f.name].needs_order), reverse=True)
 
     def look(self, status: Status) -> None:
-        """Note what it says; order to resume when that is due."""
+        """Record its messages; order to resume when that is due."""
         if not self.start_ns:
             return
         now_s = (self._clock.now_ns() - self.start_ns) * 1e-9
@@ -84,8 +84,8 @@ class FaultWatch:
         if not mine:
             self.unasked[device] = text
         for k in mine:
-            told = self.told[k]
-            if math.isnan(told.noticed_s):
-                told.noticed_s = now_s - self.faults[k].at_s
-            if now_s <= self.faults[k].end_s or device not in told.texts:
-                told.texts[device] = text
+            reports = self.reports[k]
+            if math.isnan(reports.noticed_s):
+                reports.noticed_s = now_s - self.faults[k].at_s
+            if now_s <= self.faults[k].end_s or device not in reports.texts:
+                reports.texts[device] = text

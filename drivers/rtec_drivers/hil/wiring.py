@@ -1,4 +1,4 @@
-"""From a run file with real devices to the same run file with the bench's ports, and to an all-simulated one."""
+"""Makes run files for the bench: with its ports in place of the real ones, and for the all-simulated run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ SENSED, TRACK = "sensed", "track.npz"
 
 
 class HilOptions(SimOptions):
-    """`[hil]` of a run file: the simulated machine behind the buses (options of the driver `sim`), and how long.
+    """`[hil]` of a run file: the simulated machine behind the buses (options of the driver `sim`), and durations.
 
     Attributes:
-        off_s, on_s: how long it runs without and with correction.
-        settle_s: this much at the beginning does not count: the correction is on its way there.
-        hold_after_ms, counts_per_s: of the simulated encoder box.
+        off_s, on_s: duration without and with correction.
+        settle_s: time at the beginning that does not count, because the correction is still on its way.
+        hold_after_ms, counts_per_s: settings of the simulated encoder box.
     """
 
     off_s: Annotated[float, Field(ge=1, le=1e6)] = 30.0
@@ -49,10 +49,10 @@ class Wiring:
 
     Attributes:
         path: the run file.
-        tables: what it says; paths are absolute.
+        tables: its content; paths are absolute.
         options: its section `[hil]`.
-        buses: by the device's name, the bus that it is put behind.
-        gateware: a library of simulated gateware, in the place of the box in software.
+        buses: the bus of each device, by name.
+        gateware: a library of simulated gateware, which replaces the box in software.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class Wiring:
     gateware: Path | None = None
 
     def link(self, folder: Path, device: str) -> Path:
-        """Name of the port that a device finds its far side behind."""
+        """Name of the port behind which a device's far side is."""
         return folder / f"port-{device}"
 
     def with_ports(self, folder: Path, mode: str) -> Path:
@@ -88,8 +88,8 @@ def read_wiring(path: Path, gateware: Path | None = None) -> Wiring:
     """Read a run file for the bench.
 
     Raises:
-        ConfigError: it has no section `[hil]`, a device that has no far side here, gateware that does not fit, or
-            what `rtec run` refuses.
+        ConfigError: it has no section `[hil]`, a device cannot be simulated here, the gateware does not fit, or
+            `rtec run` refuses it.
     """
     tables = read_toml(path)
     if "hil" not in tables:
@@ -130,7 +130,7 @@ def _buses(devices: Mapping[str, Mapping[str, Any]], source: str) -> dict[str, B
 
 
 def _absolute(tables: dict[str, Any], base: Path) -> dict[str, Any]:
-    """Paths that start at the run file's folder as absolute ones; the log's folder is the bench's business."""
+    """Make paths that start at the run file's folder absolute; the bench sets the log's folder."""
     run = {k: v for k, v in tables["run"].items() if k != "log_folder"}
     run |= {key: str(base / run[key]) for key in ("machine", "model") if key in run}
     hil = {k: str(base / v) if k in ("truth", "program_file") else v for k, v in tables["hil"].items()}
@@ -142,7 +142,7 @@ def _absolute(tables: dict[str, Any], base: Path) -> dict[str, Any]:
 
 
 def _rewire(table: dict[str, Any], bus: Bus, port: str) -> None:
-    """Put the bench's port in the place of the real one; all else stays as it is."""
+    """Put the bench's port in place of the real one; all else stays."""
     if bus == "box":
         table.pop("usb_serial", None)
         table["port"] = port

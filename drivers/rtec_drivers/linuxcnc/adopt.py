@@ -15,7 +15,7 @@ UNIT_UM = 0.01
 
 @dataclass(frozen=True)
 class AdoptedMachine:
-    """What an INI file says of its machine.
+    """An INI file's description of its machine.
 
     Attributes:
         ini: the file.
@@ -33,7 +33,7 @@ class AdoptedMachine:
         """Copy the INI file's folder, put rtec into the copy's HAL files; give the difference.
 
         Raises:
-            ConfigError: the HAL files are not understood, or the folder is there already.
+            ConfigError: the HAL files are not understood, or the folder exists already.
         """
         bridge = Path(__file__).with_name("bridge.py")
         wiring = RtecWiring(self.joints, bridge, Path(SOCKET), dict.fromkeys(sensors, ""), UNIT_UM, inch=self.inch)
@@ -44,33 +44,33 @@ def adopt(ini: Path) -> AdoptedMachine:
     """Read an INI file.
 
     Raises:
-        ConfigError: it cannot be read, or the machine is not of a kind that rtec has a template for.
+        ConfigError: it cannot be read, or rtec has no template for the kind of machine.
     """
     try:
-        said = _sections(ini.read_text(encoding="utf-8"))
+        values = _sections(ini.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{ini}: cannot be read: {e}") from e
-    words = said.get(("KINS", "KINEMATICS"), "").split()
+    words = values.get(("KINS", "KINEMATICS"), "").split()
     if words[:1] != ["trivkins"]:
         raise ConfigError(f"{ini}: [KINS] KINEMATICS is not trivkins: joints are no axes; rtec cannot correct them so")
     letters = next((w.partition("=")[2] for w in words if w.startswith("coordinates=")), "XYZABCUVW").upper()
-    joints = {a: k for k, a in enumerate(letters) if a in "XYZ" and f"AXIS_{a}" in {s for s, _ in said}}
+    joints = {a: k for k, a in enumerate(letters) if a in "XYZ" and f"AXIS_{a}" in {s for s, _ in values}}
     twice = [a for a in joints if letters.count(a) > 1]
     if twice:
         raise ConfigError(f"{ini}: axis {twice[0]} has two joints: wire rtec by hand (docs/linuxcnc.md, Wire it)")
     if set(joints) not in ({"X", "Y", "Z"}, {"X", "Z"}):
         raise ConfigError(f"{ini}: axes {', '.join(joints) or 'none'}; rtec has templates for X, Y, Z and for X, Z")
-    inch = said.get(("TRAJ", "LINEAR_UNITS"), "mm").lower() in ("inch", "in", "imperial")
-    axes = {a: {"travel_mm": _travel(said, a, inch, ini), "counts_per_mm": 100000.0} for a in joints}
-    return AdoptedMachine(ini, _answers(said, axes), joints, inch)
+    inch = values.get(("TRAJ", "LINEAR_UNITS"), "mm").lower() in ("inch", "in", "imperial")
+    axes = {a: {"travel_mm": _travel(values, a, inch, ini), "counts_per_mm": 100000.0} for a in joints}
+    return AdoptedMachine(ini, _answers(values, axes), joints, inch)
 
 
-def _answers(said: dict[tuple[str, str], str], axes: dict[str, Any]) -> dict[str, Any]:
-    """LinuxCNC reads and corrects everything; temperature pins are for the user to wire."""
+def _answers(values: dict[tuple[str, str], str], axes: dict[str, Any]) -> dict[str, Any]:
+    """Answers with LinuxCNC as every device; the user wires the temperature pins."""
     kind = "following_error"
     return {
         "template": "mill" if "Y" in axes else "lathe",
-        "name": said.get(("EMC", "MACHINE"), "linuxcnc"),
+        "name": values.get(("EMC", "MACHINE"), "linuxcnc"),
         "axis": axes,
         "sensors": [],
         "role": {"counts": "cnc", "spindle": "cnc", "actuator": "cnc"},
@@ -81,10 +81,10 @@ def _answers(said: dict[tuple[str, str], str], axes: dict[str, Any]) -> dict[str
     }
 
 
-def _travel(said: dict[tuple[str, str], str], axis: str, inch: bool, ini: Path) -> list[float]:
+def _travel(values: dict[tuple[str, str], str], axis: str, inch: bool, ini: Path) -> list[float]:
     unit = MM_PER_INCH if inch else 1.0
     try:
-        return [round(unit * float(said[f"AXIS_{axis}", key]), 4) for key in ("MIN_LIMIT", "MAX_LIMIT")]
+        return [round(unit * float(values[f"AXIS_{axis}", key]), 4) for key in ("MIN_LIMIT", "MAX_LIMIT")]
     except (KeyError, ValueError):
         raise ConfigError(f"{ini}: [AXIS_{axis}] has no MIN_LIMIT and MAX_LIMIT that are numbers") from None
 

@@ -8,12 +8,12 @@ LinuxCNC's HAL file starts it. It serves one client at a time on a local socket:
     bridge -> rtec   {"refused": "why"} in answer to a command
     rtec -> bridge   {"out": [...]} absolute, in whole units; or {"resume": true}
 
-What LinuxCNC's `sampler` latched in one servo period is one row: the positions of all joints, then, where a correction
-is part of the position (external offsets, pulses), what it makes there, then "all homed" and "machine on".
+One row is what LinuxCNC's `sampler` latched in one servo period: the positions of all joints; then, where a correction
+is part of the position (external offsets, pulses), that part; then "all homed" and "machine on".
 
-A process that keeps watch starts the bridge again when it is killed. HAL keeps the pins of a dead component, and a
-signal keeps its value: the new bridge has another component name, gives its pins the values of the dead ones, and takes
-over their signals, so nothing jumps.
+A watching process restarts the bridge when it is killed. HAL keeps the pins of a dead component, and a signal keeps its
+value: the new bridge has another component name, gives its pins the values of the dead ones, and takes over their
+signals, so nothing jumps.
 """
 
 from __future__ import annotations
@@ -57,22 +57,22 @@ def arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--sampler", type=int, default=0, help="channel of LinuxCNC's sampler")
     parser.add_argument("--inch", action="store_true", help="LinuxCNC's LINEAR_UNITS is inch")
     parser.add_argument("--group", default="", help="group that may use the socket, beside the user")
-    told = parser.parse_args(argv)
-    told.axes = [a for a in told.axes.split(",") if a]
-    told.sensors = [s for s in told.sensors.split(",") if s]
-    if not (told.unit_um > 0 and math.isfinite(told.unit_um)):
+    options = parser.parse_args(argv)
+    options.axes = [a for a in options.axes.split(",") if a]
+    options.sensors = [s for s in options.sensors.split(",") if s]
+    if not (options.unit_um > 0 and math.isfinite(options.unit_um)):
         parser.error("--unit-um must be above zero")
-    return told
+    return options
 
 
 class HalOffsets:
-    """The pins of one way to correct; units are whole numbers of `unit` (machine units)."""
+    """The pins of one kind of correction; units are whole numbers of `unit` (machine units)."""
 
     cleared: list[int] | None = None
 
-    def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
+    def __init__(self, component: Any, options: argparse.Namespace, unit: float) -> None:
         self.component, self.unit = component, unit
-        self.pins = ["offset-" + a.lower() for a in told.axes]
+        self.pins = ["offset-" + a.lower() for a in options.axes]
         for pin in self.pins:
             component.newpin(pin, hal.HAL_FLOAT, hal.HAL_OUT)
 
@@ -80,7 +80,7 @@ class HalOffsets:
         """Take the pins' values as they are."""
 
     def refuses(self, row: dict[str, Any] | None) -> str:
-        """Say why nothing can be commanded now."""
+        """Why nothing can be commanded now; "" where it can."""
         return ""
 
     def write(self, out: list[int]) -> None:
@@ -89,20 +89,20 @@ class HalOffsets:
             self.component[pin] = n * self.unit
 
     def read(self) -> list[int]:
-        """Give what the pins say."""
+        """The pins' values."""
         return [round(self.component[pin] / self.unit) for pin in self.pins]
 
     def look(self, on: bool) -> None:
-        """Look at one servo period: is the machine on?"""
+        """Process one servo period: is the machine on?"""
 
 
 class ExternalOffsets(HalOffsets):
-    """`axis.L.eoffset-counts`: LinuxCNC adds up their changes, and forgets the sum when the machine goes off."""
+    """`axis.L.eoffset-counts`: LinuxCNC adds up their changes, and clears the sum when the machine goes off."""
 
-    def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
+    def __init__(self, component: Any, options: argparse.Namespace, unit: float) -> None:
         self.component, self.unit = component, unit
-        self.pins = ["eoffset-counts-" + a.lower() for a in told.axes]
-        self.requests = ["eoffset-request-" + a.lower() for a in told.axes]
+        self.pins = ["eoffset-counts-" + a.lower() for a in options.axes]
+        self.requests = ["eoffset-request-" + a.lower() for a in options.axes]
         for pin in self.pins:
             component.newpin(pin, hal.HAL_S32, hal.HAL_OUT)
         for pin in self.requests:
@@ -114,14 +114,14 @@ class ExternalOffsets(HalOffsets):
         self.was_on = False
 
     def start(self) -> None:
-        """Enable them, and begin from what LinuxCNC has now."""
+        """Enable them, and begin from LinuxCNC's present offsets."""
         self.component["eoffset-scale"] = self.unit
         self.component["eoffset-enable"] = True
         self.base = [self.component[pin] - n for pin, n in zip(self.pins, self.read())]
         self.cleared = None
 
     def refuses(self, row: dict[str, Any] | None) -> str:
-        """Say why nothing can be commanded now: LinuxCNC ignores changes while it is off or not homed."""
+        """Why nothing can be commanded now: LinuxCNC ignores changes while it is off or not homed."""
         if self.cleared is not None:
             return "machine off cleared the external offsets: resume first"
         if row is None or not row["on"]:
@@ -129,41 +129,41 @@ class ExternalOffsets(HalOffsets):
         return "" if row["homed"] else "not all joints are homed: LinuxCNC takes no external offsets"
 
     def write(self, out: list[int]) -> None:
-        """Write absolute outputs, beside the counts that LinuxCNC does not know of."""
+        """Write absolute outputs, added to the pins' counts that are not in LinuxCNC's offsets."""
         for pin, base, n in zip(self.pins, self.base, out):
             self.component[pin] = base + n
         self.last = list(out)
 
     def read(self) -> list[int]:
-        """Give what LinuxCNC was asked for, as it says itself."""
+        """The offsets that LinuxCNC itself reports as requested."""
         return [round(self.component[pin] / self.unit) for pin in self.requests]
 
     def look(self, on: bool) -> None:
-        """Notice what machine off has cleared."""
+        """Notice offsets that "machine off" has cleared."""
         if self.was_on and not on and self.cleared is None and any(self.last):
             self.cleared = list(self.last)
         self.was_on = on
 
 
 class StepgenPulses(HalOffsets):
-    """Counts for a `stepgen` that inserts them; its own counter says what is inserted."""
+    """Counts for a `stepgen` that inserts them; its own counter has the inserted counts."""
 
-    def __init__(self, component: Any, told: argparse.Namespace, unit: float) -> None:
+    def __init__(self, component: Any, options: argparse.Namespace, unit: float) -> None:
         self.component, self.unit = component, unit
-        self.pins = ["pulses-" + a.lower() for a in told.axes]
-        self.counted = ["pulses-fb-" + a.lower() for a in told.axes]
+        self.pins = ["pulses-" + a.lower() for a in options.axes]
+        self.counted = ["pulses-fb-" + a.lower() for a in options.axes]
         for pin in self.pins:
             component.newpin(pin, hal.HAL_FLOAT, hal.HAL_OUT)
         for pin in self.counted:
             component.newpin(pin, hal.HAL_S32, hal.HAL_IN)
 
     def write(self, out: list[int]) -> None:
-        """Write the counts that are to be inserted."""
+        """Write the counts to insert."""
         for pin, n in zip(self.pins, out):
             self.component[pin] = float(n)
 
     def read(self) -> list[int]:
-        """Give the counts that are inserted."""
+        """The inserted counts."""
         return [int(self.component[pin]) for pin in self.counted]
 
 
@@ -173,21 +173,21 @@ WAYS = {"following_error": HalOffsets, "origin_offset": ExternalOffsets, "pulse"
 class HalBridge:
     """One component with its pins, the sampler's rows, and the client."""
 
-    def __init__(self, told: argparse.Namespace) -> None:
-        self.told = told
-        self.mm = MM_PER_INCH if told.inch else 1.0
-        self.listener = listen(told.socket, told.group)
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        self.mm = MM_PER_INCH if options.inch else 1.0
+        self.listener = listen(options.socket, options.group)
         self.component = new_component()
-        self.outputs = WAYS[told.actuator](self.component, told, told.unit_um * 1e-3 / self.mm)
-        for name in told.sensors:
+        self.outputs = WAYS[options.actuator](self.component, options, options.unit_um * 1e-3 / self.mm)
+        for name in options.sensors:
             self.component.newpin(name, hal.HAL_FLOAT, hal.HAL_IN)
         self.component.newpin("spindle-rpm", hal.HAL_FLOAT, hal.HAL_IN)
         take_over(self.component)
         self.component.ready()
         self.session = session()
-        n = len(told.axes)
-        self.inside = 0 if told.actuator == "following_error" else n
-        key = hal.sampler_base + told.sampler
+        n = len(options.axes)
+        self.inside = 0 if options.actuator == "following_error" else n
+        key = hal.sampler_base + options.sampler
         self.stream = hal.stream(self.component, key, "f" * (n + self.inside) + "bb")
         self.client: socket.socket | None = None
         self.row: dict[str, Any] | None = None
@@ -212,20 +212,20 @@ class HalBridge:
                 self.accept()
 
     def drain(self) -> None:
-        """Forget rows that were latched at an unknown time before."""
+        """Drop rows that were latched earlier, at an unknown time."""
         while self.stream.readable:
             self.stream.read()
 
     def look(self) -> bool:
-        """Take the newest row; its instant is that of the look before, when it was not there yet."""
+        """Read the newest row; its instant is that of the look before, when it was not there yet."""
         values, before_ns = None, self.looked_ns
         self.looked_ns = time.monotonic_ns()
         while self.stream.readable:
             values = self.stream.read()
-            self.outputs.look(values[-1])  # off and on again between two looks clears as well
+            self.outputs.look(values[-1])  # off and on again between two looks clears, too
         if values is None:
             return False
-        n = len(self.told.axes)
+        n = len(self.options.axes)
         at = values[:n]
         if self.inside:
             at = [p - c for p, c in zip(at, values[n : 2 * n])]
@@ -240,7 +240,7 @@ class HalBridge:
         return True
 
     def state(self) -> dict[str, Any]:
-        """Give everything that is known now."""
+        """Everything that is known now."""
         wired = self.wired
         unit_um = self.outputs.unit * self.mm * 1e3
         cleared = self.outputs.cleared
@@ -248,13 +248,13 @@ class HalBridge:
             "seq": self.seq,
             **(self.row or {}),
             "rpm": finite(self.component["spindle-rpm"]) if "spindle-rpm" in wired else None,
-            "degc": [finite(self.component[s]) if s in wired else None for s in self.told.sensors],
+            "degc": [finite(self.component[s]) if s in wired else None for s in self.options.sensors],
             "out": self.outputs.read(),
             "cleared_um": None if cleared is None else [n * unit_um for n in cleared],
         }
 
     def accept(self) -> None:
-        """Take a client; a second one is refused while the first is there."""
+        """Accept a client; refuse a second one while the first is connected."""
         peer = self.listener.accept()[0]
         peer.setblocking(False)
         if self.client is not None:
@@ -264,23 +264,23 @@ class HalBridge:
             return
         self.client = peer
         prefix = self.component.getprefix()
-        self.wired = {s for s in [*self.told.sensors, "spindle-rpm"] if hal.pin_has_writer(prefix + "." + s)}
-        told = self.told
+        self.wired = {s for s in [*self.options.sensors, "spindle-rpm"] if hal.pin_has_writer(prefix + "." + s)}
+        options = self.options
         self.send(
             {
                 "hello": 1,
                 "session": self.session,
-                "axes": told.axes,
-                "sensors": told.sensors,
+                "axes": options.axes,
+                "sensors": options.sensors,
                 "wired": sorted(self.wired),
-                "actuator": told.actuator,
-                "unit_um": told.unit_um,
+                "actuator": options.actuator,
+                "unit_um": options.unit_um,
                 "component": prefix,
             }
         )
 
     def take(self) -> bool:
-        """Take one message from the client, if there is one, and answer it at once; say whether there was one."""
+        """Receive one message from the client, if there is one, and answer it at once; return whether there was one."""
         client = self.client
         if client is None:
             return False
@@ -292,7 +292,7 @@ class HalBridge:
             text = b""
         if not text:
             client.close()
-            self.client = None  # the pins keep what they have
+            self.client = None  # the pins keep their values
             return False
         why = self.command(text)
         if why:
@@ -302,7 +302,7 @@ class HalBridge:
         return True
 
     def command(self, text: bytes) -> str:
-        """Carry out a command; give why not."""
+        """Carry out a command; give the reason of a refusal, or ""."""
         try:
             order = json.loads(text)
             out = order.get("out")
@@ -311,17 +311,17 @@ class HalBridge:
         if order.get("resume"):
             self.outputs.start()
             return ""
-        if not isinstance(out, list) or len(out) != len(self.told.axes) or any(type(n) is not int for n in out):
+        if not isinstance(out, list) or len(out) != len(self.options.axes) or any(type(n) is not int for n in out):
             return "a command that is not one whole number an axis"
-        if self.told.actuator != "pulse" and any(abs(n) * self.told.unit_um > self.told.max_um for n in out):
-            return f"beyond {self.told.max_um:g} µm (the bridge's option --max-um)"
+        if self.options.actuator != "pulse" and any(abs(n) * self.options.unit_um > self.options.max_um for n in out):
+            return f"beyond {self.options.max_um:g} µm (the bridge's option --max-um)"
         why = self.outputs.refuses(self.row)
         if not why:
             self.outputs.write(out)
         return why
 
     def send(self, message: dict[str, Any]) -> None:
-        """Send, if somebody is there; who is too slow misses a message."""
+        """Send to a connected client; one that is too slow misses a message."""
         if self.client is None:
             return
         with contextlib.suppress(OSError):
@@ -329,17 +329,17 @@ class HalBridge:
 
 
 def packet(message: dict[str, Any]) -> bytes:
-    """Give the bytes of one message."""
+    """The bytes of one message."""
     return json.dumps(message, separators=(",", ":")).encode()
 
 
 def finite(value: float) -> float | None:
-    """Give a number, or None for what JSON has no word for."""
+    """A number, or None for one that JSON cannot hold."""
     return float(value) if math.isfinite(value) else None
 
 
 def listen(path: str, group: str) -> socket.socket:
-    """Listen on a local socket; one that a dead bridge left goes."""
+    """Listen on a local socket; replaces that of a dead bridge."""
     with contextlib.suppress(FileNotFoundError):
         os.unlink(path)  # noqa: PTH108
     made = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -353,7 +353,7 @@ def listen(path: str, group: str) -> socket.socket:
 
 
 def new_component() -> Any:
-    """Give a component of a name that is free: that of a bridge that was killed stays taken."""
+    """A component with a free name: that of a killed bridge stays taken."""
     for k in range(1, 1000):
         try:
             return hal.component(NAME if k == 1 else f"{NAME}-{k}")
@@ -363,7 +363,7 @@ def new_component() -> Any:
 
 
 def take_over(component: Any) -> None:
-    """Take over the signals, and the values, of the pins of bridges that were killed."""
+    """Take over the signals, and the values, of the pins of killed bridges."""
     mine = component.getprefix()
     pins = component.getpins()
     shown = subprocess.run(["halcmd", "-s", "show", "pin"], capture_output=True, text=True, check=True)  # noqa: S607
@@ -380,12 +380,12 @@ def take_over(component: Any) -> None:
 
 
 def writes(component: Any, pin: str) -> bool:
-    """Is it a pin that the bridge writes?"""
+    """Does the bridge write this pin?"""
     return bool(component.getitem(pin).get_dir() == hal.HAL_OUT)
 
 
 def session() -> str:
-    """Give the name of this LinuxCNC's life: a signal, which ends with HAL itself."""
+    """Identifier of this run of LinuxCNC: a signal, which ends with HAL itself."""
     for known in hal.get_info_signals():
         if known["NAME"].startswith(SESSION):
             return str(known["NAME"])
@@ -395,7 +395,7 @@ def session() -> str:
 
 
 def watch(argv: list[str]) -> int:
-    """Start the bridge, again and again while it is killed; end with it when it ends in order."""
+    """Start the bridge, and restart it whenever it is killed; end when it ends in order."""
     while True:
         child = os.fork()
         if child == 0:
@@ -408,14 +408,14 @@ def watch(argv: list[str]) -> int:
 
 
 def main(argv: list[str]) -> int:
-    """Run it."""
+    """Run the bridge, or its watching process."""
     if argv[:1] != ["--served"]:
         arguments(argv)
         return watch(argv)
-    told = arguments(argv[1:])
+    options = arguments(argv[1:])
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: sys.exit(0))
-    HalBridge(told).run()
+    HalBridge(options).run()
     return 0
 
 

@@ -29,7 +29,7 @@ FIRST_S, LONGEST_S = 0.1, 2.0
 
 
 class LinuxCncOptions(Strict):
-    """What a run file may say of a machine that LinuxCNC runs; the bridge in its HAL file must say the same."""
+    """Options of a machine that LinuxCNC runs; they must match those of the bridge in its HAL file."""
 
     socket: Path = Field(description="The bridge's socket, as its option --socket says; relative: from the run file.")
     actuator: Literal["following_error", "origin_offset", "pulse"] = Field(
@@ -46,20 +46,20 @@ class LinuxCncOptions(Strict):
 
 
 class LinuxCncDriver:
-    """LinuxCNC by its HAL: joint positions latched in the servo thread, corrections behind its own motion.
+    """LinuxCNC by its HAL: joint positions latched in the servo thread, corrections added to its own motion.
 
-    Counts are the joints' positions without the correction, times `counts_per_mm`. While a joint is not homed nobody
-    knows them: the correction holds. After a restart of LinuxCNC, and after machine off cleared external offsets, the
-    correction holds until `resume` is called. A bridge that was killed comes back by itself, with what its pins had.
+    Counts are the joints' positions without the correction, times `counts_per_mm`. While a joint is not homed they are
+    unknown, and the correction holds. After a restart of LinuxCNC, and after "machine off" cleared external offsets,
+    the correction holds until `resume` is called. A killed bridge restarts by itself, with its pins' values.
 
     Args:
-        options: what the run file says.
-        machine: whose axes and sensors the arrays follow.
-        clock: for instants; must be CLOCK_MONOTONIC, as the bridge's.
-        base: folder that a relative path of the socket starts at.
+        options: options of the run file.
+        machine: machine with the axes and sensors of the arrays.
+        clock: clock of the instants; must be CLOCK_MONOTONIC, as the bridge's.
+        base: folder at which a relative path of the socket starts.
 
     Raises:
-        ConfigError: the socket's path is longer than the system takes.
+        ConfigError: the socket's path is longer than the system allows.
     """
 
     options_model = LinuxCncOptions
@@ -101,7 +101,7 @@ unit_um = 0.01
         """Connect. Starting a run is an order to resume.
 
         Raises:
-            DriverError: no bridge, one of another machine, or one that says nothing.
+            DriverError: there is no bridge, it belongs to another machine, or it sends nothing.
         """
         self._link = self._connect()
         self._session, self._must_resume = self._link.hello.session, ""
@@ -124,21 +124,21 @@ unit_um = 0.01
         return self._must_resume
 
     def resume(self) -> None:
-        """The order to go on: what LinuxCNC has now is right."""
+        """Go on: LinuxCNC's present output is accepted."""
         self._must_resume = ""
         link = self._link
         if link is not None:
             self._session = link.hello.session
             if link.state is not None and link.state.cleared_um is not None:
                 link.send(None)
-                self._resuming = True  # states from before the bridge took the order still say "cleared"
+                self._resuming = True  # states from before the bridge got the order still have "cleared"
 
     def read_counts(self, counts: IntArray) -> int:
         """Fill in the joints' positions as counts; give the instant of latching, ns.
 
         Raises:
-            DriverFault: not all joints are homed, or an order to resume is waited for.
-            DriverTimeout: the servo thread stands.
+            DriverFault: not all joints are homed, or it waits for an order to resume.
+            DriverTimeout: the servo thread has stopped.
             DriverUnavailable: not entered, or the bridge has gone.
         """
         state = self._now()
@@ -175,7 +175,7 @@ unit_um = 0.01
             raise DriverFault(f"LinuxCNC: {'; '.join(wrong)}")
 
     def read_spindle(self) -> float:
-        """Give the spindle speed, 1/min.
+        """The spindle speed, 1/min.
 
         Raises:
             DriverFault: its pin is not wired.
@@ -187,16 +187,16 @@ unit_um = 0.01
         return rpm
 
     def refuses(self, sink: Sink) -> str:
-        """Take the one kind that the options name, in their unit."""
+        """Refuse all kinds but that of the options, and any other unit."""
         options = self.options
         return differs(sink, options.actuator, options.unit_um)
 
     def apply(self, output: IntArray) -> None:
-        """Send the absolute output of every axis; nothing is waited for.
+        """Send the absolute output of every axis; does not wait.
 
         Raises:
-            DriverFault: the bridge refused the last one, or an order to resume is waited for.
-            DriverTimeout: the servo thread stands.
+            DriverFault: the bridge refused the last command, or it waits for an order to resume.
+            DriverTimeout: the servo thread has stopped.
             DriverUnavailable: not entered, or the bridge has gone.
         """
         link = self._listened()
@@ -209,19 +209,19 @@ unit_um = 0.01
             raise DriverFault(f"LinuxCNC: the bridge refuses commands: {refused}")
 
     def read_output(self, output: IntArray) -> None:
-        """Fill in what LinuxCNC's own pins say.
+        """Fill in the values of LinuxCNC's own pins.
 
         Raises:
-            DriverTimeout: they have not said anything for too long, or not yet.
+            DriverTimeout: they have not been reported for too long, or not yet.
             DriverUnavailable: not entered, or the bridge has gone.
         """
         output[:] = self._now().out
 
     def hold(self) -> None:
-        """Nothing to send: HAL's signals keep what they have."""
+        """Send nothing: HAL's signals keep their values."""
 
     def _now(self) -> HalState:
-        """Newest state, where it is not too old."""
+        """Newest state, unless it is too old."""
         state = self._listened().state
         age_s = math.inf if state is None else (self._clock.now_ns() - state.time_ns) * 1e-9
         if state is None or age_s > self.options.silent_s:
@@ -229,10 +229,10 @@ unit_um = 0.01
         return state
 
     def _listened(self) -> BridgeLink:
-        """Take in what has come; where the bridge has gone, look for the next one.
+        """Process the received messages; where the bridge has gone, look for the next one.
 
         Raises:
-            DriverUnavailable, DriverFault: it has gone, or says what cannot be.
+            DriverUnavailable, DriverFault: it has gone, or sends impossible messages.
         """
         if self._reopener is None:
             raise DriverUnavailable("linuxcnc: not entered, so no bridge is connected")
@@ -278,7 +278,7 @@ unit_um = 0.01
         return link
 
     def _mismatch(self, hello: BridgeHello) -> str:
-        """Say what the bridge was told differently."""
+        """Differences between the bridge's options and the run file's; "" where they match."""
         options, machine = self.options, self._machine
         if hello.axes != machine.axis_names:
             return f"the bridge has the axes {', '.join(hello.axes)}, the machine {', '.join(machine.axis_names)}"

@@ -1,4 +1,4 @@
-"""rtec's end of the bridge's socket: one JSON message a packet, the newest state, what LinuxCNC says is wrong."""
+"""rtec's end of the bridge's socket: one JSON message a packet, the newest state, LinuxCNC's faults."""
 
 import json
 import select
@@ -20,7 +20,7 @@ MAX_MM = 1e6
 
 
 class BridgeHello(Strict):
-    """First message of the bridge: what it was told by LinuxCNC's HAL file."""
+    """First message of the bridge: its options from LinuxCNC's HAL file."""
 
     hello: Annotated[int, Field(ge=0, le=1000)]
     session: str
@@ -34,15 +34,15 @@ class BridgeHello(Strict):
 
 @dataclass(frozen=True, slots=True)
 class HalState:
-    """What the bridge says once a servo period.
+    """The bridge's message of one servo period.
 
     Attributes:
-        time_ns: not later than the servo period that latched the positions; CLOCK_MONOTONIC.
+        time_ns: not after the servo period that latched the positions; CLOCK_MONOTONIC.
         mm: positions of the axes, mm, without the correction.
         homed, on: all joints are homed; the machine is on.
         rpm: spindle speed, 1/min; None where it is not wired.
         degc: temperature by sensor, °C; None where it is not wired.
-        out: what the pins say of the output, units.
+        out: the pins' output, units.
         cleared_um: external offsets that LinuxCNC has cleared, by axis; None where it has not.
     """
 
@@ -65,12 +65,12 @@ class BridgeLink:
         refused: why it refused the last command; "" where it did not.
 
     Args:
-        path: of the bridge's socket.
+        path: path of the bridge's socket.
 
     Raises:
-        DriverUnavailable: nobody listens there, or somebody else is connected.
+        DriverUnavailable: nothing listens there, or another client is connected.
         DriverFault: it is no bridge.
-        DriverTimeout: it says nothing.
+        DriverTimeout: it sends nothing.
     """
 
     def __init__(self, path: Path) -> None:
@@ -92,15 +92,15 @@ class BridgeLink:
             raise
 
     def close(self) -> None:
-        """Close the socket; LinuxCNC keeps what it has."""
+        """Close the socket; LinuxCNC keeps its output."""
         self._socket.close()
 
     def listen(self) -> None:
-        """Take in all that has come.
+        """Process all received messages.
 
         Raises:
             DriverUnavailable: the bridge has gone.
-            DriverFault: a message that cannot be.
+            DriverFault: an impossible message.
         """
         while True:
             try:
@@ -114,7 +114,7 @@ class BridgeLink:
             self._take(text)
 
     def send(self, out: list[int] | None) -> None:
-        """Send a command; None: the order to resume. One that does not fit any more is repeated in the next cycle."""
+        """Send a command; None: the order to resume. The next cycle repeats one that does not fit into the socket."""
         order = {"resume": True} if out is None else {"out": out}
         with suppress(BlockingIOError):
             try:

@@ -1,7 +1,7 @@
-"""Puts rtec into a copy of somebody's HAL files, and shows the difference; the files themselves are not touched.
+"""Puts rtec into a copy of a user's HAL files, and shows the difference; the files themselves are not changed.
 
-Each axis' command signal is cut behind LinuxCNC's `motor-pos-cmd`, its feedback signal before `motor-pos-fb`, and HAL's
-component `offset` is put in between. Everything else stays to the letter. `rtec init --controller linuxcnc` does it.
+Each axis' command signal is cut after LinuxCNC's `motor-pos-cmd`, its feedback signal before `motor-pos-fb`, and HAL's
+component `offset` is put in between. Everything else stays unchanged. `rtec init --controller linuxcnc` does it.
 """
 
 import difflib
@@ -16,22 +16,22 @@ from rtec.errors import ConfigError
 ARROWS = ("=>", "<=", "<=>")
 INI_HALFILE = re.compile(r"^\s*HALFILE\s*=\s*(\S+)\s*$", re.MULTILINE)
 LIBRARY = Path("/usr/share/linuxcnc/hallib")
-"""LinuxCNC's own HAL files; an INI file names them with LIB: before, or so."""
+"""LinuxCNC's own HAL files; an INI file names them with or without "LIB:"."""
 MM_PER_INCH = 25.4
 THREAD = re.compile(r"^\s*addf\s+motion-controller\s+(\S+)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class RtecWiring:
-    """What is to be put in.
+    """The parts to put in.
 
     Attributes:
         joints: number of the joint by axis name, in the machine's order.
         bridge: path of the bridge's program.
         socket: path of its socket.
-        sensors: HAL signal by temperature sensor; a sensor without one gets a pin that is still to be wired ("").
+        sensors: HAL signal by temperature sensor; a sensor without one ("") gets a pin that is still to be wired.
         unit_um: one unit of output, µm.
-        most_mm: furthest correction, mm.
+        most_mm: largest correction, mm.
         slew_mm_s, acceleration_mm_s2: HAL's own limits.
         inch: LinuxCNC's LINEAR_UNITS.
     """
@@ -52,17 +52,17 @@ def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
 
     Args:
         ini: the user's INI file.
-        folder: of the copy; must not be there yet.
-        wiring: what is put in.
+        folder: path of the copy; must not exist yet.
+        wiring: parts to put in.
 
     Raises:
-        ConfigError: a file is not there or not understood; nothing is then left of the copy.
+        ConfigError: a file is missing or not understood; the copy is then removed.
     """
     if folder.exists():
         raise ConfigError(f"{folder}: is there already; choose another folder for the copy")
     try:
-        said = ini.read_text(encoding="utf-8")
-        files = {p.name: p.read_text(encoding="utf-8") for p in _hal_files(ini, INI_HALFILE.findall(said))}
+        ini_text = ini.read_text(encoding="utf-8")
+        files = {p.name: p.read_text(encoding="utf-8") for p in _hal_files(ini, INI_HALFILE.findall(ini_text))}
     except (OSError, UnicodeDecodeError) as e:
         raise ConfigError(f"{ini}: cannot be read: {e}") from e
     changed = patched(files, wiring, str(ini))
@@ -71,8 +71,10 @@ def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
     for name, text in changed.items():
         if text != files[name]:
             (folder / name).write_text(text, encoding="utf-8")
-            said = re.sub(rf"^(\s*HALFILE\s*=\s*)LIB:{re.escape(name)}\s*$", rf"\g<1>{name}", said, flags=re.MULTILINE)
-    (folder / ini.name).write_text(said, encoding="utf-8")
+            ini_text = re.sub(
+                rf"^(\s*HALFILE\s*=\s*)LIB:{re.escape(name)}\s*$", rf"\g<1>{name}", ini_text, flags=re.MULTILINE
+            )
+    (folder / ini.name).write_text(ini_text, encoding="utf-8")
     return "".join(
         line
         for name, text in changed.items()
@@ -83,7 +85,7 @@ def patched_copy(ini: Path, folder: Path, wiring: RtecWiring) -> str:
 
 
 def _own_links(source: Path, folder: Path) -> None:
-    """Put files in place of links to files, so nothing is written through them; others still lead there."""
+    """Replace links to files by copies, so that nothing is written through them; other links stay."""
     for link in [p for p in folder.rglob("*") if p.is_symlink()]:
         target = (source / link.relative_to(folder)).resolve()
         link.unlink()
@@ -97,7 +99,7 @@ def _hal_files(ini: Path, names: Sequence[str]) -> list[Path]:
     """The HAL files of an INI file, its own or LinuxCNC's, in their order.
 
     Raises:
-        ConfigError: one that cannot be changed in a copy.
+        ConfigError: one of them cannot be changed in a copy.
     """
     out = []
     for name in names:
@@ -116,7 +118,7 @@ def _hal_files(ini: Path, names: Sequence[str]) -> list[Path]:
 
 
 def patched(files: Mapping[str, str], wiring: RtecWiring, source: str) -> dict[str, str]:
-    """Give the HAL files with rtec in them, by name.
+    """The HAL files with rtec in them, by name.
 
     Raises:
         ConfigError: a joint's command or feedback is in none of them, or no line adds the motion controller.
@@ -184,7 +186,7 @@ def _signal(lines: Mapping[str, Sequence[str]], pin: str, source: str) -> str:
 
 
 def _known_signal(lines: Mapping[str, Sequence[str]], pin: str) -> str | None:
-    """Signal of a pin that is wired already."""
+    """Signal of a pin that is already wired; None where it is not."""
     for text in lines.values():
         for line in text:
             words = line.split("#")[0].split()
@@ -194,7 +196,7 @@ def _known_signal(lines: Mapping[str, Sequence[str]], pin: str) -> str | None:
 
 
 def _tapped(lines: Mapping[str, Sequence[str]], pin: str, name: str, to: str) -> str:
-    """A pin's value for one more reader: HAL lets a pin have one signal only."""
+    """Wire a pin to one more reader: HAL allows one signal a pin."""
     known = _known_signal(lines, pin)
     return f"net {known} => {to}" if known else f"net {name} {pin} => {to}"
 

@@ -26,14 +26,14 @@ class SlaveOptions(Strict):
     """One slave on the line.
 
     Attributes:
-        id: its number.
+        id: number of the slave.
         profile: name of a shipped register map.
-        channels: which of the machine's sensors is on which channel of the profile.
-        register: registers by sensor, for a module without a profile, or besides it.
-        period_s: how often it is asked.
-        timeout_s: how long it may take to answer.
-        late_s: how long after a request without answer an answer may still come.
-        max_gap: unused registers that may be read along, so that one request fetches more.
+        channels: channel of the profile by sensor.
+        register: registers by sensor, for a module without a profile, or in addition to it.
+        period_s: period of asking it.
+        timeout_s: longest wait for its answer.
+        late_s: time after an unanswered request within which the answer may still come.
+        max_gap: unused registers that may be read, too, so that one request fetches more.
     """
 
     id: Annotated[int, Field(ge=1, le=247)]
@@ -57,7 +57,7 @@ class SlaveOptions(Strict):
 
 
 class ModbusOptions(ModbusLineOptions):
-    """What a run file may say of a Modbus line.
+    """Options of a Modbus line.
 
     Attributes:
         slave: the slaves by a name of your choice.
@@ -69,22 +69,21 @@ class ModbusOptions(ModbusLineOptions):
 class ModbusDriver:
     """Temperatures from Modbus modules on a serial line or over TCP, several on one line.
 
-    Polls in a thread of its own and hands out the newest believed values. A line that is lost is opened again, with
-    growing waits, until it is there; slaves that fall silent are told, and slow no other. Nothing that the loop calls
-    waits for the line.
+    Polls in a thread of its own and gives the newest valid values. A lost line is reopened, with growing waits; silent
+    slaves are reported, and slow no other. Nothing that the loop calls waits for the line.
 
     Args:
-        options: what the run file says.
-        machine: whose sensors the arrays follow.
-        clock: stamps and deadlines are in its time.
+        options: options of the run file.
+        machine: machine with the sensors of the arrays.
+        clock: clock of instants and deadlines.
         base: not used.
 
     Attributes:
-        poller: who polls the line that is open now, with its figures.
+        poller: poller of the open line, with its figures.
 
     Raises:
-        ConfigError: a sensor, profile or channel that does not exist; everything at once.
-        DriverUnavailable: voltages are to be converted and the package for it is not installed.
+        ConfigError: sensors, profiles or channels that do not exist; all of them.
+        DriverUnavailable: voltages need a package that is not installed.
     """
 
     options_model = ModbusOptions
@@ -116,7 +115,7 @@ open_codes = [32767, -32768]
 
     @classmethod
     def scanner(cls, table: Mapping[str, Any], clock: Clock) -> Scanner:
-        """Look which slaves answer, and which registers they have."""
+        """A scanner that lists the slaves that answer, and their registers."""
         way = {key: table[key] for key in ("serial", "tcp") if key in table}
         return ModbusScanner(validated(ModbusLineOptions, way, "modbus"), clock)
 
@@ -135,7 +134,7 @@ open_codes = [32767, -32768]
         """Open the line and start polling.
 
         Raises:
-            DriverUnavailable: it cannot be opened, and the options say `at_start = "required"`.
+            DriverUnavailable: it cannot be opened, and the options have `at_start = "required"`.
         """
         line = None
         try:
@@ -156,10 +155,10 @@ open_codes = [32767, -32768]
             worker.stop()
 
     def read_temperatures(self, degc: NDArray[np.float64], time_ns: NDArray[np.int64]) -> None:
-        """Fill in the newest believed values, °C, and when their slave was asked, ns; then tell what is wrong.
+        """Fill in the newest valid values, °C, and the instants of their requests, ns; then raise the faults.
 
         Raises:
-            DriverFault: of some sensors there is no believable new value; all others are filled in.
+            DriverFault: some sensors have no valid new value; all others are filled in.
             DriverUnavailable: not entered.
         """
         if self._worker is None:
@@ -169,11 +168,11 @@ open_codes = [32767, -32768]
 
     @property
     def attempts(self) -> int:
-        """How often the line was opened, or tried to, in the background."""
+        """Number of attempts to open the line in the background."""
         return self._worker.attempts if self._worker is not None else 0
 
     def faults(self) -> list[str]:
-        """What is wrong now, one line a sensor."""
+        """Present faults, one line a sensor."""
         return self._readings.faults()
 
     def _backoff(self) -> Backoff:
@@ -189,7 +188,7 @@ open_codes = [32767, -32768]
 
     def _slave(self, name: str, table: SlaveOptions) -> Slave:
         tcp = self._options.tcp
-        numbered = tcp is not None and not tcp.rtu  # then a late answer can be told from a new one
+        numbered = tcp is not None and not tcp.rtu  # then the number distinguishes a late answer from a new one
         late_s = 0.0 if numbered else max(table.late_s, table.timeout_s)
         return Slave(
             name,
@@ -209,13 +208,13 @@ open_codes = [32767, -32768]
 def _register_maps(options: ModbusOptions) -> dict[str, Mapping[str, Register]]:
     out: dict[str, Mapping[str, Register]] = {}
     faults: list[str] = []
-    seen: dict[str, str] = {}
+    slave_of: dict[str, str] = {}
     for name, table in options.slave.items():
         out[name] = {**_from_profile(name, table, faults), **table.register_}
         for sensor in out[name]:
-            if sensor in seen:
-                faults.append(f"sensor {sensor!r} is in slave {seen[sensor]!r} and in slave {name!r}")
-            seen[sensor] = name
+            if sensor in slave_of:
+                faults.append(f"sensor {sensor!r} is in slave {slave_of[sensor]!r} and in slave {name!r}")
+            slave_of[sensor] = name
     numbers = [t.id for t in options.slave.values()]
     faults += [f"two slaves have id {n}" for n in sorted(set(numbers)) if numbers.count(n) > 1]
     if faults:

@@ -1,9 +1,9 @@
-"""Modbus frames: requests built, answers found, and one request with its answer, on a serial line (RTU) and over TCP.
+"""Modbus frames: requests, answers, and one request with its answer, on a serial line (RTU) and over TCP.
 
 Sources: MODBUS Application Protocol 1.1b3 and MODBUS over Serial Line 1.02 (modbus.org). Requests, answers and the
-checksum are pymodbus'. Finding the answer is done here, because an RTU answer carries no number of its request: only
-a frame of exactly the shape that was asked for, from the slave that was asked, with a good CRC, is an answer; whatever
-noise is before or behind it.
+checksum are pymodbus'. The search for the answer is here, because an RTU answer has no number of its request: an
+answer is only a frame of exactly the requested shape, from the right slave, with a correct CRC; noise may come
+before or after it.
 """
 
 from collections.abc import Callable, Iterator
@@ -49,11 +49,11 @@ class ModbusRequest:
         return kind(dev_id=self.slave, address=self.address, count=self.count)
 
     def rtu(self) -> bytes:
-        """The request as it goes onto a serial line."""
+        """The request as sent on a serial line."""
         return _RTU.buildFrame(self._pdu())
 
     def tcp(self, transaction: int) -> bytes:
-        """The request as it goes into a TCP connection, with the number that its answer carries."""
+        """The request as sent on a TCP connection, with the number that its answer repeats."""
         pdu = self._pdu()
         pdu.transaction_id = transaction
         return _TCP.buildFrame(pdu)
@@ -61,19 +61,19 @@ class ModbusRequest:
 
 @dataclass(frozen=True, slots=True)
 class ModbusAnswer:
-    """What a slave answered: registers, or the code of an error (then there are none)."""
+    """A slave's answer: registers, or the code of an error (then there are none)."""
 
     registers: tuple[int, ...] = ()
     error: int = 0
 
 
 def good_crc(frame: bytes) -> bool:
-    """Does an RTU frame end with the checksum of what stands before?"""
+    """Does an RTU frame end with the checksum of the bytes before?"""
     return len(frame) >= 4 and FramerRTU.compute_CRC(frame[:-2]) == int.from_bytes(frame[-2:], "big")
 
 
 def find_rtu(data: bytes, request: ModbusRequest) -> ModbusAnswer | None:
-    """The answer to a request among received bytes, or None."""
+    """The answer to a request within received bytes, or None."""
     whole, refused = 5 + 2 * request.count, 5
     for start in range(len(data) - refused + 1):
         if data[start] != request.slave:
@@ -91,7 +91,7 @@ def find_rtu(data: bytes, request: ModbusRequest) -> ModbusAnswer | None:
 
 
 def decode(pdu: bytes, request: ModbusRequest) -> ModbusAnswer | None:
-    """Function code and content to registers; None if it is no answer to this request."""
+    """Registers from function code and content; None if it is no answer to this request."""
     if len(pdu) == 2 and pdu[0] == request.function | ERROR_BIT:
         return ModbusAnswer(error=pdu[1])
     if len(pdu) != 2 + 2 * request.count or pdu[0] != request.function or pdu[1] != 2 * request.count:
@@ -101,7 +101,7 @@ def decode(pdu: bytes, request: ModbusRequest) -> ModbusAnswer | None:
 
 
 def frames_of_slaves(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """All register answers and refusals with a good CRC among received bytes: slave and frame."""
+    """Slave and frame of all register answers and refusals with a correct CRC within received bytes."""
     start = 0
     while start + 5 <= len(data):
         function = data[start + 1]
@@ -115,7 +115,7 @@ def frames_of_slaves(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def why_not(data: bytes, request: ModbusRequest) -> str:
-    """Say in words what came instead of the answer."""
+    """Describe the bytes that came instead of the answer."""
     if not data:
         return "no answer"
     others = sorted({slave for slave, _ in frames_of_slaves(data)} - {request.slave})
@@ -131,7 +131,7 @@ def why_not(data: bytes, request: ModbusRequest) -> str:
 
 
 def split_tcp(data: bytes) -> tuple[list[tuple[int, int, bytes]], bytes] | None:
-    """Received bytes to (transaction, unit, content) of each whole message and the rest; None if they are no Modbus."""
+    """Received bytes to (transaction, unit, content) of each whole message, and the rest; None if not Modbus."""
     out = []
     while len(data) >= MBAP_BYTES:
         length = int.from_bytes(data[4:6], "big")
@@ -145,20 +145,20 @@ def split_tcp(data: bytes) -> tuple[list[tuple[int, int, bytes]], bytes] | None:
 
 
 LONGEST_NOISE = 4096
-"""A babbling line fills no memory: of what is no answer no more than so many bytes are kept."""
+"""Bytes of noise that are kept, so that a line full of garbage fills no memory."""
 
 
 class Exchange(Protocol):
     """One request and its answer, in one of the two framings.
 
     Attributes:
-        numbered: an answer tells which request it belongs to.
+        numbered: does an answer identify its request?
     """
 
     numbered: bool
 
     def ask(self, line: ByteLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
-        """The answer or None, and what came besides."""
+        """The answer or None, and all other received bytes."""
         ...
 
 
@@ -166,7 +166,7 @@ class RtuExchange:
     """On a serial line, or on a TCP connection that carries a serial line's frames.
 
     Args:
-        clock: deadlines are in its time.
+        clock: clock of the deadlines.
         worker_wait: waits until an instant, or until the worker is stopped.
         silence_ns: quiet time between frames, 3.5 characters.
     """
@@ -177,7 +177,7 @@ class RtuExchange:
         self._clock, self._wait, self._silence_ns = clock, worker_wait, silence_ns
 
     def ask(self, line: ByteLine, request: ModbusRequest, until_ns: int) -> tuple[ModbusAnswer | None, bytes]:
-        """Send when the line has been quiet; take the frame of exactly the shape that was asked for."""
+        """Send when the line has been quiet; accept the frame of exactly the requested shape."""
         self._wait(self._clock.now_ns() + self._silence_ns)
         line.send(request.rtu())
         data = b""
@@ -191,7 +191,7 @@ class RtuExchange:
 
 
 class TcpExchange:
-    """On a TCP connection: the answer carries the number of its request, so an old one is never taken."""
+    """On a TCP connection: the answer has the number of its request, so an old one is never accepted."""
 
     numbered = True
 
@@ -202,10 +202,10 @@ class TcpExchange:
         """Send with the next number; skip answers with any other."""
         self._transaction = self._transaction % 0xFFFF + 1
         line.send(request.tcp(self._transaction))
-        seen = b""
+        noise = b""
         while self._clock.now_ns() < until_ns:
             more = line.receive(until_ns)
-            seen = (seen + more)[-LONGEST_NOISE:]
+            noise = (noise + more)[-LONGEST_NOISE:]
             parts = split_tcp(self._rest + more)
             if parts is None:
                 raise DriverUnavailable("what comes is no Modbus TCP; is it the right port?")
@@ -213,5 +213,5 @@ class TcpExchange:
             for transaction, unit, content in messages:
                 answer = decode(content, request)
                 if transaction == self._transaction and unit == request.slave and answer is not None:
-                    return answer, seen
-        return None, seen
+                    return answer, noise
+        return None, noise

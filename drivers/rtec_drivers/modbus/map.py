@@ -1,4 +1,4 @@
-"""Register maps: where in a slave a number stands, how its bits are read, and which reads fetch all of them."""
+"""Register maps: the place of each number in a slave, its type, and the reads that fetch all numbers."""
 
 import struct
 from collections.abc import Iterable, Mapping
@@ -20,12 +20,12 @@ _STRUCT = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float3
 
 
 class Register(Conversion):
-    """One number in a slave, and how it becomes a temperature.
+    """One number in a slave, and its conversion to a temperature.
 
     Attributes:
-        address: as it goes over the line, from 0: a manual's "40001" or "30001" is 0.
+        address: address on the line, from 0: a manual's "40001" or "30001" is 0.
         function: "holding" (function 3) or "input" (function 4).
-        type: of the number.
+        type: type of the number.
         word_order: which of several registers comes first, the "high" or the "low" one.
     """
 
@@ -48,11 +48,11 @@ class Register(Conversion):
 
     @property
     def words(self) -> int:
-        """Registers that the number takes."""
+        """Number of registers of the number."""
         return struct.calcsize(_STRUCT[self.type]) // 2
 
     def number(self, words: Iterable[int]) -> float:
-        """The raw number in its registers, in the order in which they came."""
+        """The raw number from its registers, in the order of their addresses."""
         ordered = list(words)
         if self.word_order == "low":
             ordered.reverse()
@@ -64,9 +64,9 @@ class Profile(Strict):
 
     Attributes:
         module: maker and type.
-        source: document, edition and page that the map stands in.
-        notes: what must be set in the module, and what the document leaves open.
-        channel: by the channel's name on the module's terminals.
+        source: document, edition and page of the map.
+        notes: required settings of the module, and gaps of the document.
+        channel: registers by the channel's name on the module's terminals.
     """
 
     module: str
@@ -77,7 +77,7 @@ class Profile(Strict):
 
 @dataclass(frozen=True)
 class Block:
-    """Registers that one request fetches, and the numbers in it: name and register."""
+    """Registers that one request fetches, and their numbers: name and register."""
 
     request: ModbusRequest
     numbers: tuple[tuple[str, Register], ...]
@@ -90,7 +90,7 @@ class Block:
 
 
 def profile_names() -> list[str]:
-    """Profiles that are shipped."""
+    """Names of the shipped profiles."""
     return sorted(p.name.removesuffix(".toml") for p in _folder().iterdir() if p.name.endswith(".toml"))
 
 
@@ -98,7 +98,7 @@ def load_profile(name: str) -> Profile:
     """Read a shipped profile.
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: no profile has that name.
     """
     if name not in profile_names():
         raise ConfigError(f"no profile {name!r}{nearest(name, profile_names())}")
@@ -107,7 +107,7 @@ def load_profile(name: str) -> Profile:
 
 
 def blocks_of(slave: int, registers: Mapping[str, Register], max_gap: int) -> list[Block]:
-    """The fewest reads of neighbouring registers; unused registers up to `max_gap` between two are read with them."""
+    """The fewest reads of neighbouring registers; gaps of up to `max_gap` unused registers are read, too."""
     out: list[Block] = []
     for function, code in (("holding", HOLDING), ("input", INPUT)):
         group: list[tuple[str, Register]] = []

@@ -1,14 +1,15 @@
-"""Asks the slaves on one line in turn, so that one that is silent costs the others next to nothing.
+"""Polls the slaves on one line in turn, so that a silent slave costs the others almost nothing.
 
-- Every slave has its own period, its own deadline and its own back-off. One that did not answer is asked again only
+- Every slave has its own period, its own deadline and its own back-off. A slave that did not answer is asked again only
   when no healthy slave is due meanwhile, or when it has waited for `STARVED_NS`.
-- RTU answers carry no number. After a deadline has passed a slave is left alone for its late time, within which the old
-  answer may still come; what comes then is thrown away. Its first answer afterwards is only a sign of life: it is not
-  taken, and the line must stay free of further answers for twice the late time before the slave is believed again. An
-  old answer that comes later still makes the late time longer.
-- A slave that has answered each of its last requests owes no answer. If its number stands in what comes when another
-  one is asked, somebody else speaks in its name, and the other one is told so; its own values stay as fresh as before.
-- A damaged answer (checksum) is asked for again in the next period; three in a row count as silence.
+- RTU answers have no number. After a missed deadline the slave is not asked for its late time, within which the old
+  answer may still come; an answer in that time is dropped. The first answer afterwards is only a sign of life and is
+  dropped, too; the line must stay free of further answers for twice the late time before the slave's answers are
+  accepted again. An old answer that comes even later makes the late time longer.
+- A slave that has answered each of its last requests owes no answer. If its number is in bytes that come when another
+  slave was asked, a third device uses its number: the fault is reported for the other slave, and its own values stay
+  as fresh as before.
+- A damaged answer (checksum) is requested again in the next period; three in a row count as silence.
 """
 
 from collections.abc import Sequence
@@ -27,26 +28,26 @@ LONGEST_LATE_NS = 10 * NS
 NEVER_NS = 3600 * NS
 LISTEN_NS = NS // 20
 FRAME_PAUSE_NS = NS // 50
-"""A pause within a frame is shorter than this, even behind a USB adapter."""
+"""Upper limit of a pause within a frame, even behind a USB adapter."""
 CORRUPT_IN_A_ROW = 3
 SILENT_IN_A_ROW = 3
 IN_STEP = 3
-"""Requests in a row that were answered in time: what else comes is no late answer to one before."""
+"""Requests answered in a row, after which any other bytes are no late answer to an earlier one."""
 
 
 @dataclass
 class Slave:
-    """One slave: what is read from it, when, and how it has behaved.
+    """One slave: its reads, their times, and its past answers.
 
     Attributes:
-        name, number: in the run file; on the line.
+        name, number: name in the run file; number on the line.
         blocks: the reads that fetch all its numbers.
-        period_ns, timeout_ns: how often; how long it may take to answer.
-        late_ns: how long after its request an answer may still turn up.
+        period_ns, timeout_ns: period of asking; longest wait for an answer.
+        late_ns: time after a request within which an answer may still come.
         backoff: waits after silence.
-        unanswered_ns: its last request that may still be unanswered: when; 0: there is none.
-        pause_ns: longest pause between two such requests that followed each other.
-        in_row: requests answered in time, one after the other.
+        unanswered_ns: instant of its last request that may still be unanswered; 0: none.
+        pause_ns: longest pause between two such consecutive requests.
+        in_row: number of requests answered in time, one after the other.
     """
 
     name: str
@@ -70,16 +71,16 @@ class Slave:
 
     @property
     def failing(self) -> bool:
-        """Did it leave the last request unanswered?"""
+        """Was the last request not answered?"""
         return self.silent > 0
 
     @property
     def in_step(self) -> bool:
-        """Has it answered all that it was asked lately?"""
+        """Were all recent requests answered?"""
         return self.in_row >= IN_STEP
 
     def answered(self, now_ns: int) -> None:
-        """Keep the beat; after a pause start a new one."""
+        """Schedule the next request in the same rhythm; after a pause, start a new rhythm."""
         self.in_row += 1
         self.silent = self.corrupt = self.unanswered_ns = self.pause_ns = 0
         self.probation = False
@@ -89,24 +90,24 @@ class Slave:
             self.due_ns = now_ns + self.period_ns
 
     def was_silent(self, asked_ns: int, now_ns: int) -> None:
-        """Leave it alone: for its back-off, and for as long as its answer may still come."""
+        """Do not ask it during its back-off, nor while its answer may still come."""
         self.silent, self.in_row, self.probation = self.silent + 1, 0, True
         self._unanswered(asked_ns)
         self.due_ns = max(now_ns + self.backoff.next_ns(), asked_ns + self.late_ns)
 
     def line_opened(self, now_ns: int) -> None:
-        """Begin at once, but for an old answer that may still come."""
+        """Ask it at once, unless an old answer may still come."""
         self.due_ns = max(now_ns, self.unanswered_ns + self.late_ns) if self.unanswered_ns else now_ns
         self.silent = self.in_row = 0
 
     def lives(self, asked_ns: int, now_ns: int) -> None:
-        """It answers again, but perhaps an older request: see first whether more is on its way."""
+        """It answers again, but perhaps an older request: wait whether more is on its way."""
         self._unanswered(asked_ns)
         self.silent, self.probation = 1, False
         self.due_ns = now_ns + self.late_ns + max(self.late_ns, self.pause_ns)
 
     def spoke_unasked(self, now_ns: int) -> None:
-        """An old answer has come: know how late it can be, and wait for silence again."""
+        """An old answer has come: learn its delay, and wait for silence again."""
         late_ns = now_ns - self.unanswered_ns
         self.in_row = 0
         if self.unanswered_ns and late_ns < LONGEST_LATE_NS:
@@ -116,7 +117,7 @@ class Slave:
             self.due_ns = now_ns + self.late_ns
 
     def _unanswered(self, asked_ns: int) -> None:
-        """Note a request; the one before it is not answered any more if it lies too far back."""
+        """Record a request; the one before it no longer counts as unanswered if it is too old."""
         pause_ns = asked_ns - self.unanswered_ns
         owed = self.unanswered_ns and pause_ns < LONGEST_LATE_NS
         self.pause_ns = max(self.pause_ns, pause_ns) if owed else 0
@@ -134,11 +135,11 @@ class Poller:
         self._why = ""
 
     def serve(self, line: ByteLine, worker: Worker[ByteLine]) -> None:
-        """Ask whoever is due, for ever.
+        """Poll the due slaves, for ever.
 
         Raises:
             DriverUnavailable: the line is gone.
-            DriverTimeout: no slave has answered for a while; opening the line again may help.
+            DriverTimeout: no slave has answered for a while; reopening the line may help.
         """
         now_ns = self._clock.now_ns()
         for slave in self._slaves:
@@ -156,7 +157,7 @@ class Poller:
                 raise DriverTimeout(f"{self._why}; no other slave answers either; opening the line again")
 
     def choose(self, now_ns: int) -> tuple[Slave | None, int]:
-        """Who is asked now, or None and until when to wait, ns: healthy ones first, failing ones into the gaps."""
+        """The slave to ask now, or None and the end of the wait, ns: healthy ones first, failing ones in the gaps."""
         healthy = [s for s in self._slaves if not s.failing]
         failing = sorted((s for s in self._slaves if s.failing), key=lambda s: s.due_ns)
         next_ns = min((s.due_ns for s in healthy), default=now_ns + NEVER_NS)
@@ -207,7 +208,7 @@ class Poller:
         self._readings.silent(slave.names, self._why)
 
     def _idle(self, line: ByteLine, worker: Worker[ByteLine], wake_ns: int) -> None:
-        """Wait for the next turn; listen meanwhile if an old answer may come, so as to know how late it is."""
+        """Wait for the next turn; while an old answer may come, listen, to learn its delay."""
         if self._exchange.numbered or not any(s.failing for s in self._slaves):
             worker.wait_until_ns(wake_ns)
             return
@@ -220,7 +221,7 @@ class Poller:
         self._look_for_late(data, None)
 
     def _drop_old(self, line: ByteLine) -> None:
-        """Whatever came unasked is thrown away, and whose it was is noted; numbered answers are sorted out later."""
+        """Drop bytes that came unasked, and record the slave; numbered answers are sorted out later."""
         if self._exchange.numbered:
             return
         data = b""
@@ -228,12 +229,12 @@ class Poller:
             data += more
         self._look_for_late(data, None)
 
-    def _look_for_late(self, data: bytes, asked: Slave | None) -> None:
+    def _look_for_late(self, data: bytes, expected: Slave | None) -> None:
         if self._exchange.numbered or not data:
             return
         numbers = {number for number, _ in frames_of_slaves(data)}
         for slave in self._slaves:
-            if slave is not asked and slave.number in numbers and not (asked and slave.in_step):
+            if slave is not expected and slave.number in numbers and not (expected and slave.in_step):
                 self.late += 1
                 slave.spoke_unasked(self._clock.now_ns())
                 why = f"slave {slave.number} ({slave.name}): answers later than its timeout_s"

@@ -1,4 +1,4 @@
-"""Which slaves answer on a Modbus line, and which registers they have: functions 3 and 4 only, which read."""
+"""Scans a Modbus line for slaves and their registers, with functions 3 and 4 only, which read."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, Self
@@ -14,7 +14,7 @@ from rtec_drivers.room import in_room, room_high_word
 
 NUMBERS: Final = range(1, 248)
 TIMEOUT_NS: Final = NS // 10
-"""For the first answer; modules answer within 50 ms, and one that is later is recognised when its answer comes."""
+"""Wait for the first answer; modules answer within 50 ms, and a later one is recognised when its answer comes."""
 PATIENT_NS: Final = 3 * NS // 10
 TRIES: Final = 2
 """A request may be lost; and libmodbus takes the one after a request to an absent slave for that slave's answer."""
@@ -22,23 +22,23 @@ REGISTERS: Final = 128
 BLOCK: Final = 32
 UNKNOWN_FUNCTION: Final = 1
 FAILED, NO_WAY, NO_ANSWER = 4, 10, 11
-"""Errors by which a gateway says that there is no such slave; pymodbus' server says FAILED."""
+"""Errors by which a gateway reports that a slave does not exist; pymodbus' server sends FAILED."""
 SLAVE_NS: Final = 5 * NS
-"""At most so long its registers of one kind are looked at."""
+"""Longest time for its registers of one kind."""
 NAMES: Final = {INPUT: "input", HOLDING: "holding"}
 
 
 class ModbusScanner:
-    """Looks on a Modbus line.
+    """Scans a Modbus line.
 
     Args:
         options: the line.
-        clock: deadlines are in its time.
-        numbers: of the slaves that are asked; all that there may be where not given.
+        clock: clock of the deadlines.
+        numbers: numbers of the slaves to ask; None: all possible ones.
 
     Attributes:
-        duration: of the search.
-        slaves: the numbers of those that answered.
+        duration: duration of the search, in words.
+        slaves: numbers of the slaves that answered.
     """
 
     def __init__(self, options: ModbusLineOptions, clock: Clock, numbers: Sequence[int] | None = None) -> None:
@@ -72,7 +72,7 @@ class ModbusScanner:
             self._line = None
 
     def search(self) -> Iterator[tuple[float, str]]:
-        """Ask every number; look at the registers of a slave as soon as it answers."""
+        """Ask every number; read the registers of a slave as soon as it answers."""
         numbers = self._numbers
         if self._whatever_the_number():
             numbers = numbers[:1]
@@ -80,20 +80,20 @@ class ModbusScanner:
         for k, number in enumerate(numbers):
             if self._is_there(number) and number not in self.slaves:
                 self.slaves.append(number)
-            for slave in self.slaves[self._looked_at :]:  # one before this may have answered late
+            for slave in self.slaves[self._looked_at :]:  # one with a lower number may have answered late
                 yield from ((k / len(numbers), "") for _ in self._look_at(slave))
                 self._looked_at += 1
                 yield (k + 1) / len(numbers), self._about(slave)
             yield (k + 1) / len(numbers), ""
 
     def read(self) -> dict[str, float]:
-        """Numbers of all registers that there are; those that do not answer now keep their last."""
+        """Numbers of all existing registers; those that do not answer now keep their last one."""
         for request in self._blocks:
             self._take(request, self._ask(request, PATIENT_NS))
         return {place: self._number(*where) for place, where in self._places.items()}
 
     def proposed(self, names: Sequence[str]) -> dict[str, str]:
-        """Registers in order, those that a temperature of a room could be."""
+        """In order, the registers that may hold a room's temperature."""
         could_be = [p for p, (n, r) in self._places.items() if in_room(self._number(n, r), r.type == "float32")]
         return dict(zip(names, could_be, strict=False)) if len(could_be) >= len(names) else {}
 
@@ -103,12 +103,12 @@ class ModbusScanner:
         for name, place in places.items():
             number, register = self._places[place]
             table = slaves.setdefault(f"slave_{number}", {"id": number, "register": {}})
-            said = register.model_dump(include={"address", "function", "type"}) | {"scale": unit}
-            table["register"][name] = said | ({"word_order": "low"} if register.word_order == "low" else {})
+            keys = register.model_dump(include={"address", "function", "type"}) | {"scale": unit}
+            table["register"][name] = keys | ({"word_order": "low"} if register.word_order == "low" else {})
         return {"slave": slaves}
 
     def _whatever_the_number(self) -> bool:
-        """Does a device on TCP take no notice of the slave's number? Many do: the connection leads to one only."""
+        """Does a device on TCP ignore the slave's number? Many do: the connection leads to only one."""
         tcp, last = self._options.tcp, self._numbers[-3:]
         return tcp is not None and not tcp.rtu and len(last) == 3 and all(self._is_there(n) for n in last)
 
@@ -124,7 +124,7 @@ class ModbusScanner:
         return number in self.slaves
 
     def _look_at(self, number: int) -> Iterator[None]:
-        """Read the slave's registers; a step a request."""
+        """Read the slave's registers; one step a request."""
         for function in NAMES:
             todo = [ModbusRequest(number, function, first, BLOCK) for first in range(0, REGISTERS, BLOCK)]
             end_ns = self._clock.now_ns() + SLAVE_NS
@@ -132,7 +132,7 @@ class ModbusScanner:
                 request = todo.pop(0)
                 answer = self._ask(request, PATIENT_NS) or self._ask(
                     request, PATIENT_NS
-                )  # a busy line loses one at times
+                )  # a busy line loses a request at times
                 if answer is None or answer.error == UNKNOWN_FUNCTION:
                     break
                 if not answer.error:
@@ -146,14 +146,14 @@ class ModbusScanner:
             self._name(number, function)
 
     def _name(self, slave: int, function: int) -> None:
-        """Give each number a place in words: pairs of registers that are a room's temperature as a float; integers."""
+        """Name the place of each number: pairs of registers that may be a room's temperature as a float; integers."""
         there = {a: word for (s, f, a), word in sorted(self._words.items()) if (s, f) == (slave, function)}
         floats = dict(float_pairs(there))
         within = {a + 1 for a in floats}
         for address in (a for a in there if a not in within):
             order = floats.get(address)
-            said = {"type": "float32", "word_order": order} if order else {"type": "int16"}
-            register = Register.model_validate({"address": address, "function": NAMES[function], **said})
+            keys = {"type": "float32", "word_order": order} if order else {"type": "int16"}
+            register = Register.model_validate({"address": address, "function": NAMES[function], **keys})
             kind = {"high": "float", "low": "float, low word first"}.get(order or "", "")
             words = f"registers {address} and {address + 1} ({kind})" if order else f"register {address}"
             self._places[f"slave {slave}, {NAMES[function]} {words}"] = (slave, register)
@@ -182,10 +182,10 @@ class ModbusScanner:
 
 
 def float_pairs(words: Mapping[int, int]) -> Iterator[tuple[int, str]]:
-    """First address and word order of registers that are a room's temperature as a float.
+    """First address and word order of registers that may be a room's temperature as a float.
 
-    The high word alone shows that it is one. Its low word is beside it, where numbers of two registers begin at even
-    addresses; the data cannot tell otherwise.
+    The high word alone shows that. The data do not show its low word; numbers of two registers are taken to begin at
+    even addresses.
     """
     for address, word in words.items():
         first = address - address % 2

@@ -1,4 +1,4 @@
-"""How a Modbus line is reached: a serial port or TCP, and the framing that goes with it."""
+"""Access to a Modbus line: a serial port or TCP, each with its framing."""
 
 from collections.abc import Callable
 from typing import Annotated, Self
@@ -22,7 +22,7 @@ class TcpOptions(TcpPlace):
     """A TCP connection to Modbus slaves.
 
     Attributes:
-        rtu: the connection carries a serial line's frames, as simple serial servers do.
+        rtu: the connection carries a serial line's frames, as with simple serial servers.
     """
 
     port: Annotated[int, Field(ge=1, le=65535)] = TCP_PORT
@@ -30,17 +30,17 @@ class TcpOptions(TcpPlace):
 
 
 class ModbusPort(PortOptions):
-    """As every serial port, at the rate that Modbus modules are delivered with."""
+    """Options of a serial port, with the default rate of Modbus modules."""
 
     baud: Annotated[int, Field(ge=300, le=4_000_000)] = 9600
 
 
 class ModbusLineOptions(Strict):
-    """How a Modbus line is reached.
+    """Access to a Modbus line.
 
     Attributes:
-        serial: a serial line; either this
-        tcp: or a connection over TCP.
+        serial: a serial line; either this or `tcp`.
+        tcp: a connection over TCP; either this or `serial`.
     """
 
     serial: ModbusPort | None = None

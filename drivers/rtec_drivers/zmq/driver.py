@@ -24,13 +24,13 @@ class CommandAccount:
     """This side's account of the commands.
 
     Attributes:
-        has: output that the other process says it has, axis by axis; None before it said.
+        has: output that the other process reports, axis by axis; None before its first report.
         must_resume: why it waits for an order; "" where it does not.
 
     Args:
         axes: names in order.
         step: the first command may differ from `has` by at most this.
-        timeout_s: so long may a command stay without an answer.
+        timeout_s: longest time without an answer to a command.
     """
 
     def __init__(self, axes: Sequence[str], step: int, timeout_s: float) -> None:
@@ -40,17 +40,17 @@ class CommandAccount:
         self.order_resume()
 
     def order_resume(self) -> None:
-        """Whoever publishes now may be commanded."""
+        """Accept the process that publishes now, and command it."""
         self.must_resume, self._boot, self._first = "", "", True
         self._refused, self._waiting_ns, self._answered = "", -1, self._seq
 
     def stop(self, why: str) -> None:
-        """Command nothing more until the order comes."""
+        """Command nothing until the order comes."""
         if not self.must_resume:
             self.must_resume = f"{why}; {HOLDS}"
 
-    def told(self, boot: str, output: Mapping[str, int]) -> None:
-        """Take in what a state says of the other process."""
+    def reported(self, boot: str, output: Mapping[str, int]) -> None:
+        """Process the other process' report."""
         if not self._boot:
             self._boot = boot
         elif boot != self._boot:
@@ -59,17 +59,17 @@ class CommandAccount:
             self.has = tuple(output[a] for a in self._axes)
 
     def answered(self, answer: message.CommandAnswer) -> None:
-        """Take in an answer; one of another start is of no interest."""
+        """Process an answer; ignore one that belongs to another start."""
         if answer.boot != self._boot or answer.seq <= self._answered:
             return
         self._answered, self._waiting_ns, self._refused = answer.seq, -1, answer.refused
 
     def next_command(self, output: Sequence[int]) -> bytes:
-        """Give the text of the next command.
+        """The text of the next command.
 
         Raises:
-            DriverFault: an order is waited for, or the first command is a jump.
-            DriverTimeout: the other process has not said yet what it has.
+            DriverFault: it waits for an order, or the first command is a jump.
+            DriverTimeout: the other process has not reported its output yet.
         """
         if self.must_resume:
             raise DriverFault(self.must_resume)
@@ -86,11 +86,11 @@ class CommandAccount:
         return message.command(self._boot, self._seq, dict(zip(self._axes, output, strict=True)))
 
     def sent(self, now_ns: int) -> None:
-        """Note a command that was sent.
+        """Record a command that was sent.
 
         Raises:
-            DriverFault: the last one was refused.
-            DriverTimeout: none was answered for too long.
+            DriverFault: the last command was refused.
+            DriverTimeout: no command was answered for too long.
         """
         if self._refused:
             raise DriverFault(f"the other process refuses commands: {self._refused}")
@@ -108,18 +108,18 @@ LOOK_S = 0.01
 class ZmqLinkDriver:
     """Another process as a device, by ZeroMQ.
 
-    Never waits: each call takes what has arrived. Commands are absolute, may be repeated, and are answered; the
-    answer is looked at in a later cycle. If the other process starts anew, counts and commands hold until `resume` is
+    Never waits: each call processes the messages that have arrived. Commands are absolute, may be repeated, and are
+    answered; a later cycle reads the answer. If the other process restarts, counts and commands hold until `resume` is
     called; temperatures go on.
 
     Args:
-        options: what the run file says.
-        machine: whose axes and sensors the arrays follow.
-        clock: for instants.
-        base: folder that relative paths of key files start at.
+        options: options of the run file.
+        machine: machine with the axes and sensors of the arrays.
+        clock: clock of the instants.
+        base: folder at which relative paths of key files start.
 
     Raises:
-        ConfigError: keys or speeds are wrong.
+        ConfigError: keys or speeds are at fault.
     """
 
     options_model = ZmqOptions
@@ -148,7 +148,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         """Connect; wait for the first message. Starting a run is an order to resume.
 
         Raises:
-            DriverTimeout: none came, and the options say `at_start = "required"`.
+            DriverTimeout: none came, and the options have `at_start = "required"`.
             DriverUnavailable: an address cannot be used.
         """
         self._book = StateBook(self._machine, self.options)
@@ -173,18 +173,18 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         return self._commands.must_resume
 
     def resume(self) -> None:
-        """The order to go on after the other process restarted or a position was lost."""
+        """Go on after the other process restarted or a position was lost."""
         self._commands.order_resume()
         self._counts, self._counts_ns = None, -(2**62)
         if self._tracker is not None:
             self._tracker.restart()
 
     def read_counts(self, counts: IntArray) -> int:
-        """Fill in the counts that came last; give their instant of latching by our clock, ns.
+        """Fill in the newest counts; give their instant of latching by our clock, ns.
 
         Raises:
             DriverTimeout: no counts in the last `silent_s`.
-            DriverFault: counts that cannot be, a garbled message, or an order to resume is waited for.
+            DriverFault: impossible counts, a malformed message, or it waits for an order to resume.
             DriverUnavailable: not entered.
         """
         self._listen()
@@ -202,7 +202,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         return self._counts_ns
 
     def read_temperatures(self, degc: FloatArray, time_ns: IntArray) -> None:
-        """Fill in what came since, °C and instants by our clock; then tell what is wrong.
+        """Fill in the newest values, °C and instants by our clock; then raise the faults.
 
         Raises:
             DriverTimeout, DriverFault, DriverUnavailable: as `read_counts`.
@@ -214,7 +214,7 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self._book.tell()
 
     def read_spindle(self) -> float:
-        """Give the spindle speed that came last, 1/min.
+        """The newest spindle speed, 1/min.
 
         Raises:
             DriverTimeout: none in the last `silent_s`.
@@ -225,18 +225,18 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         return self._book.spindle()
 
     def refuses(self, sink: Sink) -> str:
-        """Take the one kind that the options name, in their unit; none without an address for commands."""
+        """Refuse all kinds but that of the options, and any other unit; refuse all without an address for commands."""
         options = self.options
         if options.command is None:
             return "has no address for commands (its option command)"
         return differs(sink, options.actuator, options.unit_um)
 
     def apply(self, output: IntArray) -> None:
-        """Send the absolute output of every axis. Nothing is waited for.
+        """Send the absolute output of every axis. Does not wait.
 
         Raises:
-            DriverFault: the other process refuses, started anew, or the command would be a jump.
-            DriverTimeout: nobody takes commands, or nobody answers them.
+            DriverFault: the other process refuses, restarted, or the command would be a jump.
+            DriverTimeout: nothing accepts commands, or they are not answered.
             DriverUnavailable: not entered.
         """
         sockets = self._listen()
@@ -245,10 +245,10 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         self._commands.sent(now_ns)
 
     def read_output(self, output: IntArray) -> None:
-        """Fill in what the other process says is applied.
+        """Fill in the output that the other process reports.
 
         Raises:
-            DriverUnavailable: it has not said yet.
+            DriverUnavailable: it has not reported yet.
         """
         self._listen()
         if self._commands.has is None:
@@ -256,17 +256,17 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         output[:] = self._commands.has
 
     def hold(self) -> None:
-        """Nothing to send: the other process keeps what it was last told."""
+        """Send nothing: the other process keeps the last command's output."""
 
     def _listen(self) -> Sockets:
-        """Take in everything that has come."""
+        """Process all received messages."""
         if self._sockets is None:
             raise DriverUnavailable("zmq_link: not entered, so nothing is connected")
         now_ns = self._clock.now_ns()
         for text in self._sockets.states():
             state = self._book.take(text, now_ns)
             if state is not None:
-                self._commands.told(state.boot, state.output)
+                self._commands.reported(state.boot, state.output)
         for text in self._sockets.answers():
             try:
                 self._commands.answered(message.read_answer(text))
@@ -284,13 +284,13 @@ max_speed_mm_s = {X = 400.0, Z = 400.0}    # counts that move faster are refused
         raise DriverTimeout(f"{self.options.state}: no message within {self.options.open_timeout_s:g} s")
 
     def _check(self, tracker: CountTracker, got: Counts) -> None:
-        """Could the machine have moved so? How long it took, their own clock says."""
+        """Check that the machine can have moved so far, in a time by the other process' clock."""
         try:
             tracker.update(got.values, got.their_ns, got.their_ns)
         finally:
             if tracker.lost:
                 self._commands.stop(tracker.lost)
-        # A quicker message than all before shows the offset of the clocks smaller; instants do not go back for that.
+        # A message faster than all before makes the offset of the clocks smaller; instants do not go back for that.
         self._counts, self._counts_ns = got, max(self._counts_ns, got.instant_ns)
 
     def _leave(self) -> None:

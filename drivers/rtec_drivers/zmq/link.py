@@ -1,4 +1,4 @@
-"""The two sockets of a ZeroMQ link and the keys that protect them; nothing here waits, but for `wait`."""
+"""The two sockets of a ZeroMQ link and the keys that protect them; only `wait` waits."""
 
 import ipaddress
 import re
@@ -22,22 +22,22 @@ class ZmqOptions(Strict):
     """Options of a link to another process by ZeroMQ.
 
     Attributes:
-        state: where the other process publishes, `tcp://host:port` or `ipc://path`.
-        command: where it takes commands; not given: it is no actuator.
-        actuator, unit_um: which kind of output it takes, by the name of the sink; one unit of it, for those that do not
-            count pulses.
-        clock: "shared": the other process' instants are of this computer's monotonic clock; "own": of any other
-            clock, which is then compared with this one by the quickest messages of the last minute.
-        max_speed_mm_s: highest speed of each axis; needed where it gives counts; faster ones are refused.
-        server_key_file: public key of the other process, as made by `zmq.auth.create_certificates`. Needed where the
+        state: address at which the other process publishes, `tcp://host:port` or `ipc://path`.
+        command: address at which it accepts commands; not given: it is no actuator.
+        actuator: kind of output that it accepts, by the name of the sink.
+        unit_um: one unit of output, µm, for kinds that do not count pulses.
+        clock: "shared": the other process' instants are those of this computer's monotonic clock; "own": of any other
+            clock, which is then compared with this one by the fastest messages of the last minute.
+        max_speed_mm_s: highest speed of each axis; needed where it gives counts; faster counts are refused.
+        server_key_file: public key of the other process, as made by `zmq.auth.create_certificates`. Required where the
             link leaves this computer.
         own_key_file: this side's secret key; readable by its owner only.
-        at_start: "required": the run does not begin without a first message; "later": it may come any time.
+        at_start: "required": the run does not begin without a first message; "later": it may come at any time.
         open_timeout_s: longest wait for that first message.
-        silent_s: so long without a message is reported.
-        command_timeout_s: so long may a command stay without an answer before that is reported.
+        silent_s: a silence of this time is reported.
+        command_timeout_s: longest time without an answer to a command before that is reported.
         resume_step: the first command may differ from the output that the other process has by at most this.
-        stuck_after_s: as for other sensors: a temperature that stands still for so long is reported. Not set: never.
+        stuck_after_s: a temperature that is constant for this time is reported. Not set: never.
     """
 
     state: str
@@ -83,7 +83,7 @@ class Keys:
 
 
 def leaves_computer(address: str) -> bool:
-    """Does an address lead out of this computer? Only what surely does not counts as inside."""
+    """Does an address lead out of this computer? Only an address that certainly does not counts as inside."""
     match = TCP.fullmatch(address)
     if match is None:
         return False
@@ -95,10 +95,10 @@ def leaves_computer(address: str) -> bool:
 
 
 def load_keys(options: ZmqOptions, base: Path) -> Keys | None:
-    """Read the keys; None where the options name none.
+    """Read the keys; None where the options have none.
 
     Raises:
-        ConfigError: a file is missing, is no key, or the secret one may be read by others.
+        ConfigError: a file is missing, is no key, or the secret one is readable by others.
     """
     if options.server_key_file is None or options.own_key_file is None:
         return None
@@ -125,14 +125,14 @@ QUEUED = 256
 READ_AT_ONCE = 16
 LARGEST_MESSAGE = 65536
 RECONNECT_MS = 100
-"""Between two attempts of libzmq, at first; it doubles up to twenty times this."""
+"""First wait of libzmq between two attempts, ms; it doubles up to twenty times this."""
 
 
 class Sockets:
-    """Subscriber and dealer, connected; libzmq connects again by itself, at growing distances.
+    """Subscriber and dealer, connected; libzmq reconnects by itself, with growing waits.
 
     Raises:
-        DriverUnavailable: pyzmq is not there, or an address cannot be used.
+        DriverUnavailable: pyzmq is not installed, or an address cannot be used.
     """
 
     def __init__(self, options: ZmqOptions, keys: Keys | None) -> None:
@@ -149,7 +149,7 @@ class Sockets:
             self._command = None
             if options.command is not None:
                 self._command = self._socket(zmq.DEALER, keys)
-                self._command.setsockopt(zmq.IMMEDIATE, 1)  # nothing is kept for a process that is not there
+                self._command.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a process that is not connected
                 self._command.connect(options.command)
         except zmq.ZMQError as e:
             self.close()
@@ -160,11 +160,11 @@ class Sockets:
         self._context.destroy(linger=0)
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for a state, for at most so long."""
+        """Wait for a state, for at most that time."""
         return bool(self._state.poll(round(timeout_s * 1e3)))
 
     def states(self) -> list[bytes]:
-        """The newest states that have come, oldest first; of a flood the older ones are left out."""
+        """The newest received states, oldest first; of a flood the older ones are dropped."""
         out: deque[bytes] = deque(maxlen=READ_AT_ONCE)
         for _ in range(QUEUED):
             try:
@@ -175,7 +175,7 @@ class Sockets:
         return list(out)
 
     def answers(self) -> list[bytes]:
-        """Answers to commands that have come."""
+        """The received answers to commands."""
         out: list[bytes] = []
         while self._command is not None and len(out) < READ_AT_ONCE:
             try:
@@ -188,7 +188,7 @@ class Sockets:
         """Send a command.
 
         Raises:
-            DriverTimeout: nobody is connected, or nobody takes any.
+            DriverTimeout: no process is connected, or none accepts commands.
         """
         if self._command is None:
             raise DriverUnavailable("no address for commands (key 'command')")

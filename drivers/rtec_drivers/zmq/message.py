@@ -23,21 +23,21 @@ KEYS = {
 
 
 class MessageError(ValueError):
-    """A message that is not as the document says."""
+    """A message that does not follow the schema."""
 
 
 @dataclass(frozen=True)
 class StateMessage:
-    """What the other process publishes.
+    """A state that the other process publishes.
 
     Attributes:
-        boot: another text after every start of it.
+        boot: text that differs after every start of it.
         seq: grows with every message.
-        time_ns: its clock when it sent.
-        counts, counts_time_ns: raw counts by axis and when they were latched, by its clock.
+        time_ns: instant of sending, by its clock.
+        counts, counts_time_ns: raw counts by axis, and their instant of latching, by its clock.
         degc: temperature and instant of acquisition by sensor.
         spindle_rpm: spindle speed.
-        output: what stands in the machine, by axis, in the actuator's units.
+        output: applied output by axis, in the actuator's units.
     """
 
     boot: str
@@ -52,11 +52,11 @@ class StateMessage:
 
 @dataclass(frozen=True)
 class CommandAnswer:
-    """What the other process says to a command.
+    """The other process' answer to a command.
 
     Attributes:
-        boot, seq: its start, and the command that it answers.
-        refused: why it did not take it; "" where it did.
+        boot, seq: its start, and the number of the command.
+        refused: why it refused the command; "" where it accepted it.
     """
 
     boot: str
@@ -68,7 +68,7 @@ def read_state(text: bytes) -> StateMessage:
     """Read a state.
 
     Raises:
-        MessageError: what is wrong with it.
+        MessageError: it is malformed; the message says how.
     """
     data = _object(text)
     unknown = sorted(set(data) - KEYS)
@@ -91,7 +91,7 @@ def read_answer(text: bytes) -> CommandAnswer:
     """Read the answer to a command.
 
     Raises:
-        MessageError: what is wrong with it.
+        MessageError: it is malformed; the message says how.
     """
     data = _object(text)
     refused = data.get("refused", "")
@@ -101,7 +101,7 @@ def read_answer(text: bytes) -> CommandAnswer:
 
 
 def command(boot: str, seq: int, output: Mapping[str, int]) -> bytes:
-    """Give the text of a command: absolute output of every axis."""
+    """The text of a command: absolute output of every axis."""
     return json.dumps({"schema": SCHEMA, "boot": boot, "seq": seq, "output": dict(output)}).encode()
 
 

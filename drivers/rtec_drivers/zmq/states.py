@@ -1,6 +1,6 @@
-"""The newest of everything that another process published, with instants of our clock.
+"""The newest values that another process published, with instants of our clock.
 
-How far the other computer's clock is off follows from messages that carry their instant of sending.
+Messages with their instant of sending give the offset of the other computer's clock.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ WINDOW_NS = 30_000_000_000
 class ClockOffset:
     """Our clock minus theirs: the least of `received - sent`, over the last thirty to sixty seconds.
 
-    The quickest message was on the way for the shortest time, so that time, which nobody can know, is all that the
-    offset is too large by: a reading looks younger by it than it is. Messages that were held up do not.
-    The window lets two clocks run apart: at 50 millionths, by 3 ms in a minute.
+    The error of the offset is the unknown travelling time of the fastest message: a reading looks younger by it than it
+    is. Delayed messages do not change the offset. Within the window two clocks drift apart: at 50 millionths, by 3 ms
+    in a minute.
     """
 
     def __init__(self) -> None:
@@ -28,18 +28,18 @@ class ClockOffset:
         self._start_ns = 0
 
     def reset(self) -> None:
-        """Forget: theirs started anew."""
+        """Forget the offset: their clock restarted."""
         self._now = self._before = None
 
     def add(self, sent_ns: int, received_ns: int) -> None:
-        """Take in one message: sent by their clock, received by ours."""
+        """Add one message: sent by their clock, received by ours."""
         if self._now is None or received_ns - self._start_ns > WINDOW_NS:
             self._before, self._now, self._start_ns = self._now, None, received_ns
         offset = received_ns - sent_ns
         self._now = offset if self._now is None else min(self._now, offset)
 
     def ours(self, their_ns: int) -> int:
-        """Give an instant of their clock by ours.
+        """Convert an instant of their clock to ours.
 
         Raises:
             ValueError: no message yet.
@@ -63,11 +63,11 @@ class Counts:
 
 
 class StateBook:
-    """Takes states in; keeps the newest of each thing.
+    """Processes states; keeps the newest value of each quantity.
 
     Attributes:
-        counts, degc: newest; temperatures by sensor with their instants.
-        heard: has any good message come?
+        counts, degc: newest values; temperatures by sensor with their instants.
+        heard: has any good message arrived?
     """
 
     def __init__(self, machine: Machine, options: ZmqOptions) -> None:
@@ -82,7 +82,7 @@ class StateBook:
         self._fault, self._stuck_faults = "", dict[str, str]()
 
     def take(self, text: bytes, now_ns: int) -> StateMessage | None:
-        """Take a message in; None for one that is wrong, or older than the last."""
+        """Process a message; None for one that is malformed, or older than the last."""
         try:
             state = read_state(text)
             self._check(state, now_ns)
@@ -100,19 +100,19 @@ class StateBook:
         return state
 
     def now(self, now_ns: int) -> None:
-        """Note the time; silence is counted from the first look on."""
+        """Set the time; silence is counted from the first call."""
         self._heard_ns = self._heard_ns or now_ns
         self._now_ns = now_ns
 
     def fault(self, text: str) -> None:
-        """Note what is wrong; it stands until a good message comes."""
+        """Record a fault; it stays until a good message comes."""
         self._fault = text
 
     def tell(self) -> None:
-        """Say what is wrong.
+        """Raise the present fault.
 
         Raises:
-            DriverFault: a message was garbled, or a sensor is stuck.
+            DriverFault: a message was malformed, or a sensor is stuck.
             DriverTimeout: silence.
         """
         place, silent_s = self._options.state, (self._now_ns - self._heard_ns) * 1e-9
@@ -123,7 +123,7 @@ class StateBook:
             raise DriverTimeout(f"{place}: no message for {silent_s:.1f} s")
 
     def spindle(self) -> float:
-        """Give the spindle speed.
+        """The spindle speed, 1/min.
 
         Raises:
             DriverTimeout: none lately.

@@ -26,10 +26,10 @@ FORMATS: dict[str, TableFormat] = {
 
 
 def table_format(name: str, where: str) -> TableFormat:
-    """Give a format by its name.
+    """The format of that name.
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: no format has that name.
     """
     if name not in FORMATS:
         raise ConfigError(f"{where}: no format {name!r}{nearest(name, FORMATS)}")

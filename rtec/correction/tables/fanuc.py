@@ -1,9 +1,9 @@
 """FANUC stored pitch error compensation: parameters 3620 to 3627 and the values of the points, as a list to type in.
 
-Parameter manual Series 0i-PB, B-63980EN/01, pages 99 and 100 (the printed example). The value of a point is what is
-added over the section that ends there; the value of point 3620 is that of the section that ends at the reference
-position, and the sum is 0 there. Both directions: A-77810E/02, table of parameters 3605#0, 3626, 3627. A value is -7 to
-7, times 3623, in detection units of 1 µm. The pages that we have read do not state the sign. Not tried on a control.
+Parameter manual Series 0i-PB, B-63980EN/01, pages 99 and 100 (the printed example). The control adds a point's value
+over the section that ends at the point; the value of point 3620 is that of the section that ends at the reference
+position, where the sum is 0. Both directions: A-77810E/02, table of parameters 3605#0, 3626, 3627. A value is -7 to 7,
+times 3623, in detection units of 1 µm. The pages that we have read do not state the sign. Not tried on a control.
 """
 
 import re
@@ -47,17 +47,17 @@ class PitchErrorList(TableFormat):
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Controller and file, for people."""
         return f"FANUC stored pitch error compensation{', both directions' if self.both else ''}"
 
     @property
     def sign(self) -> str:
-        """In words."""
+        """The sign of the values, in words."""
         return "nominal minus actual, what is added over each section, 1 µm times 3623; the sum is 0 at position 0"
 
     @property
     def use(self) -> str:
-        """What is typed."""
+        """The parameters to type in."""
         way = ", in positive direction" if self.both else ""
         return f"type the parameters and points in, switch off and on, approach the reference position (machine 0{way})"
 
@@ -68,16 +68,16 @@ class PitchErrorList(TableFormat):
         return TableLimits(most, self.both, "own", True, UNIT_UM, grid="origin", zero="origin", typed=True)
 
     def refuses(self, table: CompensationTable) -> str:
-        """Beside the limits: no section needs more than the largest magnification."""
+        """Beside the limits: no section may need more than the largest magnification."""
         why = self.limits.refuses(table)
         return why or ("" if magnification(self._plain(table)) else "takes 700 µm in a section at most")
 
     def held(self, table: CompensationTable) -> CompensationTable:
-        """As `TableLimits.held`, in steps of the magnification that its steepest section needs."""
+        """As `TableLimits.held`, in steps of the magnification that the steepest section needs."""
         return self.limits.held(table, UNIT_UM * magnification(self._plain(table)))
 
     def text(self, table: CompensationTable) -> str:
-        """Parameters first, then the points."""
+        """Write the parameters, then the points."""
         by = magnification(table, exact=True)
         positions = table.positions_mm
         step = float(positions[1] - positions[0])
@@ -105,7 +105,7 @@ class PitchErrorList(TableFormat):
         return "\n".join([*lines, end(";")]) + "\n"
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
-        """Read a list as it is written here."""
+        """Read a list that `text` has written."""
         whole(text, source, ";")
         keys: dict[str, float] = {}
         points: dict[int, int] = {}
@@ -115,14 +115,14 @@ class PitchErrorList(TableFormat):
             content = line.partition(";")[0].strip()
             if not content:
                 continue
-            if found := re.match(r"(3605#0|362[0-7])\s*=\s*(\S+)$", content):
-                keys[found[1]] = number(found[2], source, n)
-            elif found := re.match(r"point\s+(\d{1,4})\s*=\s*([-+]?\d{1,2})$", content):
-                points[int(found[1])] = int(found[2])
+            if match := re.match(r"(3605#0|362[0-7])\s*=\s*(\S+)$", content):
+                keys[match[1]] = number(match[2], source, n)
+            elif match := re.match(r"point\s+(\d{1,4})\s*=\s*([-+]?\d{1,2})$", content):
+                points[int(match[1])] = int(match[2])
             else:
                 raise ConfigError(f"{source}: line {n}: {content[:60]!r} is no parameter 3620 to 3627 and no point")
-        wanted = ["3620", "3621", "3622", "3623", "3624", *(["3626", "3627"] if self.both else [])]
-        if missing := [key for key in wanted if key not in keys]:
+        required = ["3620", "3621", "3622", "3623", "3624", *(["3626", "3627"] if self.both else [])]
+        if missing := [key for key in required if key not in keys]:
             raise ConfigError(f"{source}: without parameter {', '.join(missing)}")
         if keys.get("3625"):
             raise ConfigError(f"{source}: 3625 is {keys['3625']:g}: a rotary axis")
@@ -153,12 +153,12 @@ class PitchErrorList(TableFormat):
         return CompensationTable(axes.moves, axes.corrects, rising(positions, source), forward + 0.0, backward + 0.0)
 
     def _plain(self, table: CompensationTable) -> CompensationTable:
-        """The table with its zero, not yet rounded."""
+        """The table with its zero, not rounded."""
         return self.limits.held(table, 1e-9)
 
 
 def magnification(table: CompensationTable, exact: bool = False) -> int:
-    """Smallest 3623 with which no section has more than 7, and where asked for no value changes; 0: there is none."""
+    """Smallest 3623 with no section above 7 and, if `exact`, with every value unchanged; 0: there is none."""
     columns = np.array([table.forward_um, table.backward_um])
     for by in range(1, LARGEST_MAGNIFICATION + 1):
         rounded = np.rint(columns / (UNIT_UM * by))
@@ -170,5 +170,5 @@ def magnification(table: CompensationTable, exact: bool = False) -> int:
 
 
 def _sections(values_um: Floats, by: int) -> list[int]:
-    """What is added over each section: differences of the rounded values, so that roundings do not add up."""
+    """Sum added over each section: differences of the rounded values, so that roundings do not add up."""
     return [int(-d) for d in np.diff(np.rint(values_um / (UNIT_UM * by))).tolist()]

@@ -30,9 +30,9 @@ from rtec.errors import ConfigError
 MOST_LINES: Final = 256
 MOST_OLD: Final = 64
 STEEPEST: Final = 64
-"""The older controls take a difference between two neighbours of a 64th of their distance."""
+"""The older controls accept a difference of 1/64 of the distance between two neighbours."""
 LEAST_MM: Final = 1e-3
-"""An entry of 0 for the distance: 2⁰ µm."""
+"""Distance of an exponent of 0: 2⁰ µm."""
 LARGEST_EXPONENT: Final = 23
 QUANTUM_UM: Final = 0.1
 QUANTUM_OLD_UM: Final = 1.0
@@ -53,7 +53,7 @@ class ComTable(TableFormat):
         return TableLimits(MOST_LINES, True, "either", False, QUANTUM_UM, typed=True)
 
     def text(self, table: CompensationTable) -> str:
-        """One line a point."""
+        """Write one line a point."""
         columns = zip(table.positions_mm, table.backward_um, table.forward_um, strict=True)
         rows = [
             f"{n:<4d} {p:>+12.4f} {1e-3 * b + 0.0:>+10.4f} {1e-3 * f + 0.0:>+10.4f}"
@@ -64,7 +64,7 @@ class ComTable(TableFormat):
         return "\n".join([*_head(self, table), cma, head, *rows, "[END]", end(";")]) + "\n"
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
-        """Read a table with the columns in any order, without BACKLASH too."""
+        """Read a table with the columns in any order, with or without BACKLASH."""
         whole(text, source, ";")
         lines = [(n, c.split()) for n, c in _contents(text) if c != "[END]" and not c.startswith("BEGIN")]
         if not lines or "AXISPOS" not in lines[0][1]:
@@ -103,7 +103,7 @@ class OldTable(TableFormat):
         return TableLimits(MOST_OLD, False, "either", True, QUANTUM_OLD_UM, grid="powers", zero="first", typed=True)
 
     def refuses(self, table: CompensationTable) -> str:
-        """Beside the limits: not steeper than the control takes."""
+        """Beside the limits: the table may not be steeper than the control accepts."""
         if why := self.limits.refuses(table):
             return why
         step_um = 1e3 * (table.positions_mm[1] - table.positions_mm[0])
@@ -115,7 +115,7 @@ class OldTable(TableFormat):
         return ""
 
     def text(self, table: CompensationTable) -> str:
-        """As the manual prints it."""
+        """Write it as the manual prints it."""
         positions = table.positions_mm
         rows = [
             f"{n} {table.axis}{_plain(p)} {table.corrects}{1e-3 * v + 0.0:+.3f}"
@@ -130,20 +130,20 @@ class OldTable(TableFormat):
         return "\n".join([*head, *rows, end(";")]) + "\n"
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
-        """Read the lines; a line without a value lies on the straight line between its neighbours."""
+        """Read the lines; a point without a value is interpolated between its neighbours."""
         whole(text, source, ";")
         datum, setup, values = None, None, dict[int, float | None]()
         for n, content in _contents(text):
             line = content.replace("\N{EN DASH}", "-")
-            if found := re.match(r"(\w+)\s*=\s*F\((\w+)\)$", line):
-                same_axis(found[1], axes.corrects, source, n)
-                same_axis(found[2], axes.moves, source, n)
-            elif found := re.match(r"DATUM POINT\s*([-+]?[\d.]+)$", line):
-                datum = number(found[1], source, n)
-            elif found := re.match(r"SETUP\s*(\d{1,2})$", line):
-                setup = int(found[1])
-            elif found := re.match(r"(\d{1,3})\s+[A-Z]+([-+]?[\d.]+)(?:\s+[A-Z]+([-+]?[\d.]+))?$", line):
-                values[int(found[1])] = None if found[3] is None else number(found[3], source, n)
+            if match := re.match(r"(\w+)\s*=\s*F\((\w+)\)$", line):
+                same_axis(match[1], axes.corrects, source, n)
+                same_axis(match[2], axes.moves, source, n)
+            elif match := re.match(r"DATUM POINT\s*([-+]?[\d.]+)$", line):
+                datum = number(match[1], source, n)
+            elif match := re.match(r"SETUP\s*(\d{1,2})$", line):
+                setup = int(match[1])
+            elif match := re.match(r"(\d{1,3})\s+[A-Z]+([-+]?[\d.]+)(?:\s+[A-Z]+([-+]?[\d.]+))?$", line):
+                values[int(match[1])] = None if match[3] is None else number(match[3], source, n)
             else:
                 raise ConfigError(f"{source}: line {n}: {content[:60]!r} is no line of this table")
         if datum is None or setup is None or setup > LARGEST_EXPONENT:
@@ -159,7 +159,7 @@ class OldTable(TableFormat):
 
 
 def exponent(step_mm: float) -> int:
-    """Largest power of two whose µm are not above a distance; 0 at least."""
+    """Exponent, 0 or more, of the largest power of two in µm that is at most the distance."""
     return max(0, int(np.floor(np.log2(step_mm / LEAST_MM) + 1e-9)))
 
 
@@ -174,5 +174,5 @@ def _contents(text: str) -> list[tuple[int, str]]:
 
 
 def _plain(value_mm: float) -> str:
-    """Without zeros at its end."""
+    """Number without trailing zeros."""
     return f"{value_mm:+.4f}".rstrip("0").rstrip(".")

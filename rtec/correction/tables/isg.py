@@ -2,7 +2,7 @@
 
 Beckhoff TF5200, axis compensation. Leadscrew, `kw.ssfk`: "Example: non-equidistant bilateral SSFK"; P-COMP-00017 to 25.
 Cross, `kw.crosscomp`: "Example of a compensation value list" (113391499); P-COMP-00003 to 7, 60. Plane,
-`kw.crosscomp2`: "Example of a compensation value list" (113417611); P-COMP-00008 to 16, 61. No control has read ours.
+`kw.crosscomp2`: "Example of a compensation value list" (113417611); P-COMP-00008 to 16, 61. Not tried on a control.
 """
 
 import re
@@ -29,11 +29,11 @@ from rtec.errors import ConfigError
 MOST_POINTS: Final = 1500
 MOST_CROSS: Final = 1000
 MOST_PLANE: Final = 10201
-"""P-COMP-00059, "maximum 1000 values", P-COMP-00061: what a control reserves where max_points is not set."""
+"""P-COMP-00059, "maximum 1000 values", P-COMP-00061: the control's default where max_points is not set."""
 QUANTUM_UM: Final = 0.1
 LARGEST_UM: Final = 3276.7
 LARGEST_CROSS_UM: Final = 10_000.0
-"""Of ours: a centimetre is no error of an axis; the control takes 32 bits."""
+"""Our own limit: an axis never has an error of a centimetre; the control accepts 32 bits."""
 CROSS_SIGN: Final = "actual minus setpoint of the corrected axis, 0.1 µm, as in kw.ssfk; TF5200 does not state it"
 
 _LINE = re.compile(r"(\w+)\.(?:(\w+)\.)?(?:table((?:\[\s*\d{1,6}\s*\])+)\.)?(\w+)\s+(\S+.*)$")
@@ -53,7 +53,7 @@ class LeadscrewList(TableFormat):
         return TableLimits(MOST_POINTS, True, "own", False, QUANTUM_UM, LARGEST_UM, adds_heat=True)
 
     def text(self, table: CompensationTable) -> str:
-        """The logical number of the axis is not known here; its line is for the user to complete."""
+        """Write the list; its line with the axis' logical number, unknown here, is for the user to complete."""
         places, forward, backward = (_tenths(v, 1e4 if i == 0 else 10.0) for i, v in enumerate(_columns(table)))
         lines = [
             *_head(self, table),
@@ -70,8 +70,8 @@ class LeadscrewList(TableFormat):
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
         """Read one- or two-sided lists, with points at even distances or each with its position."""
-        found = _read(text, source, "ssfk", axes.moves, ("setpoint", "pos", "neg"))
-        keys, columns = found.keys, found.columns
+        listing = _read(text, source, "ssfk", axes.moves, ("setpoint", "pos", "neg"))
+        keys, columns = listing.keys, listing.columns
         if keys.get("modulo"):
             raise ConfigError(f"{source}: kw.ssfk.modulo: a rotary axis")
         if not keys.get("bilateral"):
@@ -84,9 +84,9 @@ class LeadscrewList(TableFormat):
                 f"{source}: kw.ssfk.kw_nr_max is {n}, with {len(columns['setpoint'])} positions, {len(columns['pos'])} "
                 f"values pos and {len(columns['neg'])} neg; each point needs its own, {MOST_POINTS} at most"
             )
-        positions = rising(1e-3 * found.column_um("setpoint", n), source)
+        positions = rising(1e-3 * listing.column_um("setpoint", n), source)
         return CompensationTable(
-            axes.moves, axes.corrects, positions, found.column_um("pos", n), found.column_um("neg", n)
+            axes.moves, axes.corrects, positions, listing.column_um("pos", n), listing.column_um("neg", n)
         )
 
 
@@ -107,7 +107,7 @@ class CrossList(TableFormat):
         return TableLimits(MOST_CROSS, False, "between", False, QUANTUM_UM, LARGEST_CROSS_UM)
 
     def text(self, table: CompensationTable) -> str:
-        """The logical numbers of the axes are not known here; their lines are for the user to complete."""
+        """Write the list; its lines with the axes' logical numbers, unknown here, are for the user to complete."""
         places, values = _tenths(table.positions_mm, 1e4), _tenths(table.forward_um, 10.0)
         lines = [
             *_head(self, table),
@@ -121,14 +121,14 @@ class CrossList(TableFormat):
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
         """Read a list of one slave axis."""
-        found = _read(text, source, "crosscomp", axes.corrects, ("setpoint", "correction"))
-        n = found.keys.get("last_index", -1) + 1
-        if not 0 < n <= MOST_CROSS or any(sorted(of) != [(i,) for i in range(n)] for of in found.columns.values()):
+        listing = _read(text, source, "crosscomp", axes.corrects, ("setpoint", "correction"))
+        n = listing.keys.get("last_index", -1) + 1
+        if not 0 < n <= MOST_CROSS or any(sorted(of) != [(i,) for i in range(n)] for of in listing.columns.values()):
             raise ConfigError(
-                f"{source}: kw.crosscomp.last_index is {n - 1}, with {len(found.columns['setpoint'])} positions and "
-                f"{len(found.columns['correction'])} corrections; each point needs its own, {MOST_CROSS} at most"
+                f"{source}: kw.crosscomp.last_index is {n - 1}, with {len(listing.columns['setpoint'])} positions and "
+                f"{len(listing.columns['correction'])} corrections; each point needs its own, {MOST_CROSS} at most"
             )
-        positions, errors = rising(1e-3 * found.column_um("setpoint", n), source), found.column_um("correction", n)
+        positions, errors = rising(1e-3 * listing.column_um("setpoint", n), source), listing.column_um("correction", n)
         return CompensationTable(axes.moves, axes.corrects, positions, errors, errors)
 
 
@@ -149,13 +149,13 @@ class PlaneList(TableFormat):
         return TableLimits(MOST_PLANE, False, "plane", True, QUANTUM_UM, LARGEST_CROSS_UM, grid="steps")
 
     def refuses(self, table: CompensationTable) -> str:
-        """Beside the limits: the squares have the same distance in both axes."""
+        """Beside the limits: the squares must have the same distance in both axes."""
         first, other = (float(v[1] - v[0]) if len(v) > 1 else 0.0 for v in (table.positions_mm, table.second_mm))
         why = self.limits.refuses(table)
         return why or ("takes the same distance in both axes" if abs(first - other) > 1e-6 * first else "")
 
     def text(self, table: CompensationTable) -> str:
-        """The logical numbers of the axes are not known here; their lines are for the user to complete."""
+        """Write the list; its lines with the axes' logical numbers, unknown here, are for the user to complete."""
         first, other = _tenths(table.positions_mm, 1e4), _tenths(table.second_mm, 1e4)
         lines = [
             *_head(self, table),
@@ -174,8 +174,8 @@ class PlaneList(TableFormat):
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
         """Read a list of one slave axis."""
-        found = _read(text, source, "crosscomp2", axes.corrects, ("correction",))
-        keys, values = found.keys, found.columns["correction"]
+        listing = _read(text, source, "crosscomp2", axes.corrects, ("correction",))
+        keys, values = listing.keys, listing.columns["correction"]
         n, m = (keys.get(f"last_index_master{k}", -1) + 1 for k in (1, 2))
         step = keys.get("interval", 0)
         if not (n > 1 and m > 1 and n * m <= MOST_PLANE and step > 0):
@@ -197,7 +197,7 @@ class PlaneList(TableFormat):
 
 @dataclass
 class _List:
-    """What a list says of one kind of compensation."""
+    """Content of a list on one kind of compensation."""
 
     keys: dict[str, int]
     columns: dict[str, dict[tuple[int, ...], float]]
@@ -209,7 +209,7 @@ class _List:
 
 def _read(text: str, source: str, kind: str, axis: str, columns: tuple[str, ...]) -> _List:
     whole(text, source, "#")
-    found = _List({}, {name: {} for name in columns})
+    listing = _List({}, {name: {} for name in columns})
     for line, content in _contents(text):
         entry = _LINE.match(content)
         if entry and entry[1] == "kopf":
@@ -224,14 +224,14 @@ def _read(text: str, source: str, kind: str, axis: str, columns: tuple[str, ...]
             if not abs(value) < 2**31:
                 raise ValueError
             if entry[3]:
-                found.columns[entry[4]][tuple(int(k) for k in re.findall(r"\d+", entry[3]))] = value
+                listing.columns[entry[4]][tuple(int(k) for k in re.findall(r"\d+", entry[3]))] = value
             else:
-                found.keys[entry[4]] = int(value)
+                listing.keys[entry[4]] = int(value)
         except (ValueError, KeyError):
             raise ConfigError(f"{source}: line {line}: {content[:60]!r} is no entry of kw.{kind}") from None
-    if found.keys.get("unit") != 1:
+    if listing.keys.get("unit") != 1:
         raise ConfigError(f"{source}: kw.{kind}.unit is not 1: in encoder increments, which rtec does not know")
-    return found
+    return listing
 
 
 def _contents(text: str) -> Iterator[tuple[int, str]]:
@@ -246,7 +246,7 @@ def _columns(table: CompensationTable) -> tuple[Floats, Floats, Floats]:
 
 
 def _tenths(values: Floats, scale: float) -> list[int]:
-    """In 0.1 µm."""
+    """Values in 0.1 µm."""
     return [round(scale * v) for v in values.tolist()]
 
 

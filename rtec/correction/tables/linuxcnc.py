@@ -1,8 +1,8 @@
 """LinuxCNC's `COMP_FILE`: nominal position, then one column for each direction.
 
-LinuxCNC reads lines of three numbers up to the first line that is none, so what the file means is below its points. It
-reads them when it starts, and never again. Type 0 holds actual positions, `nominal + error`; type 1 holds what is added
-to the command, `nominal - actual = -error`. `tests/correction/test_tables_linuxcnc.py` lets LinuxCNC itself judge both.
+LinuxCNC reads lines of three numbers up to the first other line, so the file's explanation is below its points. It
+reads the file at its start only. Type 0 holds actual positions, `nominal + error`; type 1 holds the offset added to
+the command, `nominal - actual = -error`. `tests/correction/test_tables_linuxcnc.py` has LinuxCNC itself check both.
 """
 
 import math
@@ -18,7 +18,7 @@ from rtec.errors import ConfigError
 MOST_POINTS: Final = 256
 QUANTUM_UM: Final = 0.001
 LARGEST_UM: Final = 10_000.0
-"""A centimetre is no error of a screw: the other type was meant, or other units."""
+"""A screw never has an error of a centimetre: such a file has the other type, or other units."""
 _OURS = re.compile(r"; LinuxCNC COMP_FILE, .*, axis (\w+)(?:, (\d+) points)?")
 
 
@@ -30,19 +30,19 @@ class CompFile(TableFormat):
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Controller and file, for people."""
         return f"LinuxCNC COMP_FILE, COMP_FILE_TYPE = {self.kind}"
 
     @property
     def sign(self) -> str:
-        """In words."""
+        """The sign of the values, in words."""
         if self.kind == 0:
             return "nominal position, actual position arriving forward, actual position arriving in reverse, mm"
         return "nominal position, nominal minus actual arriving forward, nominal minus actual arriving in reverse, mm"
 
     @property
     def use(self) -> str:
-        """Where the INI file names it."""
+        """The INI file's key that names the file."""
         return (
             f"[JOINT_n] COMP_FILE = FILE, COMP_FILE_TYPE = {self.kind}; LINEAR_UNITS = mm; no BACKLASH; "
             "start LinuxCNC again"
@@ -54,7 +54,7 @@ class CompFile(TableFormat):
         return TableLimits(MOST_POINTS, True, "own", False, QUANTUM_UM)
 
     def text(self, table: CompensationTable) -> str:
-        """Points first; LinuxCNC stops reading at the first line that is none."""
+        """Write the points first: LinuxCNC stops reading at the first line that is not a point."""
         nominal = table.positions_mm
         columns = [1e-3 * table.forward_um, 1e-3 * table.backward_um]
         columns = [nominal + e for e in columns] if self.kind == 0 else [-e + 0.0 for e in columns]
@@ -68,7 +68,7 @@ class CompFile(TableFormat):
         return "\n".join(lines) + "\n"
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
-        """Read as LinuxCNC does; a line that is half a point is refused."""
+        """Read as LinuxCNC does; refuse a line with part of a point."""
         rows: list[tuple[float, float, float]] = []
         for n, line in enumerate(text.splitlines(), 1):
             row = _three(line)
@@ -104,7 +104,7 @@ def _three(line: str) -> tuple[float, float, float] | None:
 
 
 def _ends(line: str, source: str, n: int, axis: str, points: int) -> None:
-    """Check the first line that is no point: it is not half a one, and what rtec wrote there is true."""
+    """Check the first line that is not a point: it is not part of one, and rtec's statements in it are true."""
     words = line.split()
     try:
         float(words[0] if words else "none")

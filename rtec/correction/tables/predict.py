@@ -16,16 +16,16 @@ from rtec.model import Model
 from rtec.tomlfile import nearest
 
 History = tuple[Floats, Mapping[str, Floats]]
-"""Instants, s, rising, (m,), and slow channels at them, (m,) each, for effects that lag: the last one is now."""
-BETWEEN = 10
+"""Instants, s, rising, (m,), and slow channels at them, (m,) each, for effects that lag; the last instant is now."""
+PER_STEP = 10
 """Positions in each step of a table at which the model is compared with it."""
 LEAST_HEAT_UM = 1e-3
-"""What one °C must add, µm, for it to be worth a line."""
+"""An effect of one °C below this, µm, gets no line."""
 
 
 @dataclass(frozen=True)
 class TableResidual:
-    """What a table leaves of the model's prediction.
+    """Residual of a table: the part of the model's prediction that it cannot express.
 
     Attributes:
         what: cause, in words.
@@ -37,15 +37,15 @@ class TableResidual:
 
 
 def conditions(model: Model, axis: Axis, given: Mapping[str, float]) -> dict[str, float]:
-    """Give a value for each slow channel that the model reads, and for the other axes (the middle of their travel).
+    """A value for each slow channel that the model reads, and for the other axes (the middle of their travel).
 
     Args:
-        model: whose machine and effects.
-        axis: along which the table is.
+        model: the model whose channels are needed.
+        axis: axis of the table.
         given: by sensor, by other axis, or `spindle_rpm`.
 
     Raises:
-        ConfigError: a name that is none, or a temperature that the model reads is not given.
+        ConfigError: a name is unknown, or a temperature that the model reads is missing.
     """
     machine = model.machine
     others = [a for a in machine.axes if a.name != axis.name]
@@ -69,14 +69,14 @@ def conditions(model: Model, axis: Axis, given: Mapping[str, float]) -> dict[str
 
 
 def table_axes(machine: Machine, name: str) -> tuple[Axis, Axis, Axis | None]:
-    """Give the axis that moves, the one that is corrected, and for a plane the second one that moves.
+    """The axis that moves, the axis that is corrected, and for a plane the second axis that moves.
 
     Args:
-        machine: whose axes.
+        machine: the machine that has the axes.
         name: an axis; a component as EYX, the error of Y along X; or as EZXY, the error of Z over X and Y.
 
     Raises:
-        ConfigError: none of these.
+        ConfigError: the name is none of these.
     """
     names = machine.axis_names
     if name in names:
@@ -105,19 +105,19 @@ def table_of(
     second: Axis | None = None,
     second_mm: Floats = NO_PLACES,
 ) -> CompensationTable:
-    """Give the errors that a model predicts along an axis, or over the plane of two, one value a direction.
+    """The errors that a model predicts along an axis, or over the plane of two, one value a direction.
 
-    Beyond the travel the last straight line goes on to the next point, so that the table is right up to the end of the
+    Beyond the travel the last straight line extends to the next point, so that the table is right up to the end of the
     travel.
 
     Args:
         model: at rest, far from a reversal.
-        axis: that moves.
+        axis: axis that moves.
         corrects: axis along whose direction the error is taken.
         positions_mm: (n,), rising.
-        at: of `conditions`.
-        history: of the slow channels until now; not given: they have been as in `at` for long.
-        second: other axis that moves.
+        at: result of `conditions`.
+        history: the slow channels until now; not given: they have long been as in `at`.
+        second: the other axis that moves.
         second_mm: (m,), its positions, rising.
     """
     predicted = _Predicted(model, axis, corrects, second, history)
@@ -151,7 +151,7 @@ def table_of(
 
 
 def with_heat(model: Model, table: CompensationTable) -> CompensationTable:
-    """Add what each °C adds, as straight lines; a table between axes has none: the controls have nothing for it."""
+    """Add the effect of each °C as straight lines; a table between axes gets none, since no control supports that."""
     machine = model.machine
     axis = machine.axis(table.axis)
     if table.second or table.axis != table.corrects:
@@ -159,7 +159,7 @@ def with_heat(model: Model, table: CompensationTable) -> CompensationTable:
     predicted = _Predicted(model, axis, axis, None, None)
     low, high = axis.travel_mm
     reference = 0.0 if low <= 0.0 <= high else low
-    places = np.linspace(low, high, 4 * BETWEEN + 1)
+    places = np.linspace(low, high, 4 * PER_STEP + 1)
 
     def line(sensor: str) -> HeatLine:
         degc = table.at[sensor]
@@ -181,20 +181,20 @@ def with_heat(model: Model, table: CompensationTable) -> CompensationTable:
 def residuals(
     model: Model, table: CompensationTable, history: History | None = None, slow: bool = True
 ) -> list[TableResidual]:
-    """Give what the table cannot express, largest first: between its points, direction, heat, speed, other axes.
+    """The residuals of a table, largest first: between its points, direction, heat, speed, other axes.
 
-    Each is tried alone, at the ends of the range that the model was fitted in (of the travel, for axes).
+    Each cause is changed alone, to the ends of the range that the model was fitted in (for axes: of the travel).
 
     Args:
-        model: what is expressed.
+        model: model that the table expresses.
         table: as the format holds it.
-        history: as `table_of`.
+        history: as in `table_of`.
         slow: False: without heat and speed, for a table that is rewritten when they change.
     """
     machine = model.machine
     axis, corrects = machine.axis(table.axis), machine.axis(table.corrects)
     at = dict(table.at)
-    coarse, fine = (_places(table.positions_mm, axis, n) for n in (1, BETWEEN))
+    coarse, fine = (_places(table.positions_mm, axis, n) for n in (1, PER_STEP))
     second = machine.axis(table.second) if table.second else None
     rows = [_places(table.second_mm, second, n) if second else np.zeros(1) for n in (1, 2)]
     predicted = _Predicted(model, axis, corrects, second, history)
@@ -230,7 +230,7 @@ def residuals(
 
 
 def checked(table: CompensationTable, form: TableFormat) -> CompensationTable:
-    """Give the table as the format holds it.
+    """The table as the format holds it.
 
     Raises:
         ConfigError: the format cannot hold it.
@@ -242,16 +242,16 @@ def checked(table: CompensationTable, form: TableFormat) -> CompensationTable:
 
 
 def grids_mm(form: TableFormat, axis: Axis, second: Axis | None, step_mm: float) -> tuple[Floats, Floats]:
-    """Give even positions that cover the travel of an axis, and of the second one of a plane (else none).
+    """Even positions that cover the travel of an axis, and of the second axis of a plane (else none).
 
     Args:
-        form: where its points are.
-        axis: whose travel.
-        second: of a plane.
-        step_mm: distance.
+        form: format, which fixes the grid.
+        axis: axis of the travel.
+        second: second axis of a plane.
+        step_mm: distance of the points.
 
     Raises:
-        ConfigError: more points than the format takes.
+        ConfigError: more points than the format allows.
     """
     limits, axes = form.limits, [axis] if second is None else [axis, second]
     travels = [a.travel_mm for a in axes]
@@ -278,24 +278,24 @@ def grids_mm(form: TableFormat, axis: Axis, second: Axis | None, step_mm: float)
             return np.linspace(low, high, last + 1)
         return (0.0 if limits.grid == "origin" else low) + step_mm * np.arange(first, last + 1, dtype=np.float64)
 
-    found = [places(a, *end) for a, end in zip(axes, ends, strict=True)]
-    return found[0], found[1] if second else NO_PLACES
+    grids = [places(a, *end) for a, end in zip(axes, ends, strict=True)]
+    return grids[0], grids[1] if second else NO_PLACES
 
 
 def _steps(ratio: float) -> int:
     return int(np.ceil(ratio - 1e-9))
 
 
-def _places(points_mm: Floats, axis: Axis, between: int) -> Floats:
-    """The points in the travel, or so many places in each step of them."""
+def _places(points_mm: Floats, axis: Axis, per_step: int) -> Floats:
+    """The points within the travel, or `per_step` places in each step between points."""
     low, high = max(points_mm[0], axis.travel_mm[0]), min(points_mm[-1], axis.travel_mm[1])
-    if between == 1 or low >= high:
+    if per_step == 1 or low >= high:
         return np.unique(np.clip(points_mm, low, high))
-    return np.linspace(low, high, between * (len(points_mm) - 1) + 1)
+    return np.linspace(low, high, per_step * (len(points_mm) - 1) + 1)
 
 
 def _to_travel(errors: Callable[[Floats], Floats], points_mm: Floats, axis: Axis) -> Floats:
-    """Errors at points; at the first one beyond the travel what makes the straight line right at its end."""
+    """Errors at points; the first point beyond the travel gets the value that makes the line exact at its end."""
     low, high = axis.travel_mm
     values = errors(np.clip(points_mm, low, high)).copy()
     inside = np.flatnonzero((points_mm >= low) & (points_mm <= high))
@@ -322,7 +322,7 @@ def _ranges(model: Model, machine: Machine, axis: Axis) -> dict[str, tuple[float
 
 @dataclass(frozen=True)
 class _Predicted:
-    """What a table of these axes ought to hold."""
+    """Prediction for a table of these axes."""
 
     model: Model
     axis: Axis
@@ -331,7 +331,7 @@ class _Predicted:
     history: History | None
 
     def um(self, positions_mm: Floats, at: Mapping[str, float | Floats], direction: float) -> Floats:
-        """Errors at positions; of an axis that does not move itself the difference from the middle of the travel."""
+        """Errors at positions; for an axis that does not move itself, relative to the middle of the travel."""
         errors = self._error_um(positions_mm, at, direction)
         moving = [self.axis, *([self.second] if self.second else [])]
         if self.corrects.name in [a.name for a in moving]:

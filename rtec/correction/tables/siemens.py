@@ -26,7 +26,7 @@ from rtec.correction.tables.table import (
 from rtec.errors import ConfigError
 
 MOST_POINTS: Final = 5000
-"""Of ours; a control has what MD38000 (LEC) or MD18342 (CEC) reserves: an 808D 200, an 828D 200 in each CEC table."""
+"""Our own limit; a control has MD38000 (LEC) or MD18342 (CEC): 200 on an 808D, 200 in each CEC table on an 828D."""
 QUANTUM_UM: Final = 0.001
 SIGN: Final = "error, actual minus nominal, mm; a positive value moves the axis in the negative direction"
 USE: Final = "MD32700 $MA_ENC_COMP_ENABLE[0] = 0, load the file, then 1; the axis must be referenced"
@@ -56,7 +56,7 @@ class EncoderCompensation(TableFormat):
         return TableLimits(MOST_POINTS, False, "own", True, QUANTUM_UM, grid="steps", adds_heat=True)
 
     def text(self, table: CompensationTable) -> str:
-        """The channel's name of axis X is taken to be X1."""
+        """Write the table; the channel's name of axis X is taken to be X1."""
         axis = f"{table.axis}1"
         lines = [
             "%_N_AX_EEC_INI",
@@ -70,24 +70,24 @@ class EncoderCompensation(TableFormat):
         return "\n".join(lines) + "\n"
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
-        """Read the first measuring system's table of the one axis that the file is about."""
-        found = _Values()
+        """Read the first measuring system's table of the file's one axis."""
+        values = _Values()
         names: set[str] = set()
         for line, what, key, words, value in _lines(text, source, "AA_ENC_COMP"):
             if (key and key not in _LEC_KEYS) or len(words) != (2 if key else 3):
                 raise _no_entry(source, line, what, "$AA_ENC_COMP")
             names.add(words[-1])
             same_axis(words[-1], axes.moves, source, line)
-            found.put(source, line, key, words[1], value)
+            values.put(source, line, key, words[1], value)
         if len(names) != 1:
             raise ConfigError(f"{source}: tables of {len(names)} axes ({', '.join(sorted(names))}); one is needed")
-        positions, errors = found.table(source, "$AA_ENC_COMP")
+        positions, errors = values.table(source, "$AA_ENC_COMP")
         return CompensationTable(axes.moves, axes.corrects, positions, errors, errors)
 
 
 @dataclass(frozen=True)
 class CrossErrorCompensation(TableFormat):
-    """CEC: along one axis for another one, or for itself; two tables where the directions differ; mm."""
+    """CEC: along one axis for another axis, or for itself; two tables where the directions differ; mm."""
 
     title: str = "Siemens SINUMERIK CEC, $AN_CEC"
     sign: str = SIGN
@@ -99,7 +99,7 @@ class CrossErrorCompensation(TableFormat):
         return TableLimits(MOST_POINTS, True, "either", True, QUANTUM_UM, grid="steps", adds_heat=True)
 
     def text(self, table: CompensationTable) -> str:
-        """Table 0 for both directions, or tables 0 and 1; the machine's names of X and Y are taken to be X1 and Y1."""
+        """Write table 0 for both directions, or tables 0 and 1; the names of X and Y are taken to be X1 and Y1."""
         same = np.array_equal(table.forward_um, table.backward_um)
         columns = [(0, table.forward_um)] if same else [(1, table.forward_um), (-1, table.backward_um)]
         lines = ["%_N_NC_CEC_INI", "CHANDATA(1)", *_head(self, table, f"{table.corrects}1 along {table.axis}1")]
@@ -117,10 +117,10 @@ class CrossErrorCompensation(TableFormat):
         return "\n".join([*lines, "M17"]) + "\n"
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
-        """Read the tables from this axis to that one, whatever their numbers, among others."""
+        """Read the tables from this axis to that one, of any number, in a file that may hold others."""
         tables: dict[str, _Values] = {}
         for line, what, key, words, value in _lines(text, source, "AN_CEC"):
-            places = words if key or len(words) == 2 else words[0].split(".")  # printed as [0.1], too
+            places = words if key or len(words) == 2 else words[0].split(".")  # the manual also prints [0.1]
             if (key and key not in _CEC_KEYS) or len(places) != (1 if key else 2):
                 raise _no_entry(source, line, what, "$AN_CEC")
             tables.setdefault(places[0], _Values()).put(source, line, key, places[-1], value)
@@ -153,14 +153,14 @@ class CrossErrorCompensation(TableFormat):
 
 @dataclass
 class _Values:
-    """Points and keys of one table, as they are read."""
+    """Points and keys of one table, as far as it is read."""
 
     points: dict[int, float] = field(default_factory=dict)
     keys: dict[str, float] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
 
     def put(self, source: str, line: int, key: str, place: str, value: str) -> None:
-        """Keep a line."""
+        """Store the value of one line."""
         if key.endswith("_AXIS"):
             self.names[key] = value.strip("()")
         elif key:
@@ -171,7 +171,7 @@ class _Values:
             raise ConfigError(f"{source}: line {line}: {place[:30]!r} is no number of a point")
 
     def table(self, source: str, what: str) -> tuple[Floats, Floats]:
-        """Give positions and errors, µm: (n,) each."""
+        """Positions and errors, µm: (n,) each."""
         keys, points = self.keys, self.points
         if missing := {"STEP", "MIN"} - keys.keys():
             raise ConfigError(f"{source}: without {what.partition('[')[0]}_{min(missing)}")
@@ -219,7 +219,7 @@ def _mm(error_um: float) -> str:
 
 
 def _lines(text: str, source: str, what: str) -> Iterator[tuple[int, str, str, list[str], str]]:
-    """Give line, content, key ("" of a value), indices and value of each entry."""
+    """Line, content, key ("" of a value), indices and value of each entry."""
     contents = [(n, line.partition(";")[0].strip()) for n, line in enumerate(text.splitlines(), 1)]
     used = [content for _, content in contents if content]
     if used and used[0].startswith("%") and not _END.match(used[-1]):
@@ -227,10 +227,10 @@ def _lines(text: str, source: str, what: str) -> Iterator[tuple[int, str, str, l
     for n, content in contents:
         if not content or _FRAME.match(content):
             continue
-        found = _LINE.match(content)
-        if not found or found[1] != what:
+        match = _LINE.match(content)
+        if not match or match[1] != what:
             raise _no_entry(source, n, content, f"${what}")
-        yield n, content, found[2] or "", [word.strip() for word in found[3].split(",")], found[4]
+        yield n, content, match[2] or "", [word.strip() for word in match[3].split(",")], match[4]
 
 
 def _no_entry(source: str, line: int, content: str, what: str) -> ConfigError:
@@ -238,7 +238,7 @@ def _no_entry(source: str, line: int, content: str, what: str) -> ConfigError:
 
 
 def _is(values: _Values, key: str, axis: str) -> bool:
-    """Can the name be that of the axis? AX1 and its like can be any."""
+    """Can the name be that of the axis? AX1 and the like can name any axis."""
     try:
         same_axis(values.names.get(key, ""), axis, "", 0)
     except ConfigError:

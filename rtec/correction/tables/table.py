@@ -1,4 +1,4 @@
-"""A compensation table without a format: errors at points along an axis, both directions; and what a format takes."""
+"""A compensation table in no maker's format: errors at points along an axis, both directions; and formats' limits."""
 
 import re
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ from rtec.errors import ConfigError
 Floats = NDArray[np.float64]
 NO_PLACES: Floats = np.zeros(0)
 LARGEST_FILE: Final = 4 << 20
-"""Bytes; the largest table of any format has a quarter of that."""
+"""Bytes; four times the largest table of any format."""
 UNTRIED = "not tried on a control"
-"""In the first line of every file of a format that no control has read from us."""
+"""In the first line of every file of a format that no control has read from rtec."""
 Grid = Literal["travel", "steps", "origin", "powers"]
 """Where a format has its points, at a distance d: even over the travel, d at most; from the low end in steps of d;
 at the multiples of d, with position 0; from the low end in steps of 1 µm times a power of two, d at most."""
@@ -25,7 +25,7 @@ at the multiples of d, with position 0; from the low end in steps of 1 µm times
 
 @dataclass(frozen=True)
 class HeatLine:
-    """What one °C of one sensor adds to the errors along an axis, as a straight line.
+    """Effect of one °C of one sensor on the errors along an axis, as a straight line.
 
     Attributes:
         sensor: its name.
@@ -46,20 +46,21 @@ class HeatLine:
 class CompensationTable:
     """Position errors along one axis, or over the plane of two, actual minus nominal.
 
-    Where the corrected axis does not move itself, the errors are the difference from those at the middle of the travel
-    of the axes that move: so the table adds to one of the corrected axis, which has these.
+    Where the corrected axis does not move itself, the errors are relative to those at the middle of the travel of the
+    axes that move: the table adds to one of the corrected axis, which has those.
 
     Attributes:
-        axis: that moves.
-        corrects: axis whose position is wrong; the same, but in a table between axes (straightness, squareness).
+        axis: axis that moves.
+        corrects: axis whose position is wrong; the same axis, except in a table between axes (straightness,
+            squareness).
         positions_mm: (n,), rising.
-        forward_um, backward_um: (n,), error where the axis arrived in positive and in negative direction; in a plane
-            (m, n), one row for each position of the second axis.
-        at: what it was made for: temperatures by sensor, °C, positions of other axes, mm; empty where not known.
+        forward_um, backward_um: (n,), error after arrival in positive and in negative direction; in a plane (m, n), one
+            row for each position of the second axis.
+        at: conditions of the prediction: temperatures by sensor, °C, positions of other axes, mm; empty where unknown.
         second: in a plane the other axis that moves; else "".
         second_mm: (m,), rising; empty where there is none.
-        heat: what the temperatures add, for controls that add it themselves.
-        others: tables beside this one in the file that it was read from.
+        heat: effect of the temperatures, for controls that add it themselves.
+        others: other tables in the file that it was read from.
     """
 
     axis: str
@@ -74,12 +75,12 @@ class CompensationTable:
     others: int = 0
 
     def error_um(self, positions_mm: Floats, direction: float, second_mm: float = 0.0) -> Floats:
-        """Error at any positions, µm: straight between the points, constant beyond the ends.
+        """Error at any positions, µm: linear between the points, constant beyond the ends.
 
         Args:
             positions_mm: (k,).
-            direction: above 0: arrived in positive direction.
-            second_mm: of the second axis, in a plane.
+            direction: above 0: after arrival in positive direction.
+            second_mm: position of the second axis, in a plane.
         """
         values = self.forward_um if direction > 0 else self.backward_um
         if self.second:
@@ -99,31 +100,31 @@ class CompensationTable:
 
     @property
     def what(self) -> str:
-        """For people: the axis, or which is wrong along which."""
+        """The axis, or the error and the axis along which it is, for people."""
         if self.second:
             return f"{self.corrects} over {self.axis} and {self.second}"
         return self.axis if self.axis == self.corrects else f"{self.corrects} along {self.axis}"
 
     @property
     def made_for(self) -> str:
-        """The temperatures and positions it was made for, in one line; "" where they are not known."""
+        """Temperatures and positions of the prediction, in one line; "" where they are unknown."""
         return ", ".join(f"{name} = {value:g}" for name, value in self.at.items())
 
 
 @dataclass(frozen=True)
 class TableLimits:
-    """What a format can hold.
+    """Limits of a format.
 
     Attributes:
-        most_points: of one table; of a plane the product.
+        most_points: largest number of points of a table; of a plane the product.
         both_directions: has it a value for each direction?
-        takes: one axis alone, only two different ones, both of these, or a plane of two.
+        takes: only one axis, only two different axes, both of these, or a plane of two.
         even_steps: must the points be at even distances?
         quantum_um: smallest step of a value, µm.
         largest_um: largest value, µm; None: no limit is known.
         grid: where its points are.
-        zero: a value that must be 0: the one at position 0, the first, or none.
-        typed: is it a list that somebody types in, and no file that a control reads?
+        zero: a value that must be 0: that of position 0, that of the first point, or none.
+        typed: is it a list that a person types in, not a file that a control reads?
         adds_heat: can the control add a straight line for each temperature itself?
     """
 
@@ -139,7 +140,7 @@ class TableLimits:
     adds_heat: bool = False
 
     def refuses(self, table: CompensationTable) -> str:
-        """Say why a table cannot be written; "" where it can."""
+        """Why a table cannot be written; "" where it can."""
         n, m = len(table.positions_mm), len(table.second_mm) if table.second else 2
         points = n * m if table.second else n
         if min(n, m) < 2 or points > self.most_points:
@@ -161,11 +162,11 @@ class TableLimits:
         return ""
 
     def held(self, table: CompensationTable, quantum_um: float | None = None) -> CompensationTable:
-        """Give the table as the format holds it: rounded, with its zero, one value where it has one for both.
+        """The table as the format holds it: rounded, with its zero, with one value where both directions share it.
 
         Args:
-            table: any.
-            quantum_um: of this table, where it is not that of the format.
+            table: any table.
+            quantum_um: step of this table, where it differs from the format's.
         """
         step = quantum_um or self.quantum_um
         forward, backward = table.forward_um, table.backward_um
@@ -202,33 +203,33 @@ class TableFormat(Protocol):
 
     @property
     def use(self) -> str:
-        """How the controller is told of the file."""
+        """How the controller learns of the file."""
         ...
 
     @property
     def limits(self) -> TableLimits:
-        """What it can hold."""
+        """Limits of the format."""
         ...
 
     def refuses(self, table: CompensationTable) -> str:
-        """Say why a table cannot be written; "" where it can."""
+        """Why a table cannot be written; "" where it can."""
         return self.limits.refuses(table)
 
     def held(self, table: CompensationTable) -> CompensationTable:
-        """Give the table as the format holds it."""
+        """The table as the format holds it."""
         return self.limits.held(table)
 
     def text(self, table: CompensationTable) -> str:
-        """Write a table that is not refused, as it is held."""
+        """Write a table as it is held; `refuses` must accept it."""
         ...
 
     def read(self, text: str, source: str, axes: TableAxes) -> CompensationTable:
         """Read a table.
 
         Args:
-            text: of the file.
-            source: the file, for messages.
-            axes: whose table it is; a file that names others is refused.
+            text: content of the file.
+            source: path of the file, for messages.
+            axes: axes of the table; a file that names others is refused.
 
         Raises:
             ConfigError: what is wrong, with the line.
@@ -237,10 +238,10 @@ class TableFormat(Protocol):
 
 
 def rising(positions_mm: Floats, source: str) -> Floats:
-    """Give positions that rise.
+    """Check that positions rise, and return them.
 
     Raises:
-        ConfigError: they do not, or there are fewer than two.
+        ConfigError: they do not rise, or there are fewer than two.
     """
     if len(positions_mm) < 2:
         raise ConfigError(f"{source}: {len(positions_mm)} points; a table has at least two")
@@ -252,7 +253,7 @@ def rising(positions_mm: Floats, source: str) -> Floats:
 
 
 def end(comment: str) -> str:
-    """Give the last line of a file of ours, so that a half of one is not taken for a whole one."""
+    """The last line of a file that rtec writes, so that a truncated file is recognised."""
     return f"{comment} end"
 
 
@@ -260,7 +261,7 @@ def whole(text: str, source: str, comment: str) -> None:
     """Check that a file which rtec wrote has its last line.
 
     Raises:
-        ConfigError: it has not.
+        ConfigError: it is missing.
     """
     ours = any(line.startswith(comment) and UNTRIED in line for line in text.splitlines()[:5])
     if ours and text.rstrip().rpartition("\n")[2] != end(comment):
@@ -268,13 +269,13 @@ def whole(text: str, source: str, comment: str) -> None:
 
 
 def table_text(path: Path) -> str:
-    """Read a file of a control: UTF-8, or the Latin letters that older ones write.
+    """Read a file of a control: UTF-8, or the Latin-1 letters that older controls write.
 
     Raises:
-        FileNotFoundError: there is none.
-        ConfigError: it is no plain file, too large for a table, or cannot be read.
+        FileNotFoundError: the file does not exist.
+        ConfigError: it is no plain file, is too large for a table, or cannot be read.
     """
-    if path.exists() and not path.is_file():  # opening a FIFO would wait for somebody who writes into it
+    if path.exists() and not path.is_file():  # opening a FIFO would wait for a writer
         raise ConfigError(f"{path}: cannot be read as a table: it is no plain file")
     try:
         with path.open("rb") as file:
@@ -292,10 +293,10 @@ def table_text(path: Path) -> str:
 
 
 def number(text: str, source: str, line: int) -> float:
-    """Give a finite number of a table.
+    """A finite number of a table.
 
     Raises:
-        ConfigError: it is none, or beyond 100 m (in mm; a table has nothing such).
+        ConfigError: it is not a number, or beyond 100 m (in mm), which no table has.
     """
     try:
         value = float(text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-"))

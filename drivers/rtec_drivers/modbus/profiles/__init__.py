@@ -1,1 +1,1 @@
-"""Register maps of Modbus modules, each with the document that it stands in."""
+"""Register maps of Modbus modules, each with its source."""
