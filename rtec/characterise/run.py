@@ -15,6 +15,7 @@ from rtec.characterise.refine import refined
 from rtec.characterise.result import Characterisation, Warn
 from rtec.characterise.screen import Screened, screen
 from rtec.characterise.significance import spared, surety
+from rtec.characterise.warnings import FEW_BLOCKS
 from rtec.effects import Effect
 from rtec.errors import MeasurementError as Fault
 from rtec.errors import ModelError
@@ -28,6 +29,7 @@ from rtec.estimation.gram.weights import rough_noise
 from rtec.estimation.held_out import cuts
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
+from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean, clean
 from rtec.estimation.readings import Readings
 from rtec.estimation.targets import WAVES, predicts_targets
@@ -45,6 +47,8 @@ SEARCHED = 20_000
 WORSE = 1.01
 """Parameters from the search that raise the held-out error by more than this go back to those of the choice."""
 QUADRATIC = 2
+PLACES = ("position", "region", "cyclic")
+"""Kinds of what depends on positions only."""
 PITCHES = 41
 """Pitches that are tried for a wave without the targets that are held out."""
 
@@ -78,7 +82,9 @@ def characterise(
         given, doubt = _given(measurements, leave_out_h)
         fit, screened, choice = _fit(given, doubt, wanted, leave_out_h, stage)
         made = assemble(fit, screened, choice, given, name, margin or Margin())
-        return replace(made, warnings=(doubt, *made.warnings)) if doubt else made
+        first = [doubt] if doubt else []
+        first += [Warn("one_pass", p.message.rstrip("."), p.next_step.rstrip(".")) for p in one_pass(given.readings)]
+        return replace(made, warnings=(*first, *made.warnings))
 
 
 def fitted_model(
@@ -148,7 +154,8 @@ def _fit_to(
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     if wanted is not None and not wanted.names:
         return _sure(sources, fixed, [], _asked_terms(wanted), 0, tell), None, None
-    asked, rules = _asked_terms(wanted), _Rules()
+    one_way = wanted is None and any(p.one_way for p in one_pass(given.readings))
+    asked, rules = _asked_terms(wanted), _Rules(places_only=one_way)
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
         chosen = tidied(_with_constant(screened, choice, rules))
@@ -167,10 +174,17 @@ class _Rules:
     Attributes:
         single: drives of which a choice may have one only: two of them cancel.
         barred: drives that a choice may not have: waves that do not predict targets that were held out.
+        places_only: whether it may have nothing but what depends on positions: an axis that never came back shows no
+            more.
     """
 
     single: tuple[frozenset[Drive], ...] = ()
     barred: frozenset[Drive] = frozenset()
+    places_only: bool = False
+
+    def allow(self, one: TermCandidate) -> bool:
+        """Whether a choice may have a candidate."""
+        return drive(one.term.effect) not in self.barred and (not self.places_only or one.kind in PLACES)
 
     def cancel(self, one: TermCandidate, other: TermCandidate) -> bool:
         """Whether a choice may have only one of both."""
@@ -185,7 +199,7 @@ def _further_rules(
     single = (*rules.single, cancelling) if cancelling and cancelling not in rules.single else rules.single
     waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not asked(t)]
     barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
-    return _Rules(single, barred)
+    return replace(rules, single=single, barred=barred)
 
 
 def _predicts(readings: Readings, fit: Estimate, wave: Term) -> bool:
@@ -215,10 +229,8 @@ def _chosen(
 
 
 def _without(screened: Screened, rules: _Rules) -> Screened:
-    """Without candidates that are barred."""
-    return replace(
-        screened, candidates=tuple(c for c in screened.candidates if drive(c.term.effect) not in rules.barred)
-    )
+    """Without candidates that the rules do not allow."""
+    return replace(screened, candidates=tuple(filter(rules.allow, screened.candidates)))
 
 
 def _choose(screened: Screened, wanted: AskedEffects | None, rules: _Rules, tell: Stage) -> TermChoice:
@@ -283,9 +295,13 @@ def _sure(
             return fit
         _, gone, rest = min(idle, key=lambda one: one[:2])
         chosen = [*chosen[:gone], *rest, *chosen[gone + 1 :]]
+    blocks = sum(len(s.blocks.fold) for s in sources)
+    why = "the readings are noise, or show an error that no effect describes"
+    if blocks < FEW_BLOCKS:
+        why = f"{blocks} blocks of readings are too few to choose among {candidates} effects"
     raise ModelError(
-        "fit: no effect lowers the error on held-out runs significantly: the readings are noise, or show an error that "
-        "no effect describes; name effects with --effects to fit them nonetheless"
+        f"fit: no effect lowers the error on held-out runs significantly: {why}; name effects with --effects to fit "
+        "them nonetheless"
     )
 
 

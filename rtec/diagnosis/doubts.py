@@ -18,13 +18,14 @@ from rtec.diagnosis.wrong_scale import odd_scales
 from rtec.effects import State
 from rtec.errors import ModelError
 from rtec.estimation import floor
-from rtec.estimation.candidates import REAL, real
+from rtec.estimation.candidates import REAL
 from rtec.estimation.columns import ordered
 from rtec.estimation.contradiction import contradiction
 from rtec.estimation.end_targets import NEXT
 from rtec.estimation.gls import solve
 from rtec.estimation.judge import Judgement
 from rtec.estimation.moved_zero import STEP, moved_zeros
+from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import Readings, Series, looked_at
 from rtec.machine import Axis
 from rtec.model import FittedEffect, Model
@@ -55,12 +56,6 @@ BLAMES_NO_EFFECT: frozenset[Kind] = frozenset(
 DECIDES_NOTHING: frozenset[Kind] = BLAMES_NO_EFFECT | {"no_temperature", "end_targets"}
 """Doubts beside which it stays open whether an effect is missing."""
 
-TOGETHER = 0.98
-"""Correlation of position and time from which on they are one."""
-MOVES = 0.05
-"""Share of the travel from which on an axis moves."""
-FEWEST = 5
-"""Fewest readings that show whether position and time rise together."""
 BETTER = 0.5
 """An edit of the record is proposed where it leaves less than this share of the residual,"""
 NEAR_FLOOR, ABOVE = 1.25, 1.5
@@ -136,7 +131,8 @@ def doubts(judged: Judgement) -> tuple[Doubt, ...]:
     found += [Doubt("end_targets", f"{ends.message}.", step, fatal=True) for ends in judged.given.ends]
     if not found:
         found += _disagree(judged)
-    found += [*one_pass(readings), *_few_runs(readings)]
+    found += [Doubt("one_pass", p.message, p.next_step, fatal=p.one_way) for p in one_pass(readings)]
+    found += _few_runs(readings)
     return tuple(found)
 
 
@@ -401,63 +397,6 @@ class _Edits:
         shifts = columns[:, :-1]
         rest = columns[:, -1] - shifts @ solve(shifts, columns[:, -1])
         return floor.pooled(self.readings, floor.rms_by_series(self.readings, rest), self.scale)
-
-
-def one_pass(readings: Readings) -> list[Doubt]:
-    """Axes that went through once, in one direction, or there and back only once while a temperature changed."""
-    out = []
-    passes_of = {
-        a.name: [_pass(readings, s, a.channel, a.travel_mm) for s in readings.series] for a in readings.machine.axes
-    }
-    alone = sum(any(p is not None for p in passes) for passes in passes_of.values()) == 1
-    for axis in readings.machine.axes:
-        passes = passes_of[axis.name]
-        moving = [p for p in passes if p is not None]
-        files = {readings.series[i].source for i, p in enumerate(passes) if p is not None}
-        if len(files) == 1 and min(abs(r) for r in moving) > TOGETHER:
-            message = (
-                f"{axis.name} went through once, in one direction: position and time are one in this record, so an "
-                f"error along {axis.name}, a drift and a reversal cannot be distinguished."
-            )
-            out.append(Doubt("one_pass", message, "Measure there and back, at least twice.", fatal=True))
-        elif alone and len(files) == 1 and _turns(readings, axis) == 1 and (warmed := _warmed(readings, min(files))):
-            message = (
-                f"{axis.name} went there and back only once while {warmed}: an error along {axis.name}, a reversal and "
-                "a growth with temperature can stand for each other in this record."
-            )
-            step = "Repeat the pass, and measure once more when the machine is warm."
-            out.append(Doubt("one_pass", message, step))
-    return out
-
-
-def _warmed(readings: Readings, source: int) -> str:
-    """The recorded temperature that varied most in a measurement, in words; empty where none varied."""
-    machine, state = readings.machine, readings.states[source]
-    names = [n for n in machine.sensor_names if n in state.channels]
-    varied = {n: float(np.nanmax(state.channels[n]) - np.nanmin(state.channels[n])) for n in names}
-    name = max(varied, key=lambda n: varied[n] / real(machine, n), default=None)
-    return f"{name} changed by {varied[name]:.1f} K" if name and varied[name] > real(machine, name) else ""
-
-
-def _turns(readings: Readings, axis: Axis) -> int:
-    """How often an axis turned between the outer quarters of its way, in the series in which that was most."""
-    most = 0
-    for s in readings.series:
-        place = readings.states[s.source].value(axis.channel)[s.row]
-        low, high = float(place.min()), float(place.max())
-        side = np.sign(place - 0.5 * (low + high)) * (np.abs(place - 0.5 * (low + high)) > 0.25 * (high - low))
-        most = max(most, int(np.count_nonzero(np.diff(side[side != 0.0]))) - 1)
-    return most
-
-
-def _pass(readings: Readings, s: Series, channel: str, travel_mm: Sequence[float]) -> float | None:
-    """Correlation of position and time; None where the axis hardly moves."""
-    place = readings.states[s.source].value(channel)[s.row]
-    if float(np.ptp(place)) < MOVES * (travel_mm[1] - travel_mm[0]) or len(place) < FEWEST:
-        return None
-    if not np.ptp(s.time_s):
-        return None
-    return float(np.corrcoef(place, s.time_s)[0, 1])
 
 
 def _few_runs(readings: Readings) -> list[Doubt]:

@@ -7,13 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from rtec.diagnosis.doubts import one_pass
+from rtec.characterise import characterise
 from rtec.diagnosis.extend.improve import Improved, improve
 from rtec.effects import effect_class
+from rtec.errors import ModelError
 from rtec.estimation.columns import base_of
+from rtec.estimation.one_pass import one_pass
 from rtec.estimation.readings import read
+from rtec.metrology.measurement import Measurement
 from rtec.model import FittedEffect, Model
+from tests.support.diagnosis_examples import laser
 from tests.support.warming import Warming, warming
 
 
@@ -22,6 +27,12 @@ def improved(w: Warming, scale_um_m: float = 0.0) -> Improved:
     scale = effect_class("scale", "test").model_validate({"effect": "scale", "component": "EXX", "axis": "X"})
     known = (FittedEffect(scale, {"k": scale_um_m}, errors={"k": 0.3}),) if scale_um_m else ()
     return improve(Model(w.given.machine, known), [w.given], draws=50)
+
+
+def part(m: Measurement, keep: NDArray[np.bool_]) -> Measurement:
+    """Some rows of a measurement."""
+    channels, readings = ({k: v[keep] for k, v in values.items()} for values in (m.channels, m.readings))
+    return replace(m, run=m.run[keep], time_s=m.time_s[keep], channels=channels, readings=readings)
 
 
 def other_day_um(model: Model, w: Warming) -> float:
@@ -50,7 +61,7 @@ def test_the_doubt_says_what_to_measure() -> None:
     (doubt,) = one_pass(read([warming(1, 1).given]))
     assert "went there and back only once while T_nut changed by" in doubt.message
     assert doubt.next_step == "Repeat the pass, and measure once more when the machine is warm."
-    assert not doubt.fatal
+    assert not doubt.one_way
 
 
 def test_two_passes_and_a_machine_without_heat_are_not_doubted() -> None:
@@ -74,3 +85,26 @@ def test_scale_and_backlash_are_added_nonetheless(seed: int) -> None:
     done = improved(w)
     assert {f.effect.effect for f in done.model.effects} == {"scale", "backlash"}
     assert other_day_um(done.model, w) < w.lawful_um + 0.3
+
+
+def test_fit_says_what_one_pass_cannot_separate_and_takes_places_only_of_one_way() -> None:
+    """A bent scale is read once, going one way, while the machine warms. Oracle: the bend; of another day, too."""
+    day = warming(3, 1, grows=False)
+    once = part(day.given, np.arange(len(day.given)) < len(day.given) // 2)
+    bend = 20.0 * ((once.channels["x"] - once.channels["x"].mean()) / np.ptp(once.channels["x"])) ** 2
+    once = replace(once, readings={k: v + bend for k, v in once.readings.items()})
+    made = characterise([once])
+    first = made.warnings[0]
+    assert first.code == "one_pass"
+    assert "went through once, in one direction" in first.text
+    machine = once.machine
+    read = {c for f in made.model.effects for c in f.effect.channels(machine)}
+    assert read <= {"x"}
+    assert characterise([day.given]).warnings[0].code == "one_pass"
+
+
+def test_fit_of_few_runs_says_that_they_are_few() -> None:
+    """Oracle: the number of runs, each of which has a zero of its own."""
+    many = laser(["backlash,component=EXX,axis=X,B=0.1"], 5)
+    with pytest.raises(ModelError, match=r"3 blocks of readings are too few to choose among \d+ effects"):
+        characterise([part(many, many.run < many.run[0] + 3)])

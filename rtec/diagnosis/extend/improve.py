@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
-from rtec.diagnosis.doubts import one_pass
 from rtec.diagnosis.extend.add import WORTH, Added, add, in_doubt, is_there, new_effect, residual_size, rivals_of, said
 from rtec.diagnosis.extend.temperatures import further_temperature
 from rtec.diagnosis.result import Diagnosis, Finding
@@ -13,6 +12,7 @@ from rtec.diagnosis.search.not_found import ALPHA
 from rtec.diagnosis.usable import check_enough
 from rtec.errors import ModelError
 from rtec.estimation.judge import Judgement
+from rtec.estimation.one_pass import one_pass
 from rtec.estimation.outliers import Clean, clean
 from rtec.machine import Machine
 from rtec.metrology.measurement import Measurement
