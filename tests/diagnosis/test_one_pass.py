@@ -106,5 +106,5 @@ def test_fit_says_what_one_pass_cannot_separate_and_takes_places_only_of_one_way
 def test_fit_of_few_runs_says_that_they_are_few() -> None:
     """Oracle: the number of runs, each of which has a zero of its own."""
     many = laser(["backlash,component=EXX,axis=X,B=0.1"], 5)
-    with pytest.raises(ModelError, match=r"3 blocks of readings are too few to choose among \d+ effects"):
+    with pytest.raises(ModelError, match=r"2 blocks of readings are too few to choose among \d+ effects"):
         characterise([part(many, many.run < many.run[0] + 3)])

@@ -134,6 +134,8 @@ def improve(
     found = growth.diagnosed(model)
     if found.verdict == "undecided":  # numbers that are refitted would take up what nobody knows yet
         return Improved(model, (), (found,), "undecided")
+    if found.verdict == "nothing_missing" and not found.out_of_date:  # nor do they follow a drift
+        return Improved(model, (), (found,), "nothing_missing")
     if ask_made is not None and not ask_made(refit):
         return growth.grown(model, ask, ask_made)
     if step:
@@ -219,7 +221,9 @@ class _Growth:
                 return Improved(model, tuple(steps), tuple(diagnoses), "stopped")
             # What these data cannot distinguish from it may take its place, but for what happened at an instant.
             others = [f for f in found.findings[1:] if f.group and f.heldout_drop > 0.0 and "t0" not in f.theta]
-            others = [] if ask or choice.partner is not None else others
+            if choice.partner is not None:  # of two, each alone
+                others = [choice.partner, replace(choice, partner=None)]
+            others = [] if ask else others
             added = self._first_gain(model, found, [picked, *others])
             if added is None:
                 return Improved(model, tuple(steps), tuple(diagnoses), "no_gain")
