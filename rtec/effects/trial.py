@@ -68,7 +68,7 @@ def skip(kind: type[Effect], fault: str) -> None:
 
 
 def fault_of(effect: Effect, machine: Machine) -> str:
-    """Fault of a plug-in's effect at made-up instants, in words; empty where it has none, and for rtec's own effects."""
+    """Fault of a plug-in's effect at made-up instants, in words; empty where it has none, and for effects of rtec."""
     if not is_plug_in(type(effect)):
         return ""
     method = "check"
