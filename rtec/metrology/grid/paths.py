@@ -19,8 +19,8 @@ from rtec.metrology.procedures.fitting import correlation_time
 Floats = NDArray[np.float64]
 EXACT_MM = 1e-6
 STEP_MM = 0.1
-"""Distance between the points at which the direction of a path is determined: far above rounding and jitter of a display
-or an encoder, far below the trimmed length."""
+"""Distance between the points at which the direction of a path is determined: far above the rounding and jitter of a
+display or an encoder, far below the trimmed length."""
 STRAIGHT = 5.0
 """A path is straight along a direction if it moves this many times farther along it than along the other one."""
 
