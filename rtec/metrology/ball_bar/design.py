@@ -404,7 +404,7 @@ def table_of(circles: Sequence[CircleTest], centre: Centre) -> CandidateTable:
     return CandidateTable(tuple(circles), design, tuple(separated), tuple(columns), tuple(left_out))
 
 
-def share_left(known: Floats, own: Floats) -> float:
+def independent_share(known: Floats, own: Floats) -> float:
     """Smallest share of a combination of columns, (n, k), that is independent of known columns."""
     return _beside(np.linalg.qr(known / _sizes(known))[0], own)[0]
 

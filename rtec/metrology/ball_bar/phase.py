@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rtec.metrology.ball_bar.beyond import candidates
 from rtec.metrology.ball_bar.circle import CircleTest
-from rtec.metrology.ball_bar.design import APART, Centre, design_of, share_left, stacked_design
+from rtec.metrology.ball_bar.design import APART, Centre, design_of, independent_share, stacked_design
 from rtec.metrology.ball_bar.fit import Fitted, FittedValue, fit, solve
 from rtec.metrology.ball_bar.noise import WHITE
 from rtec.metrology.ball_bar.search import NOISE_UM, SURE_SE, clearance_of, residual_of_all
@@ -202,7 +202,7 @@ def _delay_separates(circles: Sequence[CircleTest], centre: Centre) -> bool:
     design = design_of(circles, bent=True, centre=centre)
     known = design.columns[:, list(design.by_readings.kept)]
     delay = next(c for c in candidates(circles) if c.name == "delay")
-    return share_left(known, stacked_design(delay.make(0.0), circles)) >= APART
+    return independent_share(known, stacked_design(delay.make(0.0), circles)) >= APART
 
 
 def _cost(fitted: Fitted, count: float) -> float:

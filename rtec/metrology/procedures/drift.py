@@ -98,10 +98,10 @@ def approach(time_s: Floats, reading: Floats) -> Approach:
     duration = float(time_s[-1] - time_s[0])
     step = float(np.median(np.diff(time_s)))
     grid = np.geomspace(0.3 * step, LONGEST * duration, POINTS)
-    left = _left(time_s, reading, grid)
+    left = _sum_of_squares(time_s, reading, grid)
     best = int(np.argmin(left))
     fine = np.geomspace(grid[max(best - 1, 0)], grid[min(best + 1, POINTS - 1)], POINTS)
-    tau = float(fine[int(np.argmin(_left(time_s, reading, fine)))])
+    tau = float(fine[int(np.argmin(_sum_of_squares(time_s, reading, fine)))])
     start, change = _linear(time_s, reading, tau)
     residual = reading - start + change * np.expm1(-time_s / tau)
     effective = len(reading) / correlation_time(residual)
@@ -177,7 +177,7 @@ def _log_errors(time_s: Floats, fit: SeparableFit, taus_s: Floats) -> Floats:
         return np.full(2, np.inf)
 
 
-def _left(time_s: Floats, reading: Floats, taus: Floats) -> Floats:
+def _sum_of_squares(time_s: Floats, reading: Floats, taus: Floats) -> Floats:
     """Residual sum of squares for each τ, (τs,)."""
     curve = -np.expm1(-time_s / taus[:, None])
     curve = curve - curve.mean(axis=1, keepdims=True)

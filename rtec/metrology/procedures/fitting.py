@@ -118,11 +118,11 @@ def separable_fit(
     from scipy.optimize import least_squares
 
     def left(theta: Floats) -> Floats:
-        return _left(build, reading, theta)[1]
+        return _fit_at(build, reading, theta)[1]
 
     found = [least_squares(left, start, bounds=(low, high), x_scale=high - low, max_nfev=80) for start in starts]
     theta = min(found, key=lambda f: float(f.cost)).x if found else np.zeros(0)
-    values, residual = _left(build, reading, theta)
+    values, residual = _fit_at(build, reading, theta)
     free = len(reading) - len(values) - len(theta)
     if free <= 0:
         raise MeasurementError(f"{len(reading)} readings for {len(values) + len(theta)} numbers; take more")
@@ -135,7 +135,7 @@ def separable_fit(
     return SeparableFit(values, theta, sigma * np.sqrt(rows) * unit, residual, rms, rows)
 
 
-def _left(build: Callable[[Floats], tuple[Floats, Floats]], reading: Floats, theta: Floats) -> tuple[Floats, Floats]:
+def _fit_at(build: Callable[[Floats], tuple[Floats, Floats]], reading: Floats, theta: Floats) -> tuple[Floats, Floats]:
     design, offset = build(theta)
     size = np.linalg.norm(design, axis=0)
     values = np.linalg.lstsq(design / np.where(size > 0, size, 1.0), reading - offset, rcond=None)[0]
