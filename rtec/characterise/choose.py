@@ -113,7 +113,7 @@ class HeldOutTable:
         self._known: dict[tuple[int, ...], Floats] = {}
 
     def errors(self, chosen: Sequence[int]) -> Floats:
-        """Sum of squares of each held-out fold over the freedom of all readings, (folds,): a share of the mean square."""
+        """Sum of squares of each held-out fold over the freedom of all readings, (folds,): parts of the mean square."""
         key = tuple(sorted(chosen))
         if key not in self._known:
             self._known[key] = self._folds(self._index(chosen), inside=False)

@@ -124,7 +124,7 @@ class SimulatedMachine:
         return self._counts[:, c.INSERTED].copy()
 
     def apply(self, inserted: Ints) -> None:
-        """Insert counts, (axes,), absolute: the controller reads raw + inserted, so that +k stops the slide k sooner."""
+        """Insert counts, (axes,), absolute: the controller reads raw + inserted, so +k stops the slide k sooner."""
         self._counts[:, c.INSERTED] = inserted
 
     def set_offset_um(self, offset_um: ArrayLike, kind: str = "following_error") -> None:
