@@ -147,14 +147,14 @@ def _fit_to(
     _check_channels(sources, exact)
     fixed = starting_terms(exact, [thinned(s, SEARCHED) for s in scaled]) if exact else []
     if wanted is not None and not wanted.names:
-        return _sure(sources, fixed, [], _asked_terms(wanted), 0, tell), None, None
-    asked, rules = _asked_terms(wanted), _Rules()
+        return _significant(sources, fixed, [], _is_named(wanted), 0, tell), None, None
+    named, rules = _is_named(wanted), _Rules()
     while True:
         screened, choice = _chosen(scaled, wanted, rules, tell)
         chosen = joined(_with_constant(screened, choice, rules))
         chosen = [chosen[i] for i in tellable(gather(screened.sources, chosen), chosen)] if chosen else []
-        fit = _sure(sources, fixed, chosen, asked, sum(c.offered for c in screened.candidates), tell)
-        further = _further_rules(given.readings, fit, len(fixed), asked, rules)
+        fit = _significant(sources, fixed, chosen, named, sum(c.offered for c in screened.candidates), tell)
+        further = _further_rules(given.readings, fit, len(fixed), named, rules)
         if further == rules:
             return fit, screened, choice
         rules = further
@@ -178,12 +178,12 @@ class _Rules:
 
 
 def _further_rules(
-    readings: Readings, fit: Estimate, fixed: int, asked: Callable[[Term], bool], rules: _Rules
+    readings: Readings, fit: Estimate, fixed: int, named: Callable[[Term], bool], rules: _Rules
 ) -> _Rules:
     """The rules, extended by drives that cancel in a fit, and waves that do not predict held-out targets."""
     cancelling = frozenset(drive(fit.terms[i].effect) for i in fit.undetermined if i >= fixed)
     single = (*rules.single, cancelling) if cancelling and cancelling not in rules.single else rules.single
-    waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not asked(t)]
+    waves = [t for t in fit.terms[fixed:] if isinstance(t.effect, WAVES) and not named(t)]
     barred = rules.barred | {drive(t.effect) for t in waves if not _predicts(readings, fit, t)}
     return _Rules(single, barred)
 
@@ -226,7 +226,9 @@ def _choose(screened: Screened, wanted: AskedEffects | None, rules: _Rules, tell
     if not candidates:
         raise ModelError("fit: the measurements see no component error that any effect could explain")
     normal = gather(screened.sources, [c.term for c in candidates], lambda d, t: tell("candidates", d, t), by_fold=True)
-    forced = [i for i, c in enumerate(candidates) if wanted is not None and c.offered and _asked(c.term.effect, c.kind)]
+    forced = [
+        i for i, c in enumerate(candidates) if wanted is not None and c.offered and _is_forced(c.term.effect, c.kind)
+    ]
     return choose(normal, candidates, forced, lambda d, t: tell("choosing on held-out runs", d, t), rules.single)
 
 
@@ -245,21 +247,21 @@ def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> lis
     return [c.term for c in chosen]
 
 
-def _asked(effect: Effect, kind: str) -> bool:
+def _is_forced(effect: Effect, kind: str) -> bool:
     """Whether a named effect is fitted without a choice: geometry up to quadratic is; temperatures are chosen."""
     return kind in ("position", "direction", "cyclic") and max(getattr(effect, "degrees", (0,))) <= QUADRATIC
 
 
-def _asked_terms(wanted: AskedEffects | None) -> Callable[[Term], bool]:
+def _is_named(wanted: AskedEffects | None) -> Callable[[Term], bool]:
     names = wanted.names if wanted else ()
     return lambda term: term.effect.effect in names
 
 
-def _sure(
+def _significant(
     sources: Sequence[Source],
     fixed: list[Term],
     chosen: list[Term],
-    asked: Callable[[Term], bool],
+    named: Callable[[Term], bool],
     candidates: int,
     tell: Stage,
 ) -> Estimate:
@@ -274,7 +276,7 @@ def _sure(
         idle: list[tuple[float, int, list[Term]]] = []
         for i, term in enumerate(chosen):
             # A named effect stays, but with one sensor only: further sensors must be significant.
-            if asked(term) and not (_sensed(term) and _form(term) in there):
+            if named(term) and not (_sensed(term) and _form(term) in there):
                 continue
             parts, columns = apart(term), np.flatnonzero(owner == i)
             for k, own in enumerate(np.split(columns, len(parts))):

@@ -77,9 +77,9 @@ def _proposal(
     from rtec.metrology.importing import propose
     from rtec.tomlfile import read_toml
 
-    told = read_toml(map_, MeasurementError) if map_ is not None else {}
+    preset = read_toml(map_, MeasurementError) if map_ is not None else {}
     if reader is not None:
-        told = told | {"source": {**told.get("source", {}), "reader": reader}}
+        preset = preset | {"source": {**preset.get("source", {}), "reader": reader}}
     given = {}
     for text in answers:
         # A column's name may contain "=", as may an answer that is a table: probe={z={direction="Z"}}.
@@ -88,7 +88,7 @@ def _proposal(
         if not mark:
             raise typer.BadParameter(f"{text!r}: write KEY=VALUE", param_hint="--answer")
         given[key.strip()] = value.strip()
-    return propose(file, load_machine(machine) if machine is not None else None, told, given)
+    return propose(file, load_machine(machine) if machine is not None else None, preset, given)
 
 
 def _is_whole(map_: Path) -> bool:

@@ -86,7 +86,7 @@ class Area:
 
 
 def draft(session: TabSession, key: str, label: str, value: str = "", placeholder: str = "") -> ui.input:
-    """A text field whose text is kept when the page is left.
+    """A text field whose text the session keeps for later visits of the page.
 
     Args:
         session: keeps the text.

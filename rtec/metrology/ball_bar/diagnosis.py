@@ -140,8 +140,8 @@ def chosen(
         window_deg, centre, beyond: see `fit`.
     """
     if model != "auto":
-        asked = fit(circles, bent=model == "non-linear", window_deg=window_deg, centre=centre, beyond=beyond)
-        return asked, "as asked"
+        requested = fit(circles, bent=model == "non-linear", window_deg=window_deg, centre=centre, beyond=beyond)
+        return requested, "as asked"
     straight = fit(circles, bent=False, window_deg=window_deg, centre=centre, beyond=beyond)
     bent = fit(circles, bent=True, window_deg=window_deg, centre=centre, beyond=beyond)
     if bent.rank.rank <= straight.rank.rank:

@@ -84,10 +84,10 @@ class Faults:
         out = [f"{self.source}: {text}" for text in self._whole[:SHOWN]]
         room = max(SHOWN - len(out), 0)
         each = max(3, room // max(len(self._kinds), 1))
-        told: list[tuple[int, str]] = []
+        messages: list[tuple[int, str]] = []
         for kind in self._kinds.values():
-            told += self._messages_of(kind, each)
-        out += [text for _, text in sorted(told)[:room]]
+            messages += self._messages_of(kind, each)
+        out += [text for _, text in sorted(messages)[:room]]
         more = len(self) - len(out)
         return [*out, f"{self.source}: and {more} more"] if more > 0 else out
 

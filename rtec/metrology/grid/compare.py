@@ -35,8 +35,8 @@ SAME_PART_MM = 2.0
 
 def certain(items: Sequence[Item]) -> tuple[Item, ...]:
     """Significant items; the false-positive rate of a whole list is about 1 in 50."""
-    asked = [i for i in items if np.isfinite(i.chance)]
-    return tuple(i for i in asked if i.chance < SURE / len(asked))
+    tested = [i for i in items if np.isfinite(i.chance)]
+    return tuple(i for i in tested if i.chance < SURE / len(tested))
 
 
 def places(one: GridSetup, other: GridSetup) -> tuple[Item, ...]:

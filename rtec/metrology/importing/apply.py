@@ -108,8 +108,8 @@ def _part(path: Path, how: ImportMap) -> _Part:
     faults = []
     for name, column in how.column.items():
         try:
-            columns[name], told = _column(table, name, column, keep, str(path))
-            notes += told
+            columns[name], remarks = _column(table, name, column, keep, str(path))
+            notes += remarks
         except MeasurementError as e:
             faults.append(str(e))
     if faults:
@@ -119,8 +119,8 @@ def _part(path: Path, how: ImportMap) -> _Part:
     table = table.rows(keep)
     clock = seconds(table, how.time, str(path))
     notes += clock.notes
-    run, told = runs(table, how.run, clock, columns, str(path))
-    notes += told
+    run, remarks = runs(table, how.run, clock, columns, str(path))
+    notes += remarks
     out: dict[str, Values] = {"run": run, "time_s": clock.time_s, **columns}
     return _Part(path, Imported(out, reader, rows_in, len(table), tuple(notes)), clock.began)
 
@@ -370,15 +370,15 @@ def _numbers(table: ForeignTable, column: Column, keep: Bools, source: str) -> F
 
 def _unit(table: ForeignTable, name: str, column: Column, target: str, source: str) -> str:
     """The unit of the file's numbers: the map's or the reader's, which must agree."""
-    told = table.units.get(column.from_, "")
-    if column.unit and told and told not in (column.unit, "1"):
+    own = table.units.get(column.from_, "")
+    if column.unit and own and own not in (column.unit, "1"):
         raise MeasurementError(
-            f"{source}: [column.{name}] unit = {column.unit!r}, but the file says that {column.from_!r} is in {told}; "
+            f"{source}: [column.{name}] unit = {column.unit!r}, but the file says that {column.from_!r} is in {own}; "
             "leave unit out, or use scale"
         )
-    if column.minus is not None and told and table.units.get(column.minus, told) != told:
+    if column.minus is not None and own and table.units.get(column.minus, own) != own:
         raise MeasurementError(f"{source}: [column.{name}] {column.from_!r} and {column.minus!r} differ in unit")
-    unit = column.unit or told
+    unit = column.unit or own
     if not unit and target != "1":
         raise MeasurementError(f"{source}: [column.{name}] nobody tells the unit of {column.from_!r}; say unit = …")
     return unit or target

@@ -106,7 +106,7 @@ class ImportProposal:
         questions: unanswered questions.
         assumed: questions with the default that was assumed.
         notes: notes of the reader.
-        machine, told, answers: the arguments of `propose`.
+        machine, preset, answers: the arguments of `propose`.
     """
 
     path: Path
@@ -121,7 +121,7 @@ class ImportProposal:
     assumed: tuple[tuple[ImportQuestion, str], ...]
     notes: tuple[str, ...]
     machine: Machine | None = None
-    told: Mapping[str, Any] = field(default_factory=dict)
+    preset: Mapping[str, Any] = field(default_factory=dict)
     answers: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -140,7 +140,7 @@ class ImportProposal:
         Raises:
             MeasurementError: an answer belongs to no question, or is not possible.
         """
-        return propose(self.path, self.machine, self.told, {**self.answers, **answers})
+        return propose(self.path, self.machine, self.preset, {**self.answers, **answers})
 
     def import_map(self) -> ImportMap:
         """The map.
@@ -218,7 +218,7 @@ def _way(question: ImportQuestion) -> str:
 def propose(
     path: Path,
     machine: Machine | None = None,
-    told: Mapping[str, Any] | None = None,
+    preset: Mapping[str, Any] | None = None,
     answers: Mapping[str, str] | None = None,
 ) -> ImportProposal:
     """Propose a map for a file of another program.
@@ -226,38 +226,38 @@ def propose(
     Args:
         path: path of the file.
         machine: the measured machine; its axes and sensors are matched to columns.
-        told: known tables of a map (`{"source": {"decimal": ","}}`), which are not changed.
+        preset: known tables of a map (`{"source": {"decimal": ","}}`), which are not changed.
         answers: answers as texts, by key of the question.
 
     Raises:
         MeasurementError: the file cannot be read or is no table; or an answer belongs to no question or is not
             possible.
     """
-    told, answers = told or {}, answers or {}
-    asked = _Answers(str(path), answers)
-    read = _read(path, dict(told.get("source", {})), asked)
+    preset, answers = preset or {}, answers or {}
+    asker = _Answers(str(path), answers)
+    read = _read(path, dict(preset.get("source", {})), asker)
     tables, guesses = read.tables, read.guesses
-    name = told.get("source", {}).get("table")
+    name = preset.get("source", {}).get("table")
     if name is None and len(tables) > 1:
         choices = tuple(t.name for t in tables)
-        name = asked.ask("table", "Which of the tables?", choices, choices[0])
+        name = asker.ask("table", "Which of the tables?", choices, choices[0])
     table = chosen(tables, name, str(path))
     content: dict[str, Any] = {"source": read.source | ({"table": name} if name else {})}
-    table, events = _events(table, told.get("events"), str(path))
+    table, events = _events(table, preset.get("events"), str(path))
     if events is not None:
         content["events"] = events
         guesses = (*guesses, Guess("events", events["channel"], "one value a line: each channel becomes a column"))
-    roles = ColumnRoles(table, machine, told, asked.ask, is_log=events is not None or read.name == "json_lines")
+    roles = ColumnRoles(table, machine, preset, asker.ask, is_log=events is not None or read.name == "json_lines")
     content |= roles.content()
-    content["setup"] = dict(told.get("setup", {})) | _setup(content["measurement"], told, asked)
+    content["setup"] = dict(preset.get("setup", {})) | _setup(content["measurement"], preset, asker)
     content["column"] = _of_probes(content["column"], content["setup"])
-    asked.check(content["measurement"])
-    if asked.assumed:
-        notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asked.assumed]
+    asker.check(content["measurement"])
+    if asker.assumed:
+        notes = [f"assumed on import, not known: {q.text} {a}" for q, a in asker.assumed]
         content["measurement"]["notes"] = [*content["measurement"].get("notes", ()), *notes]
     return ImportProposal(
         path, read.name, tuple(t.name for t in tables), len(table), read.whole, _columns(table, roles), content,
-        (*guesses, *roles.guesses), tuple(asked.open), tuple(asked.assumed), table.notes, machine, told, answers,
+        (*guesses, *roles.guesses), tuple(asker.open), tuple(asker.assumed), table.notes, machine, preset, answers,
     )  # fmt: skip
 
 
@@ -272,37 +272,37 @@ class _Read:
     guesses: tuple[Guess, ...] = ()
 
 
-def _read(path: Path, told: dict[str, Any], asked: "_Answers") -> _Read:
+def _read(path: Path, preset: dict[str, Any], asker: "_Answers") -> _Read:
     """The tables of a file; of a text table the first rows, in the likeliest layout."""
-    reader = told.get("reader")
+    reader = preset.get("reader")
     if reader is not None and reader not in READERS:
         raise MeasurementError(f"{path}: there is no reader {reader!r}{nearest(reader, READERS)}")
-    if (reader or detect(path, told.get("encoding"))) != "delimited":
-        options = validated(SourceOptions, told, f"{path}: [source]", MeasurementError)
+    if (reader or detect(path, preset.get("encoding"))) != "delimited":
+        options = validated(SourceOptions, preset, f"{path}: [source]", MeasurementError)
         name, tables = read_tables(path, options)
-        return _Read(name, tables, True, {"reader": name, **told})
-    found = layout(path, {k: v for k, v in told.items() if k not in ("table", "swap_directions")})
+        return _Read(name, tables, True, {"reader": name, **preset})
+    found = layout(path, {k: v for k, v in preset.items() if k not in ("table", "swap_directions")})
     more: dict[str, Any] = {}
     for doubt in found.doubts:
-        if (key := doubt.key.removeprefix("source.")) not in told:
-            more[key] = asked.ask(key, f"{doubt.reason}: which?", tuple(doubt.value), str(doubt.value[0]))
+        if (key := doubt.key.removeprefix("source.")) not in preset:
+            more[key] = asker.ask(key, f"{doubt.reason}: which?", tuple(doubt.value), str(doubt.value[0]))
     if more.get("decimal") == ".":
         more["thousands"] = ","
     source = found.source.model_copy(update=more)
     if not source.header and source.names is None:
         usual = ", ".join(table_of(path, found.text, source).columns)
         hint = "with units: time s, x mm, dev um, T_nut degC"
-        names = asked.ask("names", "What are the columns called?", (), usual, hint) or usual
+        names = asker.ask("names", "What are the columns called?", (), usual, hint) or usual
         more["names"] = [n.strip() for n in names.split(",")]
     source = validated(SourceOptions, _plain(found.source) | more, f"{path}: [source]", MeasurementError)
     table = table_of(path, found.text, source)
-    if words := () if _log_columns(table) else _odd_cells(table, asked):
+    if words := () if _log_columns(table) else _odd_cells(table, asker):
         source = source.model_copy(update={"missing": (*source.missing, *words)})
         table = table_of(path, found.text, source)
     return _Read("delimited", [table], not found.cut, _plain(source), found.guesses)
 
 
-def _odd_cells(table: ForeignTable, asked: "_Answers") -> list[str]:
+def _odd_cells(table: ForeignTable, asker: "_Answers") -> list[str]:
     """Notes on cells without a number in numeric columns; asks about each such column, which is numeric by default."""
     words: list[str] = []
     for name, values in table.columns.items():
@@ -312,7 +312,7 @@ def _odd_cells(table: ForeignTable, asked: "_Answers") -> list[str]:
         more = f", nor are {len(odd) - 1} more" if len(odd) > 1 else ""
         text = f"Line {table.lines[odd[0]]}, column {name!r}: {clean(str(values[odd[0]]))!r} is no number{more}; "
         text += f"{right} cells are. Correct the file, or is it no value?"
-        if asked.ask(f"odd cell of {name}", text, (NO_VALUE, LEAVE)) != LEAVE:
+        if asker.ask(f"odd cell of {name}", text, (NO_VALUE, LEAVE)) != LEAVE:
             words += [str(values[i]) for i in odd]
     return list(dict.fromkeys(words))
 
@@ -330,10 +330,10 @@ def _plain(source: SourceOptions) -> dict[str, Any]:
 
 
 def _events(
-    table: ForeignTable, told: Mapping[str, Any] | None, source: str
+    table: ForeignTable, preset: Mapping[str, Any] | None, source: str
 ) -> tuple[ForeignTable, dict[str, Any] | None]:
     """An event log as a table, and `[events]`; any other table as it is."""
-    events = dict(told) if told else _log_columns(table)
+    events = dict(preset) if preset else _log_columns(table)
     if not events:
         return table, None
     return from_events(table, events["channel"], events["value"], events.get("unit"), source), events
@@ -388,7 +388,7 @@ class _Answers:
     def __init__(self, source: str, answers: Mapping[str, str]) -> None:
         self.source = source
         self.answers = answers
-        self.asked: list[str] = []
+        self.keys: list[str] = []
         self.open: list[ImportQuestion] = []
         self.assumed: list[tuple[ImportQuestion, str]] = []
 
@@ -397,9 +397,9 @@ class _Answers:
     ) -> str | None:
         """The answer, or the default; None where there is neither."""
         question = ImportQuestion(key, text, choices, default, hint)
-        if question.key in self.asked:
+        if question.key in self.keys:
             return self.answers.get(question.key, question.default)
-        self.asked.append(question.key)
+        self.keys.append(question.key)
         if (given := self.answers.get(question.key)) is None:
             self.open.append(question)
             if question.default is not None:
@@ -414,11 +414,11 @@ class _Answers:
     def check(self, known: Mapping[str, Any]) -> None:
         """Refuse answers to unknown questions, unless they repeat what the file shows."""
         for key, answer in self.answers.items():
-            if key not in self.asked and known.get(key) != answer:
-                raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, self.asked)}")
+            if key not in self.keys and known.get(key) != answer:
+                raise MeasurementError(f"{self.source}: {key!r} is no question here{nearest(key, self.keys)}")
 
 
-def _setup(measurement: Mapping[str, Any], told: Mapping[str, Any], asked: _Answers) -> dict[str, Any]:
+def _setup(measurement: Mapping[str, Any], preset: Mapping[str, Any], asker: _Answers) -> dict[str, Any]:
     """`[setup]`: the required keys, and the instrument's offset unless a component is named."""
     instrument = measurement.get("instrument")
     if instrument not in INSTRUMENTS:
@@ -428,16 +428,16 @@ def _setup(measurement: Mapping[str, Any], told: Mapping[str, Any], asked: _Answ
     for name, info in INSTRUMENTS[instrument].setup_model.model_fields.items():
         offset = name.endswith("offset_mm") and not direct
         needed = info.is_required() or (name in NEEDED.get(instrument, ()) and not direct)
-        if name in told.get("setup", {}) or not (needed or offset):
+        if name in preset.get("setup", {}) or not (needed or offset):
             continue
         choices = tuple(str(c) for a in (info.annotation, *typing.get_args(info.annotation)) for c in _literals(a))
         default = None if needed else str(list(info.default))
         text = (
             f"{name} of the {instrument}?" if needed else f"{name}, from the tool tip to where the {instrument} reads?"
         )
-        answer = asked.ask(f"setup.{name}", text, choices, default, EXAMPLES.get(name, ""))
+        answer = asker.ask(f"setup.{name}", text, choices, default, EXAMPLES.get(name, ""))
         if answer is not None:
-            out[name] = answer if choices else _value(answer, name, asked.source)
+            out[name] = answer if choices else _value(answer, name, asker.source)
     return out
 
 

@@ -72,7 +72,7 @@ class ColumnRoles:
     Args:
         table: table of the file; an event log as columns.
         machine: the measured machine, or None.
-        told: known tables of a map.
+        preset: known tables of a map.
         ask: asks the user.
         is_log: whether each channel has times of its own.
 
@@ -83,28 +83,28 @@ class ColumnRoles:
     """
 
     def __init__(
-        self, table: ForeignTable, machine: Machine | None, told: Mapping[str, Any], ask: Asks, *, is_log: bool
+        self, table: ForeignTable, machine: Machine | None, preset: Mapping[str, Any], ask: Asks, *, is_log: bool
     ) -> None:
-        self.table, self.machine, self.told, self.ask, self.is_log = table, machine, told, ask, is_log
+        self.table, self.machine, self.preset, self.ask, self.is_log = table, machine, preset, ask, is_log
         self.use: dict[str, tuple[str, str]] = {}
         self.units = {n: u for n in table.columns if (u := table.units.get(n) or bare_unit(n))}
         self.guesses: list[Guess] = []
-        self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in told.get("column", {}).items()}
+        self.columns: dict[str, dict[str, Any]] = {n: dict(c) for n, c in preset.get("column", {}).items()}
         for target, column in self.columns.items():
             self.use[str(column.get("from"))] = (target, "given")
 
     def content(self) -> dict[str, Any]:
         """The map without `[source]`, `[events]` and `[setup]`."""
-        time = dict(self.told.get("time", {})) or self._time()
+        time = dict(self.preset.get("time", {})) or self._time()
         run = self._run_column()
         self._temperatures()
         self._motion()
-        measurement = self._measured(dict(self.told.get("measurement", {})))
+        measurement = self._measured(dict(self.preset.get("measurement", {})))
         if not run:
             run = self._runs(measurement)
         self._directions(measurement)
-        out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.told.get("run", run))}
-        if rows := dict(self.told.get("rows", {})) or self._rows(time.get("column")):
+        out: dict[str, Any] = {"measurement": measurement, "time": time, "run": dict(self.preset.get("run", run))}
+        if rows := dict(self.preset.get("rows", {})) or self._rows(time.get("column")):
             out["rows"] = rows
         return out | {"column": self.columns}
 
@@ -253,8 +253,8 @@ class ColumnRoles:
                 unit = (
                     self.ask(f"unit of {name}", f"Unit of the temperature {name!r}?", ("°C", "°F", "K"), "°C") or "°C"
                 )
-            told = {} if self.table.units.get(name) else {"unit": unit}
-            self._take(name, f"{target}_degc", reason, **told)
+            unit_key = {} if self.table.units.get(name) else {"unit": unit}
+            self._take(name, f"{target}_degc", reason, **unit_key)
 
     def _warm(self, name: str) -> bool:
         """Whether a column without a unit is a temperature: by its name, its values, and if it is no setting."""

@@ -82,24 +82,24 @@ class TextLayout:
     cut: bool
 
 
-def layout(path: Path, told: Mapping[str, Any]) -> TextLayout:
+def layout(path: Path, preset: Mapping[str, Any]) -> TextLayout:
     """Detect the layout of a text table.
 
     Args:
         path: path of the text.
-        told: known keys of `[source]`, which are not changed.
+        preset: known keys of `[source]`, which are not changed.
 
     Raises:
         MeasurementError: the file cannot be read, is no text, or no table with at least one number a row.
     """
-    text, encoding, cut = _sample(path, told.get("encoding"))
+    text, encoding, cut = _sample(path, preset.get("encoding"))
     out: dict[str, Any] = {}
     guesses = [] if encoding is None else [encoding]
     if encoding is not None:
         out["encoding"] = encoding.value
     lines = text.split("\n")
-    comment = _comment(lines, told)
-    known = out | dict(told) | ({"comment": comment.value} if comment else {})
+    comment = _comment(lines, preset)
+    known = out | dict(preset) | ({"comment": comment.value} if comment else {})
     guesses += [comment] if comment else []
     rows = _numbered(lines, known)
     if not rows:
@@ -112,10 +112,10 @@ def layout(path: Path, told: Mapping[str, Any]) -> TextLayout:
     doubts: list[Guess] = []
     known |= names
     for guess in (*shape, *head, *_numbers(body, known, doubts)):
-        if guess.key.removeprefix("source.") not in told:
+        if guess.key.removeprefix("source.") not in preset:
             guesses.append(guess)
     concluded = {g.key.removeprefix("source."): g.value for g in guesses if g.value is not None}
-    everything = {**known, **concluded, **told, "reader": "delimited"}
+    everything = {**known, **concluded, **preset, "reader": "delimited"}
     source = validated(SourceOptions, everything, f"{path}: [source]", MeasurementError)
     return TextLayout(source, tuple(guesses), tuple(doubts), text, cut)
 
@@ -173,8 +173,8 @@ def _encoding(path: Path, data: bytes) -> tuple[str, Guess | None]:
     return "utf-8", None
 
 
-def _comment(lines: Sequence[str], told: Mapping[str, Any]) -> Guess | None:
-    if "comment" in told:
+def _comment(lines: Sequence[str], preset: Mapping[str, Any]) -> Guess | None:
+    if "comment" in preset:
         return None
     for mark in COMMENTS:
         marked = [i + 1 for i, line in enumerate(lines) if line.startswith(mark)]
@@ -429,8 +429,8 @@ def _numbers(body: _Body, known: Mapping[str, Any], doubts: list[Guess]) -> list
     odd = Counter(c for column in columns for c in column if c and c not in NANS and kind_of(c) in ("", "text"))
     words = [w for w, _ in odd.most_common(8) if not any(ch.isdigit() for ch in w)]
     if words and not known.get("missing"):
-        told = ", ".join(f"{clean(w)!r} {odd[w]} times" for w in words)
-        out.append(Guess("source.missing", words, f"no numbers among numbers: {told}"))
+        counts = ", ".join(f"{clean(w)!r} {odd[w]} times" for w in words)
+        out.append(Guess("source.missing", words, f"no numbers among numbers: {counts}"))
     return out
 
 

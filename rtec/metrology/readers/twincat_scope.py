@@ -133,8 +133,8 @@ def _table(
         columns[own] = _floats(path, own, [cells[i][place] for i in there], lines[there], layout.decimal)
         if unit:
             units[own] = unit
-    told = (*notes, start, "channels: " + ", ".join(n for n in columns if n != "time"))
-    return ForeignTable(path.stem, columns, units, lines[there], told)
+    remarks = (*notes, start, "channels: " + ", ".join(n for n in columns if n != "time"))
+    return ForeignTable(path.stem, columns, units, lines[there], remarks)
 
 
 def _time_s(path: Path, texts: list[str], lines: Ints, decimal: str) -> tuple[Floats, str]:

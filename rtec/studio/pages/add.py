@@ -79,26 +79,29 @@ async def _refit(session: TabSession) -> None:
         session.on_change()
 
 
-def _question(session: TabSession, asked: Any) -> None:
+def _question(session: TabSession, question: Any) -> None:
     with ui.element("div").classes("card chosen").props('role="alertdialog" aria-label="Question"'):
-        if isinstance(asked, RefitQuestion):
-            unit = UNITS.get(asked.unit, asked.unit)
-            Words("h2", f"Add {asked.what}, a further temperature?" if asked.what else "Refit the model's own numbers?")
-            before, after = two_numbers(asked.before, asked.after)
+        if isinstance(question, RefitQuestion):
+            unit = UNITS.get(question.unit, question.unit)
+            Words(
+                "h2",
+                f"Add {question.what}, a further temperature?" if question.what else "Refit the model's own numbers?",
+            )
+            before, after = two_numbers(question.before, question.after)
             Words("p", f"The residual on held-out runs falls from {before} to {after} {unit}.")
             with ui.element("div").classes("row"):
-                button("Add" if asked.what else "Refit", lambda: session.answer(True), main=True)
-                button("Leave it out" if asked.what else "Keep the numbers", lambda: session.answer(False))
-        elif isinstance(asked, StepQuestion):
-            _ask_step(session, asked)
+                button("Add" if question.what else "Refit", lambda: session.answer(True), main=True)
+                button("Leave it out" if question.what else "Keep the numbers", lambda: session.answer(False))
+        elif isinstance(question, StepQuestion):
+            _ask_step(session, question)
 
 
-def _ask_step(session: TabSession, asked: StepQuestion) -> None:
-    d = asked.diagnosis.found
-    Words("h2", f"Step {asked.number}: add {d.findings[0].label}?")
-    Words("p", asked.diagnosis.page.lead)
-    if 1 in asked.diagnosis.curves:
-        Chart(figures.evidence_figure(asked.diagnosis.curves[1][0]), "Residual and the proposed effect")
+def _ask_step(session: TabSession, question: StepQuestion) -> None:
+    d = question.diagnosis.found
+    Words("h2", f"Step {question.number}: add {d.findings[0].label}?")
+    Words("p", question.diagnosis.page.lead)
+    if 1 in question.diagnosis.curves:
+        Chart(figures.evidence_figure(question.diagnosis.curves[1][0]), "Residual and the proposed effect")
     with ui.element("div").classes("row"):
         for f in d.findings[:4]:
             fall = percent(max(f.heldout_drop, 0.0))
