@@ -48,8 +48,7 @@ class Trial:
         variables: channels of an effect outside the catalogue.
         doubt: fault of the record or of the machine file; else empty.
         machine: content of the machine file.
-        law: columns of the truth, as far as it follows from recorded channels; sizes and zero are free. By reading, (n,
-            k).
+        law: columns of the truth that follow from recorded channels, by reading, (n, k); sizes and zero are free.
     """
 
     group: str

@@ -419,8 +419,7 @@ def _simplest(table: HeldOutTable, tried: Sequence[int], errors: Floats) -> int:
     """The simplest of the candidates that are as good as the best.
 
     A component that the readings show directly has priority over one behind a lever arm: an instrument with only one
-        arm
-    cannot distinguish an angle from a shift, though both differ elsewhere on the machine.
+    arm cannot distinguish an angle from a shift, though both differ elsewhere on the machine.
     """
     near = np.flatnonzero(errors <= errors.min() * (1 + SIMPLER)).tolist()
     # The first of equal ones: the order of the candidates decides, not rounding.

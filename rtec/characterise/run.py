@@ -236,8 +236,7 @@ def _with_constant(screened: Screened, choice: TermChoice, rules: _Rules) -> lis
     """The chosen terms, and for each temperature the same shape at constant temperature.
 
     A temperature that hardly changed, far from the reference, could otherwise replace that shape: the fit is as good,
-        but
-    on a warmer day the model is wrong. The one of both that is not significant is dropped later.
+    but on a warmer day the model is wrong. The one of both that is not significant is dropped later.
     """
     chosen = [screened.candidates[i] for i in choice.chosen]
     for candidate in tuple(chosen):

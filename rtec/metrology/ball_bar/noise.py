@@ -72,7 +72,7 @@ WHITE = AngleNoise()
 def find_noise(
     circles: Sequence[CircleTest], columns: Floats, reading: Floats, near: float, window_deg: float
 ) -> tuple[AngleNoise, AngleNoise]:
-    """The noise of the largest restricted likelihood, and a larger slow one that is still likely.
+    """The noise of the largest restricted likelihood, and of those still likely the one with the largest d τ.
 
     A circle has only a few periods of a slow noise, so that its size stays uncertain; a cause must be significant with
     the second noise, too.

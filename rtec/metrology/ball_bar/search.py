@@ -335,8 +335,7 @@ def _instead(work: SearchState, stays: Sequence[int], rows: float) -> Iterator[S
     """Replacements of one cause, or two of the same effect, by one other, or two of the same effect."""
     others = tuple(_units(work, [i for i in work.everything if i not in stays]))
     power = least(work, stays).sigma ** 2 * rows
-    # Schwarz' penalty for one parameter; the limit is higher for more alternatives, as the best of many gains by
-    # chance.
+    # Schwarz' penalty for one parameter; more alternatives raise the limit, as the best of many gains by chance.
     price = math.log(len(work.white) / rows)
     limit = SURE_ODDS + 2.0 * math.log(max(len(others), 1))
     for unit in _units(work, stays):

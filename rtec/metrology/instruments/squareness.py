@@ -81,8 +81,7 @@ class SquarenessProbe(AffineInstrument):
         out = list(zero(len(state), 2, self.setup.zero, "um", names))
         lines = [np.eye(3)["XYZ".index(machine.axis(a).direction)] for a in axes]
         along_m = [from_middle_m(machine, state, a) for a in axes]
-        # A rotation of the square by φ about the normal moves its arms as φ × (along); the reading changes by the
-        # negative.
+        # A rotation φ of the square about the normal moves its arms by φ × (along), the reading by the negative.
         normal = np.cross(lines[0], lines[1])
         turned = np.stack(
             [

@@ -272,7 +272,7 @@ class _ModelCard:
         """Update the card after other measurements were chosen."""
         self._command.redo()
         if self._lacked != self._session.lacks:
-            self._next.redo()  # later, as a click under way still needs its button
+            self._next.redo()  # only then: a click under way still needs its button
 
     def _choose(self, event: events.ValueChangeEventArguments[str | None]) -> None:
         self._session.model = event.value or ""
